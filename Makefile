@@ -1,0 +1,51 @@
+# The two commands of the README are `make demo` and `make test`; each makes its own .venv from the lock.
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+TRUEUP := $(BIN)/trueup
+
+.PHONY: demo test test-all install lint bench docs lock clean
+
+demo: $(VENV)/.base
+	$(TRUEUP) demo --out runs/demo --overwrite
+
+test: install lint
+	$(BIN)/python -m pytest -n 2 -m "not slow"
+	$(BIN)/mkdocs build --strict --quiet --site-dir $(VENV)/site
+
+test-all: install lint
+	$(BIN)/python -m pytest -n 2
+	$(BIN)/mkdocs build --strict --quiet --site-dir $(VENV)/site
+
+lint: install
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+install: $(VENV)/.dev
+
+bench: install
+	$(BIN)/python -m benchmarks
+
+docs: install
+	$(BIN)/mkdocs build --strict
+
+lock: install
+	$(BIN)/python scripts/lock.py
+
+$(VENV)/.venv:
+	$(PYTHON) -m venv $(VENV)
+	$(PIP) install --quiet -c requirements.lock pip
+	touch $@
+
+$(VENV)/.base: $(VENV)/.venv pyproject.toml requirements.lock
+	$(PIP) install --quiet -c requirements.lock -e .
+	touch $@
+
+$(VENV)/.dev: $(VENV)/.venv pyproject.toml requirements.lock
+	$(PIP) install --quiet -c requirements.lock -e '.[dev]'
+	touch $@ $(VENV)/.base
+
+clean:
+	rm -rf $(VENV) build dist site .mypy_cache .ruff_cache .hypothesis

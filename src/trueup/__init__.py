@@ -1,0 +1,1 @@
+"""True up your simulator to your robot."""

@@ -1,0 +1,111 @@
+"""What the parts of trueup expect of one another, as Protocols with real signatures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from trueup.core.episode import Episode
+from trueup.core.timeseries import TimeSeries
+
+
+@dataclass(frozen=True, eq=False)
+class RolloutRequest:
+    """B motions of equal length whose commands are known beforehand.
+
+    Attributes:
+        position: initial joint positions, (B, J) [rad or m].
+        velocity: initial joint velocities, (B, J) [rad/s or m/s].
+        command: command signal -> (B, N, J), one row per simulation step, already delayed and held. A position
+            servo needs `position`, a torque-driven robot `torque`, PD control may add `velocity`.
+    """
+
+    position: Float[np.ndarray, "B J"]
+    velocity: Float[np.ndarray, "B J"]
+    command: dict[str, Float[np.ndarray, "B N J"]]
+
+
+@dataclass(frozen=True, eq=False)
+class RolloutResult:
+    """What the simulator did: row k is the state at `k * timestep_s`, row 0 the initial state.
+
+    Attributes:
+        position: (B, N + 1, J) [rad or m].
+        velocity: (B, N + 1, J) [rad/s or m/s].
+        torque: joint torque of the actuators, (B, N + 1, J) [Nm or N]; row k acts from k to k + 1, and the last
+            row repeats the one before.
+    """
+
+    position: Float[np.ndarray, "B N1 J"]
+    velocity: Float[np.ndarray, "B N1 J"]
+    torque: Float[np.ndarray, "B N1 J"]
+
+
+class Simulator(Protocol):
+    """A physics engine with one robot in it, ready to be commanded.
+
+    Two faces: `rollout` for replay and identification (many motions at once, no Python in the loop), and
+    batched `reset` and `step` for control loops and learning. Both run the same controllers.
+    """
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the J controlled joints."""
+        ...
+
+    @property
+    def timestep_s(self) -> float:
+        """Physics step [s]."""
+        ...
+
+    def rollout(self, request: RolloutRequest) -> RolloutResult:
+        """Simulate B motions."""
+        ...
+
+    def reset(self, position: Float[np.ndarray, "B J"], velocity: Float[np.ndarray, "B J"]) -> None:
+        """Put B independent copies of the robot into these states, at time 0."""
+        ...
+
+    def step(self, command: dict[str, Float[np.ndarray, "B J"]]) -> dict[str, Float[np.ndarray, "B J"]]:
+        """Advance every copy by one physics step; returns `position`, `velocity` after it and `torque` in it."""
+        ...
+
+
+class Augmenter(Protocol):
+    """A learned correction that turns simulated signals into what the robot would have measured."""
+
+    def predict(self, episode: Episode, run: str) -> TimeSeries:
+        """The corrected series of one run of an episode, on that run's clock."""
+        ...
+
+
+class RobotIO(Protocol):
+    """A robot, real or virtual, that takes commands and reports its state."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the J joints."""
+        ...
+
+    def read(self) -> dict[str, Float[np.ndarray, "J"]]:
+        """The latest measured signals, SI."""
+        ...
+
+    def write(self, command: dict[str, Float[np.ndarray, "J"]]) -> None:
+        """Send a command, SI."""
+        ...
+
+
+class Clock(Protocol):
+    """Time for loops: real, or as fast as possible."""
+
+    def now_s(self) -> float:
+        """Seconds since the clock was started."""
+        ...
+
+    def wait_until_s(self, time_s: float) -> None:
+        """Return at `time_s`; at once if it has passed."""
+        ...

@@ -1,0 +1,61 @@
+"""Where a result comes from: versions, git hash, seed, data hash, configuration."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+
+def version() -> str:
+    """The version of trueup that is installed."""
+    return metadata.version("trueup")
+
+
+def provenance(*, config: Mapping[str, Any], seed: int | None = None, data_hash: str | None = None) -> dict[str, Any]:
+    """What every result file carries.
+
+    Args:
+        config: the resolved configuration, JSON types only.
+        seed: the seed of all draws.
+        data_hash: hash of the dataset that was read.
+    """
+    packages = ("numpy", "scipy", "mujoco", "pyarrow")
+    return {
+        "trueup": version(),
+        "python": platform.python_version(),
+        "packages": {name: _installed(name) for name in packages},
+        "git": _git_hash(Path(__file__).parent),
+        "seed": seed,
+        "data_hash": data_hash,
+        "config": dict(config),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+
+
+def _installed(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _git_hash(folder: Path) -> str | None:
+    """Commit of the source tree that this code runs from; None for an installed wheel."""
+    if not any((parent / "pyproject.toml").is_file() for parent in folder.parents):
+        return None
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(folder), "describe", "--always", "--dirty", "--exclude=*"],
+            capture_output=True,
+            text=True,
+            timeout=5,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()

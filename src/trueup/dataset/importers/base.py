@@ -1,0 +1,89 @@
+"""What every importer offers: recognize a path, list its episodes cheaply, load one at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from trueup.core.episode import Episode
+
+
+@dataclass(frozen=True)
+class ImportOptions:
+    """What the user says about the logs; everything optional.
+
+    Attributes:
+        mapping: YAML file that names columns, units, joints and clocks (CSV), or fields and topics.
+        robot: name of the robot, if the logs do not say.
+        units: `signal` or `signal.joint` -> unit, over what the format implies.
+        command_topic: bag topic that holds the commands.
+        measured_topic: bag topic that holds the measured states.
+    """
+
+    mapping: Path | None = None
+    robot: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+    command_topic: str | None = None
+    measured_topic: str | None = None
+
+
+@dataclass(frozen=True)
+class EpisodeSource:
+    """One episode that can be loaded.
+
+    Attributes:
+        id: the episode's id (letters, digits, `_ . - /`), unique in the plan and stable between runs: resuming
+            an import skips ids that are there.
+        load: reads and checks the files; raises only errors of trueup.errors.
+        bytes: size of its files, for the progress bar.
+    """
+
+    id: str
+    load: Callable[[], Episode]
+    bytes: int = 0
+
+
+@dataclass(frozen=True)
+class ImportPlan:
+    """What an importer found.
+
+    Attributes:
+        format: the importer's name.
+        root: folder that the sources are relative to.
+        episodes: in a stable order.
+        robot: name of the robot, if the logs say.
+        licence: licence of the recording, if stated.
+        splits: episode id -> `train`, `val` or `test`, from the format or a `split.json` beside the data.
+        model_dir: folder with the robot's model beside the data, copied into the dataset.
+        notes: what a person should know (assumed units, skipped files).
+    """
+
+    format: str
+    root: Path
+    episodes: tuple[EpisodeSource, ...]
+    robot: str = ""
+    licence: str = ""
+    splits: Mapping[str, str] = field(default_factory=dict)
+    model_dir: Path | None = None
+    notes: tuple[str, ...] = ()
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Importer(Protocol):
+    """One log format. Modules in this package provide these two functions and a `NAME`."""
+
+    NAME: str
+
+    def detects(self, path: Path) -> bool:
+        """Whether `path` (file or folder) looks like this format; cheap, raises nothing."""
+        ...
+
+    def scan(self, path: Path, options: ImportOptions) -> ImportPlan:
+        """List the episodes without loading them.
+
+        Raises:
+            TrueupError: the path is not of this format, or an option is wrong.
+        """
+        ...

@@ -1,0 +1,110 @@
+"""Every error that trueup raises on purpose.
+
+One base class, so that `except TrueupError` catches all of them. A message says what is wrong, what was
+found, what was expected, what is available and what to do next; the command line prints it in one or two
+lines and exits with the class's `exit_code`.
+"""
+
+from collections.abc import Iterable
+
+
+def _listing(names: Iterable[object], limit: int = 24) -> str:
+    shown = [str(name) for name in names]
+    more = f", … ({len(shown) - limit} more)" if len(shown) > limit else ""
+    return ", ".join(shown[:limit]) + more if shown else "none"
+
+
+class TrueupError(Exception):
+    """Base of all errors raised by trueup.
+
+    Args:
+        what: what is wrong, with the file or name that it is about.
+        got: what was found.
+        expected: what should have been there.
+        available: the names that do exist.
+        hint: the next step for the user.
+    """
+
+    exit_code = 2
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        got: object = None,
+        expected: object = None,
+        available: Iterable[object] | None = None,
+        hint: str | None = None,
+    ) -> None:
+        self.what = what
+        self.hint = hint
+        details = []
+        if got is not None:
+            details.append(f"got {got}")
+        if expected is not None:
+            details.append(f"expected {expected}")
+        if available is not None:
+            details.append(f"available: {_listing(available)}")
+        self.details = "; ".join(details)
+        super().__init__(": ".join(part for part in (what, self.details) if part))
+
+    def __str__(self) -> str:
+        """The message, with the hint on a line of its own."""
+        message = super().__str__()
+        return f"{message}\n{self.hint}" if self.hint else message
+
+
+class DataError(TrueupError):
+    """The content of a file or array cannot be used: empty, truncated, ragged, not finite, not increasing."""
+
+
+class FormatError(TrueupError):
+    """A file or folder is of no known format, or of a version that this release cannot read."""
+
+
+class NameMismatch(TrueupError):
+    """Names of joints, signals or runs do not agree; nothing is ever matched by position."""
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        left: Iterable[object],
+        right: Iterable[object],
+        left_name: str = "got",
+        right_name: str = "expected",
+        hint: str | None = None,
+    ) -> None:
+        super().__init__(f"{what}: {left_name} [{_listing(left)}], {right_name} [{_listing(right)}]", hint=hint)
+
+
+class UnitError(TrueupError):
+    """A unit is unknown, or cannot be converted into the one that is needed."""
+
+
+class MissingSignal(TrueupError):
+    """A signal, episode, split or run was asked for that is not there."""
+
+
+class ConfigError(TrueupError):
+    """An option, a YAML file or a model description is wrong."""
+
+
+class OutputExists(TrueupError):
+    """The output is already there and neither `--overwrite` nor `--resume` was given."""
+
+
+class MissingDependency(TrueupError):
+    """An optional package is needed and not installed."""
+
+
+class NotIdentifiable(TrueupError):
+    """The data do not determine what was asked for, e.g. the delay of a constant command."""
+
+    exit_code = 3
+
+
+class BarNotMet(TrueupError):
+    """A bar given with `--fail-above` was not met."""
+
+    exit_code = 3

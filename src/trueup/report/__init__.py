@@ -1,0 +1,1 @@
+"""Self-contained HTML from saved results; needs neither MuJoCo nor torch."""

@@ -1,0 +1,1 @@
+"""Robot descriptions and the project's own models."""

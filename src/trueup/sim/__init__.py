@@ -1,0 +1,1 @@
+"""Physics engines behind one protocol, controllers, and replay of logged commands."""

@@ -1,0 +1,51 @@
+"""Shapes and types of the package are checked while the tests run; real recordings are found here."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+from jaxtyping import install_import_hook
+
+install_import_hook("trueup", "beartype.beartype")
+
+# A loaded machine must not fail a law; examples are the same in every run.
+settings.register_profile(
+    "trueup", deadline=None, derandomize=True, max_examples=50, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("trueup")
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def shared_folder() -> Path | None:
+    """Where the real recordings are: TRUEUP_SHARED, or `shared` beside the project."""
+    for candidate in (os.environ.get("TRUEUP_SHARED"), ROOT.parent / "shared"):
+        if candidate and (Path(candidate) / "data").is_dir():
+            return Path(candidate).resolve()
+    return None
+
+
+def _recording(name: str) -> Path:
+    shared = shared_folder()
+    if shared is None or not (shared / "data" / name).is_dir():
+        pytest.skip(f"real recording {name} not found: set TRUEUP_SHARED, or put `shared` beside the project")
+    return shared / "data" / name
+
+
+@pytest.fixture(scope="session")
+def so101_logs() -> Path:
+    """43 motions of a real SO-101 in SAGE's layout."""
+    return _recording("so101_sage")
+
+
+@pytest.fixture(scope="session")
+def double_pendulum_logs() -> Path:
+    """7 motions of a real torque-driven double pendulum, CSV."""
+    return _recording("dfki_double_pendulum_A0")
+
+
+@pytest.fixture(scope="session")
+def simple_pendulum_logs() -> Path:
+    """6 motions of a real one-joint pendulum, CSV."""
+    return _recording("dfki_simple_pendulum")
