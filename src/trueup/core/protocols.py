@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -44,6 +44,7 @@ class RolloutResult:
     torque: Float[np.ndarray, "B N1 J"]
 
 
+@runtime_checkable
 class Simulator(Protocol):
     """A physics engine with one robot in it, ready to be commanded.
 
@@ -61,6 +62,11 @@ class Simulator(Protocol):
         """Physics step [s]."""
         ...
 
+    @property
+    def command_signals(self) -> tuple[str, ...]:
+        """Command signals that the controller follows; the first is required."""
+        ...
+
     def rollout(self, request: RolloutRequest) -> RolloutResult:
         """Simulate B motions."""
         ...
@@ -74,6 +80,7 @@ class Simulator(Protocol):
         ...
 
 
+@runtime_checkable
 class Augmenter(Protocol):
     """A learned correction that turns simulated signals into what the robot would have measured."""
 
@@ -82,6 +89,7 @@ class Augmenter(Protocol):
         ...
 
 
+@runtime_checkable
 class RobotIO(Protocol):
     """A robot, real or virtual, that takes commands and reports its state."""
 
@@ -99,6 +107,7 @@ class RobotIO(Protocol):
         ...
 
 
+@runtime_checkable
 class Clock(Protocol):
     """Time for loops: real, or as fast as possible."""
 

@@ -1,0 +1,101 @@
+"""YAML into frozen dataclasses: unknown keys, missing keys and wrong types are errors that say where."""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin
+
+import yaml
+
+from trueup.errors import ConfigError
+
+T = TypeVar("T")
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """A YAML file whose top level is a mapping, by `yaml.safe_load`.
+
+    Raises:
+        ConfigError: missing, not UTF-8, not YAML, a tag that would build objects, or no mapping at the top.
+    """
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path} does not exist") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} cannot be read", got=error) from error
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise ConfigError(f"{path} is not plain YAML", got=" ".join(str(error).split())) from error
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{path} must hold a mapping", got=type(tree).__name__)
+    return tree
+
+
+def build(cls: type[T], data: Any, where: str) -> T:
+    """A frozen dataclass from a tree of YAML or JSON values.
+
+    Nested dataclasses, tuples, mappings, Literals and optional values follow the annotations.
+
+    Args:
+        cls: dataclass type.
+        data: mapping from field name to value.
+        where: file and key, for messages.
+
+    Raises:
+        ConfigError: an unknown or missing key, or a value of the wrong type.
+    """
+    if not isinstance(data, Mapping):
+        raise ConfigError(f"{where} must be a mapping", got=repr(data))
+    fields = {field.name: field for field in dataclasses.fields(cls) if field.init}  # type: ignore[arg-type]
+    unknown = [key for key in data if key not in fields]
+    if unknown:
+        raise ConfigError(f"{where} has unknown keys {unknown}", available=fields)
+    missing = [
+        name
+        for name, field in fields.items()
+        if name not in data and field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+    ]
+    if missing:
+        raise ConfigError(f"{where} lacks {missing}", available=fields)
+    hints = typing.get_type_hints(cls)
+    return cls(**{key: _convert(hints[key], value, f"{where}: {key}") for key, value in data.items()})
+
+
+def _convert(hint: Any, value: Any, where: str) -> Any:
+    origin, args = get_origin(hint), get_args(hint)
+    if dataclasses.is_dataclass(hint):
+        return build(hint, value, where)  # type: ignore[arg-type]
+    if origin in (Union, types.UnionType):
+        if value is None and type(None) in args:
+            return None
+        rest = [arg for arg in args if arg is not type(None)]
+        return _convert(rest[0], value, where) if len(rest) == 1 else value
+    if origin is Literal:
+        if value not in args:
+            raise ConfigError(f"{where} is not a choice", got=repr(value), available=args)
+        return value
+    if origin is tuple:
+        if not isinstance(value, list | tuple):
+            raise ConfigError(f"{where} must be a list", got=repr(value))
+        if len(args) == 2 and args[1] is Ellipsis:
+            return tuple(_convert(args[0], item, f"{where}[{index}]") for index, item in enumerate(value))
+        if len(value) != len(args):
+            raise ConfigError(f"{where} has the wrong length", got=len(value), expected=len(args))
+        return tuple(_convert(arg, item, where) for arg, item in zip(args, value, strict=True))
+    if origin is not None and issubclass(origin, Mapping):
+        if not isinstance(value, Mapping):
+            raise ConfigError(f"{where} must be a mapping", got=repr(value))
+        return {_convert(args[0], key, where): _convert(args[1], item, f"{where}.{key}") for key, item in value.items()}
+    return _scalar(hint, value, where)
+
+
+def _scalar(hint: Any, value: Any, where: str) -> Any:
+    if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value)
+    if hint is Any or (isinstance(value, hint) and not (hint is int and isinstance(value, bool))):
+        return value
+    raise ConfigError(f"{where} has the wrong type", got=repr(value), expected=getattr(hint, "__name__", hint))

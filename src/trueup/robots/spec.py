@@ -1,0 +1,247 @@
+"""What trueup must know of a robot beyond its MJCF or URDF: `robot.yaml`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+from trueup.core.config import build, read_yaml
+from trueup.errors import ConfigError
+
+SCHEMA = "trueup.robot/1"
+
+ControllerKind = Literal["model", "position", "pd", "pid", "torque", "velocity", "velocity-integrator"]
+
+# The signal of the command series that each controller follows.
+COMMAND_SIGNAL: Mapping[str, str] = {
+    "position": "position",
+    "pd": "position",
+    "pid": "position",
+    "torque": "torque",
+    "velocity": "velocity",
+    "velocity-integrator": "velocity",
+}
+
+
+@dataclass(frozen=True)
+class JointSpec:
+    """One joint: its name in the model, and how logs speak of it.
+
+    Attributes:
+        name: joint name in the MJCF or URDF.
+        log: name in the logs; empty when it is the same.
+        sign: +1 or -1.
+        scale: model value per log value, after conversion to SI.
+        offset: model value at log value 0 [rad or m].
+        log_unit: unit of the position in the logs where the log does not say or says wrongly, e.g. `1` for a
+            gripper in 0..1 of its range.
+        position_limits: measured range [rad or m] for the quality checks; the model's range if absent.
+        torque_limit: largest torque [Nm or N]; limits the controller and the quality checks.
+    """
+
+    name: str
+    log: str = ""
+    sign: Literal[1, -1] = 1
+    scale: float = 1.0
+    offset: float = 0.0
+    log_unit: str | None = None
+    position_limits: tuple[float, float] | None = None
+    torque_limit: float | None = None
+
+
+@dataclass(frozen=True)
+class ControllerSpec:
+    """How commands become joint torques; gains per joint name override the common ones.
+
+    Attributes:
+        kind: `model` uses the actuators of the MJCF as they are; `position` is a servo with gain kp and damping
+            kv on the measured velocity; `pd` follows position and, if the command has it, velocity (GapONet
+            eq. 10); `pid` is an effort controller with integral, whose derivative acts on the measured velocity
+            (no kick when the command jumps); `torque` passes torque through; `velocity` is a velocity servo;
+            `velocity-integrator` integrates the velocity into a position target.
+        command: signal of the command that is followed; needed for `model` only.
+        kp: position gain [Nm/rad]; higher is stiffer, too high for the time step is unstable.
+        kv: velocity gain [Nm s/rad]; higher damps more.
+        ki: integral gain [Nm/(rad s)], `pid` only.
+        integral_limit: largest torque of the integral [Nm], `pid` only.
+        delay_s: the command acts this much later [s], >= 0.
+        per_joint: joint name -> {kp, kv, ki} for joints that differ.
+    """
+
+    kind: ControllerKind = "model"
+    command: Literal["position", "velocity", "torque", ""] = ""
+    kp: float = 0.0
+    kv: float = 0.0
+    ki: float = 0.0
+    integral_limit: float | None = None
+    delay_s: float = 0.0
+    per_joint: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def gain(self, name: Literal["kp", "kv", "ki"], joint: str) -> float:
+        """The gain of one joint."""
+        return self.per_joint.get(joint, {}).get(name, getattr(self, name))
+
+    @property
+    def signal(self) -> str:
+        """The signal of the command series that is followed."""
+        return self.command or COMMAND_SIGNAL.get(self.kind, "position")
+
+
+@dataclass(frozen=True)
+class SimulationSpec:
+    """How the engine is run.
+
+    Attributes:
+        timestep_s: physics step [s]; None takes the model's.
+        contacts: whether bodies collide; an arm in free space is faster and calmer without.
+    """
+
+    timestep_s: float | None = None
+    contacts: bool = False
+
+
+@dataclass(frozen=True)
+class ReplaySpec:
+    """How logs are replayed.
+
+    Attributes:
+        window_s: restart from the measured state this often [s]; None replays whole motions. Torque-driven and
+            chaotic systems need short windows (0.2 to 0.5 s): their open-loop error says nothing after that.
+        initial_velocity: start with `zero` velocity (a robot at rest) or the `measured` one.
+    """
+
+    window_s: float | None = None
+    initial_velocity: Literal["zero", "measured"] = "zero"
+
+
+@dataclass(frozen=True)
+class RobotSpec:
+    """A robot as trueup sees it.
+
+    Attributes:
+        name: short name.
+        joints: the controlled joints, in the order of results.
+        model: file name of the MJCF or URDF; looked for beside the dataset, beside the YAML and in the package.
+        schema: `trueup.robot/1`.
+        scored: joints that enter the mean of a metric; all if empty.
+        ignore: log joints that have no counterpart in the model.
+        controller: how commands become torques.
+        simulation: how the engine is run.
+        replay: how logs are replayed.
+        description: for people.
+        folder: where the YAML was read from.
+    """
+
+    name: str
+    joints: tuple[JointSpec, ...]
+    model: str
+    schema: Literal["trueup.robot/1"] = "trueup.robot/1"
+    scored: tuple[str, ...] = ()
+    ignore: tuple[str, ...] = ()
+    controller: ControllerSpec = field(default_factory=ControllerSpec)
+    simulation: SimulationSpec = field(default_factory=SimulationSpec)
+    replay: ReplaySpec = field(default_factory=ReplaySpec)
+    description: str = ""
+    folder: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse contradictions."""
+        names = self.joint_names
+        if not names or len(set(names)) != len(names):
+            raise ConfigError(f"robot {self.name!r}: joints must be there and have different names", got=list(names))
+        strangers = [name for name in (*self.scored, *self.controller.per_joint) if name not in names]
+        if strangers:
+            raise ConfigError(f"robot {self.name!r}: {strangers} are not joints", available=names)
+        if self.controller.delay_s < 0:
+            raise ConfigError(f"robot {self.name!r}: delay_s must be >= 0", got=self.controller.delay_s)
+        for label, value in (("timestep_s", self.simulation.timestep_s), ("window_s", self.replay.window_s)):
+            if value is not None and value <= 0:
+                raise ConfigError(f"robot {self.name!r}: {label} must be positive", got=value)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the J controlled joints, in the model's words."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def scored_joints(self) -> tuple[str, ...]:
+        """The joints that enter the mean."""
+        return self.scored or self.joint_names
+
+    def joint_rules(self) -> dict[str, Any]:
+        """The map from log names to model names, as `align.JointMap.from_dict` reads it."""
+        rules = [
+            {
+                "joint": joint.name,
+                "log": joint.log or joint.name,
+                "sign": joint.sign,
+                "scale": joint.scale,
+                "offset": joint.offset,
+                "log_unit": joint.log_unit,
+            }
+            for joint in self.joints
+        ]
+        return {"joints": rules, "ignore": list(self.ignore)}
+
+    def to_dict(self) -> dict[str, Any]:
+        """The resolved configuration, JSON types only."""
+        tree = asdict(self)
+        del tree["folder"]
+        return tree
+
+
+def load_robot(name_or_path: str | Path) -> RobotSpec:
+    """A robot by the name of a shipped one, or from a YAML file.
+
+    Raises:
+        ConfigError: no such file or robot, or its content is wrong.
+    """
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        shipped = {file.stem: file for file in shipped_robots()}
+        if str(name_or_path) not in shipped:
+            raise ConfigError(
+                f"there is no robot {str(name_or_path)!r}",
+                available=sorted(shipped),
+                hint="Give one of these names, or the path of a robot.yaml (see docs/robots.md).",
+            )
+        path = shipped[str(name_or_path)]
+    spec = build(RobotSpec, read_yaml(path), str(path))
+    return replace(spec, folder=path.parent.resolve())
+
+
+def shipped_robots() -> list[Path]:
+    """The robot files that come with the package."""
+    folder = Path(str(resources.files("trueup.robots")))
+    return sorted(folder.glob("*.yaml"))
+
+
+def find_model(spec: RobotSpec, *, given: Path | None = None, beside: Path | None = None) -> Path:
+    """The robot's MJCF or URDF.
+
+    Args:
+        spec: the robot.
+        given: path from `--model`, first choice.
+        beside: the dataset folder; `beside/model/` is looked into.
+
+    Raises:
+        ConfigError: found nowhere; the message lists where it was looked for.
+    """
+    if given is not None:
+        if not given.is_file():
+            raise ConfigError(f"there is no model at {given}")
+        return given
+    folders = [beside / "model"] if beside else []
+    if spec.folder:
+        folders += [spec.folder, spec.folder / "models"]
+    for folder in folders:
+        if (folder / spec.model).is_file():
+            return folder / spec.model
+    raise ConfigError(
+        f"the model {spec.model!r} of robot {spec.name!r} was not found",
+        available=[f"{folder}/ (searched)" for folder in folders],
+        hint="Give its path with --model, or put it into the folder `model/` of the dataset.",
+    )

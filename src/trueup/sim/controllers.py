@@ -1,0 +1,126 @@
+"""Controllers as MuJoCo actuators, written once: they run inside the engine, in rollouts and step by step alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+
+from trueup.errors import ConfigError, NameMismatch
+from trueup.robots import ControllerSpec, JointSpec
+
+PID_PLUGIN = "mujoco.pid"
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One input of the engine: which actuator takes which command signal of which joint."""
+
+    actuator: str
+    joint: str
+    signal: str
+
+
+def attach_controller(
+    spec: mujoco.MjSpec, controller: ControllerSpec, joints: tuple[JointSpec, ...]
+) -> tuple[Channel, ...]:
+    """Put the controller into the model and say how commands reach it.
+
+    Every kind but `model` replaces all actuators of the model. `torque_limit` of a joint limits the sum of its
+    actuators.
+
+    Raises:
+        NameMismatch: a joint is not in the model; both lists are printed.
+        ConfigError: kind `model`, and a joint has no actuator of its own, or several.
+    """
+    known = {joint.name: joint for joint in spec.joints}
+    missing = [joint.name for joint in joints if joint.name not in known]
+    if missing:
+        raise NameMismatch(
+            f"joints {missing} are not in the model",
+            left=[joint.name for joint in joints],
+            right=known,
+            left_name="robot",
+            right_name="model",
+        )
+    for joint in joints:
+        if joint.torque_limit is not None:
+            known[joint.name].actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
+            known[joint.name].actfrcrange = [-joint.torque_limit, joint.torque_limit]
+    if controller.kind == "model":
+        return tuple(_own_channel(spec, joint.name, controller.signal) for joint in joints)
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    return tuple(channel for joint in joints for channel in _add(spec, controller, joint.name))
+
+
+def _own_channel(spec: mujoco.MjSpec, joint: str, signal: str) -> Channel:
+    names = [
+        actuator.name
+        for actuator in spec.actuators
+        if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT and actuator.target == joint
+    ]
+    if len(names) != 1 or not names[0]:
+        raise ConfigError(
+            f"joint {joint!r} needs exactly one named actuator in the model",
+            got=names or "none",
+            hint="Name a controller in robot.yaml (controller: {kind: position, kp: …, kv: …}) to replace the model's.",
+        )
+    return Channel(actuator=names[0], joint=joint, signal=signal)
+
+
+def _add(spec: mujoco.MjSpec, controller: ControllerSpec, joint: str) -> list[Channel]:
+    kp, kv, ki = (controller.gain(name, joint) for name in ("kp", "kv", "ki"))
+    match controller.kind:
+        case "torque":
+            return [_motor(spec, f"{joint}.torque", joint, "torque")]
+        case "position":
+            servo = _motor(spec, f"{joint}.position", joint, "position")
+            _affine(spec, servo, gain=kp, bias=(0.0, -kp, -kv))
+            return [servo]
+        case "velocity":
+            servo = _motor(spec, f"{joint}.velocity", joint, "velocity")
+            _affine(spec, servo, gain=kv, bias=(0.0, 0.0, -kv))
+            return [servo]
+        case "pd":
+            stiffness = _motor(spec, f"{joint}.position", joint, "position")
+            damping = _motor(spec, f"{joint}.velocity", joint, "velocity")
+            _affine(spec, stiffness, gain=kp, bias=(0.0, -kp, 0.0))
+            _affine(spec, damping, gain=kv, bias=(0.0, 0.0, -kv))
+            return [stiffness, damping]
+        case "velocity-integrator":
+            servo = _motor(spec, f"{joint}.velocity", joint, "velocity")
+            _affine(spec, servo, gain=kp, bias=(0.0, -kp, -kv))
+            spec.actuator(servo.actuator).dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
+            return [servo]
+        case "pid":
+            return [_pid(spec, joint, kp=kp, ki=ki, kd=kv, limit=controller.integral_limit)]
+        case _:
+            raise ConfigError(f"unknown controller {controller.kind!r}")
+
+
+def _motor(spec: mujoco.MjSpec, name: str, joint: str, signal: str) -> Channel:
+    spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    return Channel(actuator=name, joint=joint, signal=signal)
+
+
+def _affine(spec: mujoco.MjSpec, channel: Channel, *, gain: float, bias: tuple[float, float, float]) -> None:
+    """Force = gain * input + bias[0] + bias[1] * position + bias[2] * velocity."""
+    actuator = spec.actuator(channel.actuator)
+    actuator.gainprm[0] = gain
+    actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.biasprm[:3] = bias
+
+
+def _pid(spec: mujoco.MjSpec, joint: str, *, kp: float, ki: float, kd: float, limit: float | None) -> Channel:
+    """MuJoCo's own PID plugin: compiled, so that a rollout needs no Python."""
+    spec.activate_plugin(PID_PLUGIN)
+    plugin = spec.add_plugin(name=f"{joint}.pid", plugin_name=PID_PLUGIN, active=True)
+    config = {"kp": repr(kp), "ki": repr(ki), "kd": repr(kd)}
+    if limit is not None:
+        config["imax"] = repr(limit)
+    plugin.config = config
+    actuator = spec.add_actuator(name=f"{joint}.pid", target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    actuator.plugin = plugin
+    actuator.actdim = 1 if ki else 0
+    return Channel(actuator=f"{joint}.pid", joint=joint, signal="position")

@@ -1,0 +1,239 @@
+"""MuJoCo behind the Simulator protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Float64
+from mujoco import batch, rollout
+
+from trueup.core.protocols import RolloutRequest, RolloutResult
+from trueup.errors import ConfigError, DataError, MissingSignal
+from trueup.robots import RobotSpec
+from trueup.sim.controllers import Channel, attach_controller
+from trueup.sim.model import compile_spec, load_spec
+
+_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where the robot's joints sit in MuJoCo's vectors."""
+
+    joints: tuple[str, ...]
+    qpos: np.ndarray
+    qvel: np.ndarray
+    torque: np.ndarray
+    controls: tuple[tuple[int, int, str], ...]  # (actuator, joint column, command signal)
+    integrators: tuple[tuple[int, int], ...]  # (activation, joint column) whose state is a position target
+
+
+class MujocoSimulator:
+    """A robot in MuJoCo, with its controller.
+
+    Args:
+        model: compiled model with the controller's actuators and one `jointactuatorfrc` sensor per joint.
+        robot: its description.
+        channels: how commands reach the actuators.
+        threads: threads for `rollout` and `step`; one simulator must not be used from several threads itself.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, robot: RobotSpec, channels: tuple[Channel, ...], *, threads: int = 1
+    ) -> None:
+        self.model = model
+        self.robot = robot
+        self.channels = channels
+        self.threads = threads
+        self._layout = _layout(model, robot.joint_names, channels)
+        self._data = [mujoco.MjData(model) for _ in range(threads)]
+        self._batch: batch.Batch | None = None
+
+    @staticmethod
+    def from_robot(robot: RobotSpec, model_path: Path, *, threads: int = 1) -> MujocoSimulator:
+        """The simulator of a robot description.
+
+        Raises:
+            ConfigError: the model does not load or lacks an actuator.
+            NameMismatch: a joint is not in the model.
+        """
+        return MujocoSimulator.from_spec(load_spec(model_path), robot, origin=model_path, threads=threads)
+
+    @staticmethod
+    def from_spec(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path, threads: int = 1) -> MujocoSimulator:
+        """The simulator of a model that is still editable; `origin` is named in messages."""
+        channels = attach_controller(spec, robot.controller, robot.joints)
+        for name in robot.joint_names:
+            kind = spec.joint(name).type
+            if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+                raise ConfigError(f"joint {name!r} is neither a hinge nor a slide", got=kind.name)
+            spec.add_sensor(
+                name=_torque_sensor(name),
+                type=mujoco.mjtSensor.mjSENS_JOINTACTFRC,
+                objtype=mujoco.mjtObj.mjOBJ_JOINT,
+                objname=name,
+            )
+        model = compile_spec(spec, origin)
+        if robot.simulation.timestep_s is not None:
+            model.opt.timestep = robot.simulation.timestep_s
+        if not robot.simulation.contacts:
+            model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+        # A diverged motion must stay visibly diverged instead of starting again from the reset state.
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        return MujocoSimulator(model, robot, channels, threads=threads)
+
+    def clone(self, *, threads: int = 1) -> MujocoSimulator:
+        """Another simulator on the same compiled model, for another thread."""
+        return MujocoSimulator(self.model, self.robot, self.channels, threads=threads)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the J controlled joints."""
+        return self._layout.joints
+
+    @property
+    def timestep_s(self) -> float:
+        """Physics step [s]."""
+        return float(self.model.opt.timestep)
+
+    @property
+    def command_signals(self) -> tuple[str, ...]:
+        """Command signals that the controller follows; the first is required."""
+        return tuple(dict.fromkeys(channel.signal for channel in self.channels))
+
+    @property
+    def position_limits(self) -> dict[str, tuple[float, float]]:
+        """Joint name -> range [rad or m]; joints without limits are left out."""
+        limits: dict[str, tuple[float, float]] = {}
+        for spec in self.robot.joints:
+            joint = self.model.joint(spec.name)
+            if spec.position_limits:
+                limits[spec.name] = spec.position_limits
+            elif self.model.jnt_limited[joint.id]:
+                low, high = self.model.jnt_range[joint.id]
+                limits[spec.name] = (float(low), float(high))
+        return limits
+
+    def rollout(self, request: RolloutRequest) -> RolloutResult:
+        """Simulate B motions of N steps.
+
+        Raises:
+            MissingSignal: the controller needs a signal that the command lacks.
+            DataError: a motion diverged; the message says which and when.
+        """
+        layout = self._layout
+        count = request.position.shape[0]
+        control = self._controls(request.command)
+        steps = control.shape[1]
+        state, sensors = rollout.rollout(
+            self.model, self._data[: max(1, min(self.threads, count))], self._states(request), control
+        )
+        position = np.empty((count, steps + 1, len(layout.joints)))
+        velocity, torque = np.empty_like(position), np.empty_like(position)
+        position[:, 0], velocity[:, 0] = request.position, request.velocity
+        # The state is time, qpos, qvel, … after each step; the sensors belong to the state before it.
+        position[:, 1:] = state[:, :, 1 + layout.qpos]
+        velocity[:, 1:] = state[:, :, 1 + self.model.nq + layout.qvel]
+        torque[:, :-1] = sensors[:, :, layout.torque]
+        torque[:, -1] = torque[:, -2]
+        self._refuse_divergence(position)
+        return RolloutResult(position=position, velocity=velocity, torque=torque)
+
+    def reset(self, position: Float[np.ndarray, "B J"], velocity: Float[np.ndarray, "B J"]) -> None:
+        """Put B independent copies of the robot into these states, at time 0."""
+        count = position.shape[0]
+        if self._batch is None or self._batch.nsim != count:
+            self._batch = batch.Batch(self.model, nsim=count, nthread=self.threads)
+        self._batch.reset()
+        self._batch.bind("qpos")[:, self._layout.qpos] = position
+        self._batch.bind("qvel")[:, self._layout.qvel] = velocity
+        for activation, column in self._layout.integrators:
+            self._batch.bind("act")[:, activation] = position[:, column]
+
+    def step(self, command: Mapping[str, Float[np.ndarray, "B J"]]) -> dict[str, Float[np.ndarray, "B J"]]:
+        """Advance every copy by one physics step.
+
+        Returns:
+            `position` and `velocity` after the step and `torque` during it, each (B, J).
+
+        Raises:
+            MissingSignal: the controller needs a signal that the command lacks.
+            DataError: `reset` was not called.
+        """
+        if self._batch is None:
+            raise DataError("step before reset", hint="Call reset(position, velocity) first.")
+        held = {name: values[:, None, :] for name, values in command.items()}
+        self._batch.bind("ctrl")[:] = self._controls(held)[:, 0]
+        sensors = self._batch.bind("sensordata")
+        self._batch.step()
+        return {
+            "position": self._batch.bind("qpos")[:, self._layout.qpos],
+            "velocity": self._batch.bind("qvel")[:, self._layout.qvel],
+            "torque": sensors[:, self._layout.torque],
+        }
+
+    def _controls(self, command: Mapping[str, Float[np.ndarray, "B N J"]]) -> Float64[np.ndarray, "B N U"]:
+        required = self.command_signals[0]
+        if required not in command:
+            raise MissingSignal(
+                f"the controller of {self.robot.name!r} follows {required!r}, which the command lacks",
+                available=command,
+            )
+        control = np.zeros((*command[required].shape[:2], self.model.nu))
+        for actuator, column, signal in self._layout.controls:
+            if signal in command:  # PD without a velocity command damps towards standstill
+                control[:, :, actuator] = command[signal][:, :, column]
+        return control
+
+    def _states(self, request: RolloutRequest) -> Float64[np.ndarray, "B S"]:
+        mujoco.mj_resetData(self.model, self._data[0])
+        template = np.empty(mujoco.mj_stateSize(self.model, _STATE))
+        mujoco.mj_getState(self.model, self._data[0], template, _STATE)
+        states = np.tile(template, (request.position.shape[0], 1))
+        states[:, 1 + self._layout.qpos] = request.position
+        states[:, 1 + self.model.nq + self._layout.qvel] = request.velocity
+        for activation, column in self._layout.integrators:
+            states[:, 1 + self.model.nq + self.model.nv + activation] = request.position[:, column]
+        return states
+
+    def _refuse_divergence(self, position: Float[np.ndarray, "B N1 J"]) -> None:
+        # MuJoCo stops a rollout at its own threshold (1e10) before numbers turn into NaN.
+        warned = any(data.warning[kind].number for data in self._data for kind in _DIVERGED)
+        bad = ~np.isfinite(position).all(axis=2) | (np.abs(position).max(axis=2) > 1e6)
+        if not warned and not bad.any():
+            return
+        for data in self._data:
+            mujoco.mj_resetData(self.model, data)
+        row = int(np.argmax(bad.any(axis=0))) if bad.any() else position.shape[1] - 1
+        raise DataError(
+            f"the simulation of {self.robot.name!r} diverged",
+            got=f"{row * self.timestep_s:.3f} s after its start, at a time step of {self.timestep_s} s",
+            hint="Take a smaller simulation.timestep_s in robot.yaml, or lower gains.",
+        )
+
+
+def _torque_sensor(joint: str) -> str:
+    return f"trueup.torque.{joint}"
+
+
+def _layout(model: mujoco.MjModel, joints: tuple[str, ...], channels: tuple[Channel, ...]) -> _Layout:
+    columns = {joint: index for index, joint in enumerate(joints)}
+    controls, integrators = [], []
+    for channel in channels:
+        actuator = model.actuator(channel.actuator).id
+        controls.append((actuator, columns[channel.joint], channel.signal))
+        if model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_INTEGRATOR:
+            integrators.append((int(model.actuator_actadr[actuator]), columns[channel.joint]))
+    return _Layout(
+        joints=joints,
+        qpos=np.array([model.jnt_qposadr[model.joint(name).id] for name in joints]),
+        qvel=np.array([model.jnt_dofadr[model.joint(name).id] for name in joints]),
+        torque=np.array([model.sensor_adr[model.sensor(_torque_sensor(name)).id] for name in joints]),
+        controls=tuple(controls),
+        integrators=tuple(integrators),
+    )

@@ -1,0 +1,140 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sim.arms import episode, series, two_links
+from trueup.core.timeseries import TimeSeries
+from trueup.core.windows import window_starts
+from trueup.errors import ConfigError, DataError
+from trueup.robots import ControllerSpec
+from trueup.sim import ReplaySettings, hold, replay, replay_episode
+
+SERVO = ControllerSpec(kind="position", kp=40.0, kv=2.0)
+
+
+def logged_motion(simulator, *, delay_s=0.0, seed=0):
+    """A log that the simulator itself made: stamps on its grid every 10 ms."""
+    time_s = np.arange(0, 3.0, 0.01)
+    rng = np.random.default_rng(seed)
+    target = 0.4 * np.sin(2 * np.pi * rng.uniform(0.3, 1.0, 2) * time_s[:, None])
+    command = series(time_s, position=target)
+    start = series(time_s, position=np.zeros((time_s.size, 2)))
+    return episode(replay_episode(episode(start, command), simulator, ReplaySettings(delay_s=delay_s)), command)
+
+
+def test_replaying_a_log_of_the_simulator_gives_the_log(tmp_path):
+    simulator = two_links(tmp_path, SERVO)
+    log = logged_motion(simulator)
+    again = replay_episode(log, simulator, ReplaySettings())
+    for signal in ("position", "velocity", "torque"):
+        np.testing.assert_allclose(again[signal], log.measured[signal], atol=1e-9)
+
+
+def test_windows_of_a_log_of_the_simulator_give_the_log_too(tmp_path):
+    simulator = two_links(tmp_path, SERVO)
+    log = logged_motion(simulator)
+    again = replay_episode(log, simulator, ReplaySettings(window_s=0.25, initial_velocity="measured"))
+    np.testing.assert_allclose(again["position"], log.measured["position"], atol=1e-7)
+
+
+def test_every_window_starts_in_the_measured_state(tmp_path):
+    simulator = two_links(tmp_path, SERVO)
+    log = logged_motion(simulator)
+    noisy = log.measured["position"] + 0.05 * np.random.default_rng(1).normal(size=log.measured["position"].shape)
+    other = episode(series(log.measured.time_s, position=noisy), log.commanded())
+    result = replay_episode(other, simulator, ReplaySettings(window_s=0.5))
+    starts = window_starts(result.time_s, 0.5)
+    assert len(starts) == 6
+    np.testing.assert_allclose(result["position"][starts], noisy[starts])
+    assert np.abs(result["position"] - noisy)[starts[1] - 1].max() > 1e-3
+
+
+@given(delay=st.integers(0, 60))
+def test_a_delay_is_the_command_shifted(tmp_path_factory, delay):
+    simulator = two_links(tmp_path_factory.mktemp("model"), SERVO)
+    log = logged_motion(simulator)
+    shifted = episode(
+        log.measured,
+        TimeSeries(
+            log.commanded().time_s + delay * 1e-3, log.measured.joints, log.commanded().signals, log.commanded().units
+        ),
+    )
+    delayed = replay_episode(log, simulator, ReplaySettings(delay_s=delay * 1e-3))
+    late = replay_episode(
+        episode(
+            log.measured,
+            series(
+                np.r_[0.0, shifted.commanded().time_s + 1e-12],
+                position=np.vstack([log.commanded()["position"][:1], log.commanded()["position"]]),
+            ),
+        ),
+        simulator,
+        ReplaySettings(),
+    )
+    np.testing.assert_allclose(delayed["position"], late["position"], atol=1e-9)
+
+
+def test_hold_takes_the_latest_command_and_never_a_later_one():
+    command = series([0.0, 0.1, 0.2], position=[[0, 0], [1, 1], [2, 2]])
+    held = hold(command, "position", np.array([-1.0, 0.0, 0.09, 0.1, 0.15, 0.2, 9.0]))
+    np.testing.assert_array_equal(held[:, 0], [0, 0, 0, 1, 1, 2, 2])
+    np.testing.assert_array_equal(hold(command, "position", np.array([0.1, 0.15]), delay_s=0.06)[:, 0], [0, 0])
+
+
+def test_only_stamps_with_a_command_are_replayed(tmp_path):
+    simulator = two_links(tmp_path, SERVO)
+    log = logged_motion(simulator)
+    late = log.commanded().rows(slice(100, None))
+    result = replay_episode(episode(log.measured, late), simulator, ReplaySettings())
+    assert result.time_s[0] == pytest.approx(1.0)
+    assert result.time_s[-1] == log.measured.time_s[-1]
+
+
+def test_jittering_stamps_are_read_between_the_steps(tmp_path):
+    simulator = two_links(tmp_path, SERVO)
+    log = logged_motion(simulator)
+    fine = replay_episode(
+        episode(series(np.arange(0, 2.9, 1e-3), position=np.zeros((2900, 2))), log.commanded()),
+        simulator,
+        ReplaySettings(),
+    )
+    stamps = np.sort(np.random.default_rng(0).uniform(0.0, 2.8, 200))
+    stamps[0] = 0.0
+    rough = replay_episode(
+        episode(series(stamps, position=np.zeros((200, 2))), log.commanded()), simulator, ReplaySettings()
+    )
+    for joint in range(2):
+        expected = np.interp(stamps, fine.time_s, fine["position"][:, joint])
+        np.testing.assert_allclose(rough["position"][:, joint], expected, atol=1e-9)
+
+
+def test_one_bad_episode_does_not_stop_the_others(tmp_path):
+    simulator = two_links(tmp_path, SERVO)
+    good = logged_motion(simulator)
+    broken = good.measured["position"].copy()
+    broken[0, 0] = np.nan
+    bad = episode(series(good.measured.time_s, position=broken), good.commanded(), "bad")
+    results = dict(
+        replay(
+            [good, bad, episode(good.measured, good.commanded(), "after")], simulator.clone, ReplaySettings(), jobs=2
+        )
+    )
+    assert list(results) == ["motion", "bad", "after"]
+    assert isinstance(results["bad"], DataError)
+    assert "not finite" in str(results["bad"])
+    np.testing.assert_array_equal(results["motion"]["position"], results["after"]["position"])
+
+
+def test_clocks_that_do_not_overlap_are_refused(tmp_path):
+    simulator = two_links(tmp_path, SERVO)
+    log = logged_motion(simulator)
+    late = series(log.commanded().time_s + 100.0, position=log.commanded()["position"])
+    with pytest.raises(DataError, match="before the first command"):
+        replay_episode(episode(log.measured, late), simulator, ReplaySettings())
+
+
+@pytest.mark.parametrize("wrong", [{"window_s": 0.0}, {"window_s": -1.0}, {"delay_s": -0.01}])
+def test_settings_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(ConfigError, match=next(iter(wrong))):
+        ReplaySettings(**wrong)
