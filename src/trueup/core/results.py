@@ -171,7 +171,7 @@ class GapResult:
         }
 
     @staticmethod
-    def from_json(data: Mapping[str, Any]) -> GapResult:
+    def from_json(data: Any) -> GapResult:
         """Read back what `to_json` wrote.
 
         Raises:
@@ -248,7 +248,7 @@ class Ladder:
         return {"schema": LADDER_SCHEMA, "rungs": rungs, "provenance": dict(self.provenance)}
 
     @staticmethod
-    def from_json(data: Mapping[str, Any]) -> Ladder:
+    def from_json(data: Any) -> Ladder:
         """Read back what `to_json` wrote.
 
         Raises:

@@ -36,7 +36,7 @@ class TimeSeries:
 
     time_s: Float64[np.ndarray, "T"]
     joints: tuple[str, ...]
-    signals: Mapping[str, Float[np.ndarray, "T ..."]]
+    signals: Mapping[str, Float[np.ndarray, "..."]]  # shapes are checked below, with a message for users
     units: Mapping[str, tuple[str, ...]]
     bodies: tuple[str, ...] = field(default=())
 

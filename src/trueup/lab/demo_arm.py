@@ -50,7 +50,7 @@ class DemoHardware:
         path = find_model(robot)
         spec = load_spec(path)
         for joint in spec.joints:
-            joint.damping[:] = self.damping
+            joint.damping[0] = self.damping  # the other entries are coefficients of higher powers
             joint.frictionloss = self.frictionloss
         spec.body("tool").mass += payload_kg
         servo = ControllerSpec(kind="position", kp=self.kp, kv=self.kv)

@@ -1,0 +1,61 @@
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import pytest
+
+from trueup.core.config import build, read_yaml
+from trueup.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Leaf:
+    size: float
+    kind: Literal["round", "flat"] = "round"
+
+
+@dataclass(frozen=True)
+class Tree:
+    leaves: tuple[Leaf, ...] = ()
+    height_m: float | None = None
+    counts: Mapping[str, int] = field(default_factory=dict)
+
+
+def test_nested_values_follow_the_annotations():
+    tree = build(Tree, {"leaves": [{"size": 1}, {"size": 2.5, "kind": "flat"}], "counts": {"a": 3}}, "tree.yaml")
+    assert tree == Tree((Leaf(1.0), Leaf(2.5, "flat")), None, {"a": 3})
+    assert isinstance(tree.leaves[0].size, float)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"leafs": []}, r"unknown keys \['leafs'\].*available: leaves, height_m, counts"),
+        ({"leaves": [{}]}, r"leaves\[0\] lacks \['size'\]"),
+        ({"leaves": [{"size": "big"}]}, r"leaves\[0\]: size has the wrong type: got 'big'; expected float"),
+        ({"leaves": [{"size": True}]}, "wrong type"),
+        ({"leaves": [{"size": 1, "kind": "oval"}]}, r"kind is not a choice.*round, flat"),
+        ({"leaves": 3}, "must be a list"),
+        ({"counts": [1]}, "must be a mapping"),
+        ([], "must be a mapping"),
+    ],
+)
+def test_a_wrong_tree_is_refused_with_the_place(data, message):
+    with pytest.raises(ConfigError, match=message):
+        build(Tree, data, "tree.yaml")
+
+
+@pytest.mark.parametrize("text", ["- 1", "a: !!python/object/apply:os.system [ls]", "a: [", "\x00", "a: &a [*a", ""])
+def test_yaml_that_is_no_plain_mapping_is_refused(tmp_path, text):
+    path = tmp_path / "robot.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=r"robot\.yaml"):
+        read_yaml(path)
+
+
+def test_a_missing_or_binary_file_is_refused(tmp_path):
+    with pytest.raises(ConfigError, match="does not exist"):
+        read_yaml(tmp_path / "nothing.yaml")
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_yaml(tmp_path / "binary.yaml")

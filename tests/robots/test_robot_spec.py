@@ -1,0 +1,64 @@
+import pytest
+
+from trueup.errors import ConfigError
+from trueup.robots import find_model, load_robot, shipped_robots
+
+GOOD = """
+schema: trueup.robot/1
+name: arm
+model: arm.xml
+joints: [{name: a, log: A}, {name: b, sign: -1}]
+"""
+
+
+@pytest.mark.parametrize("path", shipped_robots(), ids=lambda path: path.stem)
+def test_every_shipped_robot_loads_by_its_name(path):
+    robot = load_robot(path.stem)
+    assert robot.name == path.stem
+    assert set(robot.scored_joints) <= set(robot.joint_names)
+
+
+def test_a_robot_of_ones_own(tmp_path):
+    (tmp_path / "arm.yaml").write_text(GOOD)
+    robot = load_robot(tmp_path / "arm.yaml")
+    assert robot.joint_names == robot.scored_joints == ("a", "b")
+    assert [rule["log"] for rule in robot.joint_rules()["joints"]] == ["A", "b"]
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("scored: [c]", r"\['c'\] are not joints.*available: a, b"),
+        ("controller: {kind: magic}", r"controller: kind is not a choice.*pid"),
+        ("controller: {delay_s: -0.1}", "delay_s must be >= 0"),
+        ("simulation: {timestep_s: 0}", "timestep_s must be positive"),
+        ("replay: {window_s: 0.0}", "window_s must be positive"),
+        ("gains: {}", r"unknown keys \['gains'\].*controller"),
+        ("schema: trueup.robot/7", "schema is not a choice"),
+    ],
+)
+def test_a_wrong_line_is_named(tmp_path, line, message):
+    text = GOOD.replace("schema: trueup.robot/1\n", "") if line.startswith("schema") else GOOD
+    (tmp_path / "arm.yaml").write_text(text + line)
+    with pytest.raises(ConfigError, match=message):
+        load_robot(tmp_path / "arm.yaml")
+
+
+def test_an_unknown_robot_is_answered_with_the_shipped_ones():
+    with pytest.raises(ConfigError, match=r"'so100'.*demo_arm.*so101"):
+        load_robot("so100")
+
+
+def test_the_model_is_looked_for_beside_the_data_first(tmp_path):
+    robot = load_robot("demo_arm")
+    assert find_model(robot).name == "demo_arm.xml"
+    (tmp_path / "model").mkdir()
+    (tmp_path / "model" / "demo_arm.xml").write_text("<mujoco/>")
+    assert find_model(robot, beside=tmp_path) == tmp_path / "model" / "demo_arm.xml"
+    with pytest.raises(ConfigError, match="no model at"):
+        find_model(robot, given=tmp_path / "other.xml")
+
+
+def test_a_model_that_is_nowhere_says_where_it_was_looked_for(tmp_path):
+    with pytest.raises(ConfigError, match=r"(?s)so101\.xml.*searched.*--model"):
+        find_model(load_robot("so101"), beside=tmp_path)
