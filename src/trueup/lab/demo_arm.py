@@ -137,7 +137,7 @@ def _motion(
         wave = np.sin(2 * np.pi * (0.2 * seconds + 0.5 * (2.0 - 0.2) / seconds[-1] * seconds**2))
         waves = 0.35 * envelope * wave * np.array([1.0, -0.8, 0.9])[:joints]
         return np.asarray(home + waves)
-    top_hz = {"slow": 0.6, "fast": 2.0, "mid": 1.2, "wide": 0.9}.get(name.split("_")[-1], 1.5)
+    top_hz = {"slow": 0.6, "fast": 1.4, "mid": 1.2, "wide": 0.9}.get(name.split("_")[-1], 1.5)
     waves = np.zeros((time_s.size, joints))
     for _ in range(4):
         frequency, phase = rng.uniform(0.15, top_hz, joints), rng.uniform(0.0, 2 * np.pi, joints)

@@ -1,0 +1,84 @@
+"""Everything that is printed goes through here: tables and messages on the terminal, progress on stderr."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
+
+T = TypeVar("T")
+
+# A file or pipe has no width of its own: tables take what they need, up to this.
+_FILE_WIDTH = 160
+
+out = Console(highlight=False, soft_wrap=True)
+if not out.is_terminal:
+    out = Console(highlight=False, soft_wrap=True, width=_FILE_WIDTH)
+err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+# Seconds between lines where no terminal redraws a bar, e.g. in a log of CI.
+_PLAIN_EVERY_S = 5.0
+
+
+class _Rate(ProgressColumn):
+    """Items per second."""
+
+    def render(self, task: Task) -> Text:
+        return Text(f"{task.speed:.3g}/s" if task.speed else "", style="progress.data.speed")
+
+
+def track(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
+    """A `stages.progress.Track`: a bar on a terminal, a line now and then elsewhere."""
+    if not err.is_terminal:
+        yield from _plain(items, what, total)
+        return
+    columns = (
+        TextColumn("{task.description:>8}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        MofNCompleteColumn(),
+        _Rate(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=err, transient=True) as progress:
+        task = progress.add_task(what, total=total)
+        for item in items:
+            yield item
+            progress.advance(task)
+
+
+def _plain(items: Iterable[T], what: str, total: int | None) -> Iterator[T]:
+    started = last = time.monotonic()
+    for done, item in enumerate(items, start=1):
+        yield item
+        now = time.monotonic()
+        if now - last >= _PLAIN_EVERY_S:
+            last = now
+            rate = done / (now - started)
+            left = f", {(total - done) / rate:.0f} s left" if total else ""
+            err.print(f"{what}: {done}{f'/{total}' if total else ''}, {rate:.3g}/s{left}")
+
+
+def problem(message: str, hint: str | None = None) -> None:
+    """An error in one or two lines."""
+    err.print(Text("error: ", style="bold red") + Text(" ".join(message.split())))
+    if hint:
+        err.print(Text("  next: ", style="bold") + Text(" ".join(hint.split())))
+
+
+def note(message: str) -> None:
+    """A remark on stderr."""
+    err.print(Text("note: ", style="bold yellow") + Text(message))

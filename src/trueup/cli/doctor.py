@@ -1,0 +1,81 @@
+"""`trueup doctor`."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import subprocess
+from importlib import metadata, util
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from trueup.cli.console import out
+
+# Extra -> (what it is for, the modules that it brings: distribution name, import name).
+_EXTRAS = {
+    "learn": ("training and export of networks", [("torch", "torch"), ("onnx", "onnx"), ("onnxruntime", "onnxruntime"),
+                                                   ("safetensors", "safetensors")]),
+    "rl": ("policies", [("gymnasium", "gymnasium"), ("stable-baselines3", "stable_baselines3"),
+                        ("sb3-contrib", "sb3_contrib")]),
+    "plan": ("planning and recording", [("mink", "mink"), ("daqp", "daqp"), ("ompl", "ompl"), ("toppra", "toppra")]),
+    "ros2": ("live bridge", [("cyclonedds", "cyclonedds")]),
+    "warp": ("MuJoCo on a GPU", [("mujoco-warp", "mujoco_warp"), ("warp-lang", "warp")]),
+    "ray": ("work on many machines", [("ray", "ray")]),
+    "report-test": ("browser tests", [("selenium", "selenium")]),
+}  # fmt: skip
+_BASE = ("numpy", "scipy", "pyarrow", "h5py", "rosbags", "mujoco", "pyyaml", "typer", "rich", "jinja2", "plotly")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("doctor")(doctor)
+
+
+def doctor() -> int:
+    """Show versions, extras, threads and GPU, and how to get what is missing."""
+    out.print(f"trueup {metadata.version('trueup')}, Python {platform.python_version()}, {platform.platform()}")
+    out.print(f"threads: {os.cpu_count()}")
+    out.print(f"GPU: {_gpu()}")
+    for name in ("chromium", "chromedriver"):
+        out.print(
+            f"{name}: {shutil.which(name) or 'not found (browser tests: apt-get install chromium chromium-driver)'}"
+        )
+    table = Table()
+    for heading in ("extra", "for", "installed", "to get it"):
+        table.add_column(heading, overflow="fold")
+    missing = [name for name in _BASE if _version(name) is None]
+    out.print("base: " + ", ".join(f"{name} {_version(name)}" for name in _BASE if name not in missing))
+    for extra, (purpose, modules) in _EXTRAS.items():
+        there = {name: _version(name) for name, module in modules if util.find_spec(module)}
+        complete = len(there) == len(modules)
+        shown = ", ".join(f"{name} {version}" for name, version in there.items()) or "-"
+        table.add_row(extra, purpose, shown, "" if complete else escape(f"pip install 'trueup[{extra}]'"))
+    out.print(table)
+    if missing:
+        out.print(f"missing from the base installation: {', '.join(missing)}")
+    return 2 if missing else 0
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _gpu() -> str:
+    """What the NVIDIA driver says; torch is not loaded for this."""
+    tool = shutil.which("nvidia-smi")
+    if tool is None:
+        return "none found (everything here runs on the CPU)"
+    try:
+        done = subprocess.run(
+            [tool, "--query-gpu=name,memory.total", "--format=csv,noheader"],
+            capture_output=True, text=True, timeout=10, check=True,
+        )  # fmt: skip
+    except (OSError, subprocess.SubprocessError) as error:
+        return f"nvidia-smi failed: {error}"
+    return done.stdout.strip().replace("\n", "; ") or "none found"

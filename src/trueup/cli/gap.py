@@ -1,0 +1,82 @@
+"""`trueup gap`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from trueup.cli import options
+from trueup.cli.console import out, problem, track
+from trueup.cli.tables import gap_table, verdicts
+from trueup.core.results import GapResult
+from trueup.errors import OutputExists
+
+if TYPE_CHECKING:
+    from trueup.measure import Bar
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("gap")(gap)
+
+
+def gap(
+    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset with runs.")],
+    out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for gap.json and report.html.")] = None,
+    runs: Annotated[str | None, typer.Option("--runs", help="Labels, comma-separated; all if not given.")] = None,
+    robot: Annotated[str | None, typer.Option("--robot", help="For a dataset without runs: its joint names.")] = None,
+    split: Annotated[str | None, typer.Option("--split", help="Measure only train, val or test.")] = None,
+    signals: Annotated[str | None, typer.Option("--signals", help="Comma-separated, e.g. position,torque.")] = None,
+    metrics: Annotated[str | None, typer.Option("--metrics", help="Comma-separated; see docs/metrics.md.")] = None,
+    tau_rad: Annotated[float, typer.Option("--tau-rad", help="Threshold of the large-gap ratio [rad].")] = 0.5,
+    drop_flagged: options.DropFlagged = False,
+    fail_above: options.FailAbove = None,
+    seed: options.Seed = 0,
+    overwrite: options.Overwrite = False,
+) -> int:
+    """Measure the gap between robot and simulation, with 95 % intervals; write gap.json and a report."""
+    from trueup.dataset import Dataset
+    from trueup.measure import parse_bar
+    from trueup.report import write_report
+    from trueup.robots import load_robot
+    from trueup.stages import gap as measure
+
+    bars = [parse_bar(text) for text in fail_above or []]
+    if out_dir is not None and (out_dir / "gap.json").exists() and not overwrite:
+        raise OutputExists(f"{out_dir / 'gap.json'} exists", hint="Give --overwrite, or choose another --out.")
+    measurement = measure(
+        Dataset(dataset),
+        runs=_list(runs),
+        robot=load_robot(robot) if robot else None,
+        split=split,
+        drop_flagged=drop_flagged,
+        signals=_list(signals),
+        metrics=_list(metrics),
+        tau_rad=tau_rad,
+        seed=seed,
+        track=track,
+    )
+    out.print(gap_table(measurement.gap))
+    for line in verdicts(measurement.gap):
+        out.print(line, markup=False)
+    if out_dir is not None:
+        measurement.save(out_dir)
+        out.print(f"report: {write_report(out_dir)}", markup=False)
+    return check_bars(measurement.gap, bars)
+
+
+def check_bars(gap: GapResult, bars: Sequence[Bar]) -> int:
+    """Print the bars that were not met; 3 if there are any."""
+    from trueup.measure import check_bars as failures_of
+
+    failures = failures_of(gap, bars)
+    for failure in failures:
+        problem(f"bar not met: {failure}")
+    return 3 if failures else 0
+
+
+def _list(text: str | None) -> list[str] | None:
+    return None if text is None else [item.strip() for item in text.split(",") if item.strip()]

@@ -1,0 +1,64 @@
+"""The `trueup` command: parser, error handling, exit codes."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import typer
+
+from trueup.cli import close, convert, demo, doctor, gap, replay, report
+from trueup.cli.console import problem
+from trueup.errors import TrueupError
+
+app = typer.Typer(
+    name="trueup",
+    help="True up your simulator to your robot: measure, explain and close the sim-to-real gap from its logs.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+for module in (convert, replay, gap, report, close, demo, doctor):
+    module.register(app)
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Run the command line and leave with its exit code.
+
+    0: done; 1: a bug in trueup; 2: bad input; 3: a bar was not met or nothing could be identified; 130: Ctrl-C.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    debug = "--debug" in arguments
+    arguments = [argument for argument in arguments if argument != "--debug"]
+    try:
+        # typer returns the code of typer.Exit when it does not handle exits by itself
+        code = app(arguments, standalone_mode=False, prog_name="trueup")
+    except TrueupError as error:
+        if debug:
+            raise
+        problem(f"{error.what}: {error.details}" if error.details else error.what, error.hint)
+        code = error.exit_code
+    except (typer.Abort, KeyboardInterrupt):
+        problem("interrupted", "What was finished is kept; --resume goes on from there.")
+        code = 130
+    except BrokenPipeError:
+        code = 0  # the reader, e.g. head, has seen enough
+    except Exception as error:
+        # Usage errors of typer and click share no public base class, but only they can format themselves.
+        usage = getattr(error, "format_message", None)
+        if usage is not None:
+            problem(usage(), "trueup --help lists the commands, trueup COMMAND --help their options.")
+            raise SystemExit(2) from None
+        if debug:
+            raise
+        problem(
+            f"this is a bug in trueup: {type(error).__name__}: {error}",
+            "Run it again with --debug and report the traceback.",
+        )
+        code = 1
+    raise SystemExit(code if isinstance(code, int) else 0)
+
+
+if __name__ == "__main__":
+    main()

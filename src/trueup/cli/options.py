@@ -1,0 +1,77 @@
+"""Options that several commands share, named and explained once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from trueup.errors import ConfigError
+
+Robot = Annotated[str, typer.Option("--robot", help="Name of a shipped robot, or path of a robot.yaml.")]
+Model = Annotated[
+    Path | None, typer.Option("--model", help="MJCF or URDF; looked for in the dataset's model/ folder if not given.")
+]
+Jobs = Annotated[int | None, typer.Option("--jobs", min=1, help="Threads; the number of cores if not given.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all draws.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on where an earlier call was interrupted.")]
+DropFlagged = Annotated[bool, typer.Option("--drop-flagged", help="Leave out episodes with quality warnings.")]
+Format = Annotated[str | None, typer.Option("--format", help="Log format; detected if not given.")]
+Mapping = Annotated[
+    Path | None, typer.Option("--mapping", help="YAML (or the name of a shipped one) that says what the columns mean.")
+]
+Units = Annotated[
+    list[str] | None,
+    typer.Option("--unit", help="SIGNAL=UNIT or SIGNAL.JOINT=UNIT, over what the format implies; repeatable."),
+]
+CommandTopic = Annotated[str | None, typer.Option("--command-topic", help="Bag topic that holds the commands.")]
+MeasuredTopic = Annotated[str | None, typer.Option("--measured-topic", help="Bag topic that holds the joint states.")]
+Split = Annotated[
+    str | None,
+    typer.Option("--split", help="A split.json, or TRAIN/VAL/TEST per cent such as 80/10/10 drawn by whole motion."),
+]
+FailAbove = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fail-above",
+        help="SIGNAL.METRIC=VALUE or RUN:SPLIT:SIGNAL.METRIC=VALUE; exit code 3 if a run is above; repeatable.",
+    ),
+]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+
+
+def split_choice(text: str | None) -> Path | dict[str, float] | None:
+    """A path, or fractions from per cents.
+
+    Raises:
+        ConfigError: neither.
+    """
+    if text is None:
+        return None
+    parts = text.split("/")
+    if len(parts) == 3 and all(part.strip().replace(".", "", 1).isdigit() for part in parts):
+        numbers = [float(part) for part in parts]
+        if sum(numbers) <= 0:
+            raise ConfigError("the shares of --split add up to nothing", got=text)
+        return {name: number / sum(numbers) for name, number in zip(("train", "val", "test"), numbers, strict=True)}
+    path = Path(text)
+    if not path.is_file():
+        raise ConfigError("--split", got=text, expected="a split.json, or three numbers such as 80/10/10")
+    return path
+
+
+def unit_choices(items: list[str] | None) -> dict[str, str]:
+    """{"position.Jaw": "1"} from ["position.Jaw=1"].
+
+    Raises:
+        ConfigError: an item has no equals sign.
+    """
+    units = {}
+    for item in items or []:
+        name, equals, unit = item.partition("=")
+        if not (name and equals and unit):
+            raise ConfigError("--unit", got=item, expected="SIGNAL=UNIT or SIGNAL.JOINT=UNIT, e.g. position.Jaw=1")
+        units[name] = unit
+    return units

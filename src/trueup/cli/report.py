@@ -1,0 +1,26 @@
+"""`trueup report`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from trueup.cli.console import out
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("report")(report)
+
+
+def report(
+    folder: Annotated[Path, typer.Argument(help="Folder with the results of gap or close.")],
+    out_file: Annotated[Path | None, typer.Option("--out", help="HTML file; FOLDER/report.html if not given.")] = None,
+) -> int:
+    """Render saved results as one self-contained HTML file."""
+    from trueup.report import write_report
+
+    out.print(f"report: {write_report(folder, out_file)}", markup=False)
+    return 0

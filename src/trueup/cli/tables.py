@@ -1,0 +1,80 @@
+"""Results as tables for the terminal."""
+
+from __future__ import annotations
+
+import math
+
+from rich.table import Table
+
+from trueup.core.results import Estimate, GapResult, Ladder, MetricResult, Metrics
+
+
+def number(estimate: Estimate) -> str:
+    """`0.0365 [0.021, 0.054] rad`; the interval is left out where there is none."""
+    if math.isnan(estimate.value):
+        return "not defined"
+    unit = "" if estimate.unit == "1" else f" {estimate.unit}"
+    if estimate.low is None or estimate.high is None:
+        return f"{estimate.value:.4g}{unit}"
+    return f"{estimate.value:.4g} [{estimate.low:.3g}, {estimate.high:.3g}]{unit}"
+
+
+def ladder_table(ladder: Ladder, *, signal: str = "position", metric: str = "rmse") -> Table:
+    """One row per rung, one column per split."""
+    present = {split for rung in ladder.rungs for split in rung.splits}
+    order = ("train", "val", "test") if present - {"all"} else ("all",)
+    splits = [split for split in order if split in present]
+    table = Table(title=f"{signal} {metric}, mean over scored joints and motions [95 % interval]", title_justify="left")
+    table.add_column("rung")
+    for split in splits:
+        episodes = max((_episodes(rung.splits.get(split, {}), signal, metric) for rung in ladder.rungs), default=0)
+        table.add_column(f"{split} ({episodes})", justify="right")
+    table.add_column("seconds", justify="right")
+    for rung in ladder.rungs:
+        cells = []
+        for split in splits:
+            result = rung.splits.get(split, {}).get(signal, {}).get(metric)
+            cells.append("" if result is None else number(result.total))
+        table.add_row(rung.name + (" *" if rung.chosen else ""), *cells, f"{rung.seconds:.1f}")
+    return table
+
+
+def gap_table(gap: GapResult, *, metric: str = "rmse") -> Table:
+    """One row per run, split and signal."""
+    table = Table(title=f"{metric}, mean over scored joints and motions [95 % interval]", title_justify="left")
+    for name in ("run", "split", "signal"):
+        table.add_column(name)
+    table.add_column("motions", justify="right")
+    table.add_column(metric, justify="right")
+    table.add_column("worst joint")
+    for run, splits in gap.runs.items():
+        for split, signals in splits.items():
+            for signal, metrics in signals.items():
+                if metric in metrics:
+                    result = metrics[metric]
+                    table.add_row(run, split, signal, str(result.episodes), number(result.total), _worst(gap, result))
+    return table
+
+
+def verdicts(gap: GapResult) -> list[str]:
+    """The paired comparisons of the position in words, one line each."""
+    lines = []
+    for pair in gap.paired:
+        if pair.signal == "position" and pair.metric == "rmse" and pair.split != "all":
+            change = f"{100 * abs(pair.relative):.1f} % {'less' if pair.difference.value < 0 else 'more'}"
+            lines.append(f"{pair.run} against {pair.baseline}, {pair.split}: {change} ({pair.verdict})")
+    return lines
+
+
+def _episodes(metrics: Metrics, signal: str, metric: str) -> int:
+    result = metrics.get(signal, {}).get(metric)
+    return 0 if result is None else result.episodes
+
+
+def _worst(gap: GapResult, result: MetricResult) -> str:
+    scored = {joint: result.per_joint[joint] for joint in gap.scored_joints if joint in result.per_joint}
+    known = {joint: item for joint, item in scored.items() if not math.isnan(item.value)}
+    if not known:
+        return ""
+    joint = max(known, key=lambda name: known[name].value)
+    return f"{joint} {known[joint].value:.4g}"

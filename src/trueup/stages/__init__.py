@@ -1,0 +1,25 @@
+"""One module per command: dataset in, results out. The Python API is these functions."""
+
+from trueup.stages.closing import Closed as Closed
+from trueup.stages.closing import close as close
+from trueup.stages.importing import ImportSummary as ImportSummary
+from trueup.stages.importing import import_logs as import_logs
+from trueup.stages.importing import plan_import as plan_import
+from trueup.stages.measuring import Measurement as Measurement
+from trueup.stages.measuring import gap as gap
+from trueup.stages.replaying import STOCK as STOCK
+from trueup.stages.replaying import ReplaySummary as ReplaySummary
+from trueup.stages.replaying import replay as replay
+
+__all__ = [
+    "STOCK",
+    "Closed",
+    "ImportSummary",
+    "Measurement",
+    "ReplaySummary",
+    "close",
+    "gap",
+    "import_logs",
+    "plan_import",
+    "replay",
+]

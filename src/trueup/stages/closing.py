@@ -1,0 +1,135 @@
+"""Close: all rungs that there are, on one dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from trueup.core.results import Ladder, Metrics, Rung
+from trueup.dataset import Dataset, is_dataset
+from trueup.dataset.importers.base import ImportOptions
+from trueup.errors import ConfigError, OutputExists
+from trueup.measure import COMMAND_RUN
+from trueup.robots import RobotSpec
+from trueup.stages.importing import ImportSummary, import_logs
+from trueup.stages.measuring import Measurement, gap
+from trueup.stages.progress import Track, silent
+from trueup.stages.replaying import STOCK, ReplaySummary, replay
+
+# The signal and metric by which the best rung is chosen on val.
+CHOICE = ("position", "rmse")
+
+
+@dataclass(frozen=True)
+class Closed:
+    """What `close` made.
+
+    Attributes:
+        dataset: the dataset, imported if need be.
+        imported: the import, None if the dataset was there.
+        replayed: the replay of the stock model.
+        measurement: gap, analysis, traces, quality.
+        ladder: the rungs.
+    """
+
+    dataset: Dataset
+    imported: ImportSummary | None
+    replayed: ReplaySummary
+    measurement: Measurement
+    ladder: Ladder
+
+
+def close(
+    source: Path | str,
+    robot: RobotSpec,
+    out: Path | str,
+    *,
+    model: Path | None = None,
+    format: str | None = None,
+    options: ImportOptions | None = None,
+    split: Path | Mapping[str, float] | None = None,
+    drop_flagged: bool = False,
+    metrics: Sequence[str] | None = None,
+    seed: int = 0,
+    jobs: int | None = None,
+    overwrite: bool = False,
+    resume: bool = False,
+    track: Track = silent,
+) -> Closed:
+    """From logs to a ladder: import if needed, check, replay, measure.
+
+    Writes gap.json, ladder.json, analysis.json, quality.json and traces into `out`; logs are imported into
+    `out/dataset`. The stock run of a dataset is made anew only if data, robot or model changed.
+
+    Args:
+        source: a dataset, or logs of any known format.
+        robot: its description.
+        out: folder for the results.
+        model: MJCF or URDF; looked for beside the data and in the package if None.
+        format: of the logs; detected if None.
+        options: for the import.
+        split: split.json or fractions, for the import.
+        drop_flagged: leave out episodes with warnings.
+        metrics: names; a sensible set per signal if None.
+        seed: of all draws.
+        jobs: threads; the number of cores if None.
+        overwrite: replace the results that are in `out`.
+        resume: go on where an earlier call was interrupted.
+        track: shows progress.
+
+    Raises:
+        OutputExists: `out` holds results, and neither `overwrite` nor `resume` is given.
+        TrueupError: what any step raises.
+    """
+    source, out = Path(source), Path(out)
+    if out.is_file():
+        raise ConfigError(f"{out} is a file", expected="a folder for the results")
+    if out.is_dir() and any(out.iterdir()) and not (overwrite or resume):
+        raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
+    imported = None
+    dataset_path = source
+    if not is_dataset(source):
+        dataset_path = out / "dataset"
+        imported = import_logs(
+            source, dataset_path, format=format, options=options, split=split, seed=seed, overwrite=overwrite,
+            resume=resume, track=track,
+        )  # fmt: skip
+    dataset = Dataset(dataset_path)
+    replayed = _stock(dataset, robot, model=model, jobs=jobs, track=track)
+    measurement = gap(dataset, runs=[STOCK], drop_flagged=drop_flagged, metrics=metrics, seed=seed, track=track)
+    ladder = _ladder(measurement, replayed)
+    out.mkdir(parents=True, exist_ok=True)
+    measurement.save(out)
+    ladder.save(out / "ladder.json")
+    return Closed(dataset, imported, replayed, measurement, ladder)
+
+
+def _stock(dataset: Dataset, robot: RobotSpec, *, model: Path | None, jobs: int | None, track: Track) -> ReplaySummary:
+    """The run of the model as it came, kept if nothing that it was made from has changed."""
+    try:
+        return replay(dataset, robot, model=model, label=STOCK, jobs=jobs, resume=True, track=track)
+    except OutputExists:
+        return replay(dataset, robot, model=model, label=STOCK, jobs=jobs, overwrite=True, track=track)
+
+
+def _ladder(measurement: Measurement, replayed: ReplaySummary) -> Ladder:
+    runs = measurement.gap.runs
+    rungs = []
+    if COMMAND_RUN in runs:
+        # The command is there as it is: nothing is computed.
+        rungs.append(Rung("command", 0.0, runs[COMMAND_RUN]))
+    rungs.append(Rung("stock", replayed.seconds, runs[STOCK]))
+    scores = [_score(rung.splits.get("val", {})) for rung in rungs]
+    known = [score for score in scores if score is not None]
+    chosen = scores.index(min(known)) if known else None
+    return Ladder(
+        [replace(rung, chosen=index == chosen) for index, rung in enumerate(rungs)],
+        provenance=measurement.gap.provenance,
+    )
+
+
+def _score(metrics: Metrics) -> float | None:
+    signal, metric = CHOICE
+    result = metrics.get(signal, {}).get(metric)
+    return None if result is None else result.total.value

@@ -1,0 +1,177 @@
+"""Import: logs in, a dataset out."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from trueup.align import check_quality, failed_execution
+from trueup.core.episode import Episode
+from trueup.core.provenance import provenance
+from trueup.dataset import DatasetInfo, DatasetWriter, assign_splits, match_splits, read_split
+from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
+from trueup.dataset.importers.detect import find_importer
+from trueup.errors import ConfigError, DataError, MissingSignal, TrueupError
+from trueup.stages.progress import Track, silent
+
+# A model folder with meshes is copied whole; beyond this size it is somebody's asset library.
+_MAX_MODEL_BYTES = 200 * 2**20
+
+
+@dataclass(frozen=True)
+class ImportSummary:
+    """What an import did.
+
+    Attributes:
+        path: the dataset.
+        format: the log format.
+        imported: number of episodes written now.
+        kept: number of episodes that were there from an interrupted import.
+        refused: episode id -> why it could not be read; the others were imported all the same.
+        flagged: episode id -> kinds of warnings that the quality checks raised.
+        notes: what a person should know.
+    """
+
+    path: Path
+    format: str
+    imported: int
+    kept: int = 0
+    refused: Mapping[str, TrueupError] = field(default_factory=dict)
+    flagged: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def plan_import(source: Path, *, format: str | None = None, options: ImportOptions | None = None) -> ImportPlan:
+    """What an import of `source` would read, without reading it.
+
+    Raises:
+        TrueupError: the format is unknown, or nothing can be imported.
+    """
+    plan = find_importer(source, format).scan(source, options or ImportOptions())
+    if not plan.episodes:
+        raise DataError(f"{source} holds no episodes", got=f"format {plan.format}", hint="; ".join(plan.notes) or None)
+    return plan
+
+
+def import_logs(
+    source: Path | str,
+    out: Path | str,
+    *,
+    format: str | None = None,
+    options: ImportOptions | None = None,
+    split: Path | Mapping[str, float] | None = None,
+    seed: int = 0,
+    overwrite: bool = False,
+    resume: bool = False,
+    track: Track = silent,
+) -> ImportSummary:
+    """Read logs of any known format into a dataset.
+
+    Each episode is checked (see `align.check_quality`) and written on its own: after an interruption what was
+    finished stays readable, and `resume` reads only the rest. An episode that cannot be read is listed in the
+    summary and does not stop the others.
+
+    Args:
+        source: file or folder.
+        out: the dataset's folder.
+        format: name of the format; detected if None.
+        options: mapping file, units, topics.
+        split: a split.json, or fractions such as {"train": 0.8, "val": 0.1, "test": 0.1} drawn by whole motion;
+            None takes what lies beside the data.
+        seed: of that draw.
+        overwrite: delete the dataset that is there first.
+        resume: go on with the dataset that is there.
+        track: shows progress.
+
+    Raises:
+        OutputExists: `out` is there, and neither `overwrite` nor `resume` is given.
+        TrueupError: the format is unknown, or no episode could be read.
+    """
+    source, out = Path(source), Path(out)
+    _refuse_nesting(source, out)
+    plan = plan_import(source, format=format, options=options)
+    splits = dict(plan.splits)
+    notes = list(plan.notes)
+    if split is not None:
+        splits, unmatched = _splits(split, [item.id for item in plan.episodes], seed)
+        notes += unmatched
+    info = DatasetInfo(
+        robot=plan.robot,
+        licence=plan.licence,
+        provenance=provenance(config={"format": plan.format, "source": source.name, **plan.details}, seed=seed),
+        notes=tuple(notes),
+    )
+    refused: dict[str, TrueupError] = {}
+    flagged: dict[str, tuple[str, ...]] = {}
+    writer = DatasetWriter.resume(out, info) if resume else DatasetWriter.create(out, info, overwrite=overwrite)
+    with writer:
+        there = writer.ids
+        if plan.model_dir is not None and not writer.info.model:
+            writer.info = _copy_model(plan.model_dir, out, writer.info)
+        missing = [item for item in plan.episodes if item.id not in there]
+        for item in track(missing, "import", len(missing)):
+            episode = _load(item, splits.get(item.id, ""), refused)
+            if episode is None:
+                continue
+            if episode.meta.warned:
+                flagged[item.id] = tuple(
+                    dict.fromkeys(flag.kind for flag in episode.meta.flags if flag.severity == "warning")
+                )
+            writer.append(episode)
+    imported = len(missing) - len(refused)
+    if refused and not imported and not there:
+        first = next(iter(refused.values()))
+        if len(refused) == 1:
+            raise first
+        raise DataError(f"none of the {len(refused)} episodes in {source} could be read, the first because", got=first)
+    kept = len(plan.episodes) - len(missing)
+    return ImportSummary(out, plan.format, imported, kept, refused, flagged, tuple(notes))
+
+
+def _load(item: EpisodeSource, split: str, refused: dict[str, TrueupError]) -> Episode | None:
+    try:
+        episode = checked(item.load())
+    except TrueupError as error:
+        refused[item.id] = error
+        return None
+    return replace(episode, meta=replace(episode.meta, split=split or episode.meta.split))
+
+
+def checked(episode: Episode) -> Episode:
+    """The episode with what the quality checks find, a failed execution included."""
+    flags = check_quality(episode)
+    try:
+        failed = failed_execution(episode)
+    except MissingSignal:  # nothing to follow: a torque command, or a position that never changes
+        failed = None
+    return episode.with_flags(flags if failed is None else (*flags, failed))
+
+
+def _splits(split: Path | Mapping[str, float], ids: Iterable[str], seed: int) -> tuple[dict[str, str], list[str]]:
+    names = list(ids)
+    if isinstance(split, Mapping):
+        return assign_splits(names, split, seed=seed), []
+    match = match_splits(read_split(split), names)
+    return dict(match.splits), list(match.notes)
+
+
+def _refuse_nesting(source: Path, out: Path) -> None:
+    inside = out.resolve()
+    if inside == source.resolve() or inside in source.resolve().parents:
+        raise ConfigError(f"the dataset cannot be written over its source {source}", got=out)
+
+
+def _copy_model(folder: Path, out: Path, info: DatasetInfo) -> DatasetInfo:
+    """The robot's model goes with the data, so that a replay needs nothing else."""
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and not path.is_symlink()]
+    if sum(path.stat().st_size for path in files) > _MAX_MODEL_BYTES:
+        return info
+    for path in files:
+        target = out / "model" / path.relative_to(folder)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, target)
+    info = replace(info, model="model")
+    info.save(out)
+    return info

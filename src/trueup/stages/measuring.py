@@ -1,0 +1,217 @@
+"""Gap: a dataset and its runs in, numbers with intervals and everything that a report shows out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trueup.align import JointMap, resample
+from trueup.core.analysis import Analysis
+from trueup.core.episode import Episode
+from trueup.core.provenance import provenance
+from trueup.core.quality import EpisodeQuality, Quality
+from trueup.core.results import GapResult
+from trueup.core.timeseries import TimeSeries
+from trueup.core.traces import TraceSet
+from trueup.core.windows import window_starts
+from trueup.dataset import Dataset
+from trueup.errors import ConfigError, DataError, MissingSignal
+from trueup.measure import COMMAND_RUN, AnalysisBuilder, Comparison, lags_of, measure_gap
+from trueup.robots import RobotSpec
+from trueup.stages.progress import Track, silent
+from trueup.stages.replaying import in_robot_names
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """The gap of a dataset, and what explains it.
+
+    Attributes:
+        gap: the numbers.
+        analysis: error against velocity, position and load, lags, error against horizon.
+        traces: thinned curves for the report.
+        quality: the flags of all episodes, in the robot's joint names.
+    """
+
+    gap: GapResult
+    analysis: Analysis
+    traces: TraceSet
+    quality: Quality
+
+    def save(self, folder: Path) -> None:
+        """Write gap.json, analysis.json, quality.json, traces.json and traces.npz."""
+        folder.mkdir(parents=True, exist_ok=True)
+        self.traces.save(folder)
+        self.analysis.save(folder / "analysis.json")
+        self.quality.save(folder / "quality.json")
+        self.gap.save(folder / "gap.json")
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """What the runs that are compared have in common."""
+
+    joint_map: JointMap | None
+    scored: tuple[str, ...] | None
+    torque_limits: dict[str, float] | None
+    window_s: float | None
+    follows_motion: bool
+
+
+def gap(
+    dataset: Dataset,
+    *,
+    runs: Sequence[str] | None = None,
+    robot: RobotSpec | None = None,
+    split: str | None = None,
+    drop_flagged: bool = False,
+    signals: Sequence[str] | None = None,
+    metrics: Sequence[str] | None = None,
+    tau_rad: float = 0.5,
+    draws: int = 2000,
+    seed: int = 0,
+    track: Track = silent,
+) -> Measurement:
+    """Measure how far simulated runs are from the robot.
+
+    Args:
+        dataset: with the runs in it.
+        runs: labels; all that the dataset has if None. The command taken as the motion (`command`) is added
+            where the command names one.
+        robot: for a dataset without runs, and to override which joints are scored.
+        split: measure only this one.
+        drop_flagged: leave out episodes with a quality flag of severity `warning`.
+        signals: those to compare; all that both sides have if None.
+        metrics: names; a sensible set per signal if None.
+        tau_rad: threshold of the large-gap ratio [rad].
+        draws: bootstrap resamples.
+        seed: of the bootstrap.
+        track: shows progress.
+
+    Raises:
+        MissingSignal: a run or split is not there.
+        ConfigError: runs with different joint maps or windows cannot share one table.
+        DataError: no episode is left.
+    """
+    labels = tuple(dataset.runs if runs is None else (label for label in runs if label != COMMAND_RUN))
+    frame = _frame(dataset, labels, robot)
+    kept = dataset.select(split=split, drop_flagged=drop_flagged)
+    if not kept:
+        raise DataError(
+            f"no episode of {dataset.path} is left to measure",
+            got=f"split {split!r}, {'without' if drop_flagged else 'with'} flagged ones",
+            available=sorted(set(dataset.splits.values())),
+        )
+    builder = AnalysisBuilder(window_s=frame.window_s)
+    traces = TraceSet()
+
+    def comparisons() -> Iterator[Comparison]:
+        for name in track(kept, "gap", len(kept)):
+            episode = dataset.episode(name, runs=[label for label in labels if name in dataset.run_ids(label)])
+            comparison = _comparison(episode, frame)
+            traces.add(name, episode.meta.split, comparison.measured, comparison.command, dict(comparison.simulated))
+            # A robot that is driven by torque may log a wish for its position, but that is not what it was told.
+            scored = comparison if frame.follows_motion else replace(comparison, command=None)
+            builder.add(scored)
+            yield scored
+
+    config: dict[str, Any] = {
+        "runs": {label: dataset.run_info(label) for label in labels},
+        "split": split,
+        "drop_flagged": drop_flagged,
+    }
+    result = measure_gap(
+        comparisons(),
+        scored_joints=frame.scored,
+        signals=signals,
+        metrics=metrics,
+        torque_limits=frame.torque_limits,
+        tau_rad=tau_rad,
+        window_s=frame.window_s,
+        draws=draws,
+        seed=seed,
+        provenance=provenance(config=config, seed=seed, data_hash=dataset.hash),
+    )
+    if not result.runs:
+        raise MissingSignal(
+            f"{dataset.path} has nothing to compare with the measurement",
+            available=labels,
+            hint="Make a run first: trueup replay DATASET --robot ROBOT.",
+        )
+    return Measurement(result, builder.result(lags_of(result)), traces, _quality(dataset, set(kept), frame.joint_map))
+
+
+def _frame(dataset: Dataset, labels: Sequence[str], robot: RobotSpec | None) -> _Frame:
+    infos = {label: dataset.run_info(label) for label in labels}
+    maps = {label: info["joint_map"] for label, info in infos.items() if "joint_map" in info}
+    windows = {label: info.get("settings", {}).get("window_s") for label, info in infos.items()}
+    for what, values in (("joint maps", maps), ("windows", windows)):
+        first = next(iter(values.values()), None)
+        other = [label for label, value in values.items() if value != first]
+        if other:
+            raise ConfigError(
+                f"the runs have different {what}, so that their errors cannot share one table",
+                got=f"{other} differ from {next(iter(values))!r}",
+                hint="Name runs that belong together with --runs, or replay them anew.",
+            )
+    base = next(iter(infos.values()), {})
+    rules = next(iter(maps.values()), robot.joint_rules() if robot else None)
+    scored = robot.scored_joints if robot else tuple(base["scored_joints"]) if "scored_joints" in base else None
+    limits = {joint.name: joint.torque_limit for joint in robot.joints if joint.torque_limit} if robot else {}
+    return _Frame(
+        joint_map=None if rules is None else JointMap.from_dict(rules),
+        scored=scored,
+        torque_limits={**base.get("torque_limits", {}), **limits} or None,
+        window_s=next(iter(windows.values()), None),
+        follows_motion=base.get("command_signal", "position") in ("position", "velocity"),
+    )
+
+
+def _comparison(episode: Episode, frame: _Frame) -> Comparison:
+    """Everything on the measured stamps that have a command."""
+    if frame.joint_map is not None:
+        episode = in_robot_names(episode, frame.joint_map)
+    measured = episode.measured
+    first = next(iter(episode.simulated.values()), None)
+    if first is not None:
+        measured = _at(measured, first.time_s)
+    elif episode.command is not None:
+        measured = measured.rows(np.flatnonzero(measured.time_s >= episode.command.time_s[0] - 1e-9))
+    command = episode.command
+    held = None if command is None else resample(command, measured.time_s, hold=True)
+    return Comparison(
+        meta=episode.meta,
+        measured=measured,
+        simulated={label: _at(series, measured.time_s) for label, series in episode.simulated.items()},
+        command=held,
+        starts=window_starts(measured.time_s, frame.window_s),
+    )
+
+
+def _at(series: TimeSeries, time_s: np.ndarray) -> TimeSeries:
+    """The samples at stamps that the series has."""
+    rows = np.clip(np.searchsorted(series.time_s, time_s - 1e-9), 0, len(series) - 1)
+    if not np.allclose(series.time_s[rows], time_s, rtol=0.0, atol=1e-9):
+        raise DataError(
+            "a run was made from other stamps than those measured now",
+            hint="Replay it again: trueup replay DATASET --robot ROBOT --overwrite.",
+        )
+    return series.rows(rows)
+
+
+def _quality(dataset: Dataset, kept: set[str], joint_map: JointMap | None) -> Quality:
+    names = {rule.log: rule.joint for rule in joint_map.rules} if joint_map else {}
+    return Quality(
+        {
+            meta.id: EpisodeQuality(
+                split=meta.split,
+                flags=tuple(replace(flag, joint=names.get(flag.joint, flag.joint)) for flag in meta.flags),
+                dropped=meta.id not in kept,
+            )
+            for meta in dataset.metas
+        }
+    )

@@ -1,0 +1,173 @@
+"""Replay: the commands of a dataset through a simulator, the answer stored beside the measurement."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from trueup.align import JointMap
+from trueup.core.episode import Episode
+from trueup.core.provenance import provenance
+from trueup.dataset import Dataset, RunWriter
+from trueup.errors import DataError, MissingSignal, OutputExists, TrueupError
+from trueup.robots import RobotSpec, find_model
+from trueup.stages.progress import Track, silent
+
+STOCK = "mujoco/stock"
+
+
+@dataclass(frozen=True)
+class ReplaySummary:
+    """What a replay did.
+
+    Attributes:
+        label: the run.
+        replayed: number of episodes simulated now.
+        kept: number of episodes that the run had already.
+        failed: episode id -> why it could not be replayed.
+        seconds: wall-clock time of this call [s].
+    """
+
+    label: str
+    replayed: int
+    kept: int = 0
+    failed: Mapping[str, TrueupError] = field(default_factory=dict)
+    seconds: float = 0.0
+
+
+def in_robot_names(episode: Episode, joint_map: JointMap) -> Episode:
+    """The episode in the robot's joint names, order and SI units.
+
+    Raises:
+        NameMismatch: the log's joints are not those of the map; both lists are printed.
+    """
+    measured = joint_map.for_series(episode.measured).apply(episode.measured)
+    command = episode.command
+    if command is not None:
+        command = joint_map.for_series(command).apply(command)
+    return replace(episode, measured=measured, command=command)
+
+
+def replay(
+    dataset: Dataset,
+    robot: RobotSpec,
+    *,
+    model: Path | None = None,
+    label: str = STOCK,
+    window_s: float | None = None,
+    delay_s: float | None = None,
+    ids: Sequence[str] | None = None,
+    jobs: int | None = None,
+    overwrite: bool = False,
+    resume: bool = False,
+    track: Track = silent,
+) -> ReplaySummary:
+    """Replay the commands of a dataset and store the simulated motions as a run of it.
+
+    Args:
+        dataset: logs; any joint names that the robot's joint map knows.
+        robot: its description.
+        model: MJCF or URDF; looked for beside the data and in the package if None.
+        label: name of the run.
+        window_s: restart from the measured state this often [s]; the robot's own setting if None.
+        delay_s: the command acts this much later [s]; the robot's own setting if None.
+        ids: episodes; all if None.
+        jobs: threads; the number of cores if None.
+        overwrite: replace the run if it is there.
+        resume: keep the run if it was made from the same inputs, and add what is missing.
+        track: shows progress.
+
+    Raises:
+        OutputExists: the run is there, and neither `overwrite` nor a matching `resume` applies.
+        NameMismatch: the joints of log, robot and model do not agree.
+        ConfigError: the model is not found, or does not load.
+        DataError: no episode could be replayed.
+    """
+    # MuJoCo is loaded by those who simulate, not by everyone who starts the command line.
+    from trueup.sim import MujocoSimulator, ReplaySettings
+    from trueup.sim import replay as replay_episodes
+
+    started = time.perf_counter()
+    path = find_model(robot, given=model, beside=dataset.path)
+    settings = ReplaySettings.of(robot)
+    settings = replace(
+        settings,
+        window_s=settings.window_s if window_s is None else window_s,
+        delay_s=settings.delay_s if delay_s is None else delay_s,
+    )
+    simulator = MujocoSimulator.from_robot(robot, path)
+    inputs = _inputs(dataset, robot, path, asdict(settings))
+    info = {
+        "engine": "mujoco",
+        "inputs": inputs,
+        "joint_map": robot.joint_rules(),
+        "joints": list(robot.joint_names),
+        "scored_joints": list(robot.scored_joints),
+        "command_signal": robot.controller.signal,
+        "torque_limits": simulator.torque_limits,
+        "settings": asdict(settings),
+        "provenance": provenance(config={"robot": robot.to_dict(), "model": path.name}, data_hash=dataset.hash),
+    }
+    there = label in dataset.runs
+    if there and resume and not overwrite:
+        _refuse_other_inputs(dataset, label, inputs)
+    joint_map = JointMap.from_dict(robot.joint_rules())
+    wanted = tuple(dataset.ids if ids is None else ids)
+    failed: dict[str, TrueupError] = {}
+    with RunWriter(dataset.path, label, run_info=info, overwrite=overwrite, resume=resume) as writer:
+        missing = [name for name in wanted if name not in writer.ids]
+        if missing:
+            in_robot_names(dataset.episode(missing[0]), joint_map)  # names that do not fit concern all: say it once
+        results = replay_episodes(
+            _readable(dataset, missing, joint_map, failed), simulator.clone, settings, jobs=jobs or os.cpu_count() or 1
+        )
+        for name, result in track(results, "replay", len(missing)):
+            if isinstance(result, TrueupError):
+                failed[name] = result
+            else:
+                writer.append(name, result)
+    dataset.reload()
+    done = len(missing) - len(failed)
+    if failed and not done and len(missing) == len(wanted):
+        raise DataError(
+            f"no episode could be replayed, {next(iter(failed))!r} because", got=next(iter(failed.values()))
+        )
+    return ReplaySummary(label, done, len(wanted) - len(missing), failed, time.perf_counter() - started)
+
+
+def _readable(
+    dataset: Dataset, ids: Sequence[str], joint_map: JointMap, failed: dict[str, TrueupError]
+) -> Iterator[Episode]:
+    for name in ids:
+        try:
+            yield in_robot_names(dataset.episode(name), joint_map)
+        except (DataError, MissingSignal) as error:
+            failed[name] = error
+
+
+def _inputs(dataset: Dataset, robot: RobotSpec, model: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """What decides about a run: if it is the same, the run need not be made again."""
+    return {
+        "data_hash": dataset.hash,
+        "robot": robot.to_dict(),
+        "model_sha256": hashlib.sha256(model.read_bytes()).hexdigest(),
+        "settings": dict(settings),
+    }
+
+
+def _refuse_other_inputs(dataset: Dataset, label: str, inputs: Mapping[str, Any]) -> None:
+
+    stored = dataset.run_info(label).get("inputs", {})
+    plain = json.loads(json.dumps(inputs))  # as run.json keeps it: tuples are lists there
+    changed = sorted(key for key in plain if stored.get(key) != plain[key])
+    if changed:
+        raise OutputExists(
+            f"the run {label!r} was made from other inputs ({', '.join(changed)})",
+            hint="Give --overwrite to replace it, or another --label to keep both.",
+        )

@@ -1,0 +1,266 @@
+"""The command line as its users meet it: exit codes, one or two lines of error, nothing lost."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from trueup.cli.main import main
+from trueup.core.results import GapResult, Ladder
+from trueup.dataset import Dataset
+from trueup.stages.demo import demo_dataset
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    return demo_dataset(tmp_path_factory.mktemp("demo") / "data")
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*arguments):
+        with pytest.raises(SystemExit) as left:
+            main([str(argument) for argument in arguments])
+        printed = capsys.readouterr()
+        return left.value.code, printed.out, printed.err
+
+    return call
+
+
+@pytest.fixture
+def motion(tmp_path):
+    """A folder with one SAGE motion, and a function that spoils one of its files."""
+    folder = tmp_path / "logs" / "wave"
+    folder.mkdir(parents=True)
+    (folder / "joint_list.txt").write_text("yaw\nshoulder\nelbow\n")
+    rows = [f'{{}},{k * 20000},"[{0.1 * np.sin(k / 9):.6f}, 0.0, 0.1]"' for k in range(200)]
+    (folder / "control.csv").write_text("type,timestamp,positions\n" + "\n".join(r.format("CONTROL") for r in rows))
+    (folder / "state_motor.csv").write_text(
+        "type,timestamp,positions,velocities,torques\n"
+        + "\n".join(r.format("STATE_MOTOR") + ',"[0, 0, 0]","[0, 0, 0]"' for r in rows)
+    )
+    return folder
+
+
+def test_no_command_shows_the_commands(run):
+    _, out, err = run()
+    assert all(name in out + err for name in ("import", "replay", "gap", "report", "close", "demo", "doctor"))
+
+
+@pytest.mark.parametrize("command", ["import", "export", "replay", "gap", "report", "close", "demo", "doctor"])
+def test_every_command_explains_itself(run, command):
+    code, out, _ = run(command, "--help")
+    assert code == 0
+    assert "Usage: trueup" in out
+
+
+def test_an_unknown_option_or_command_is_bad_input(run):
+    for arguments in (["gap", "--runz", "x"], ["measure"], ["close"]):
+        code, _, err = run(*arguments)
+        assert code == 2
+        assert err.startswith("error: ")
+        assert len(err.strip().splitlines()) == 2
+
+
+def test_doctor_says_what_is_there_and_how_to_get_the_rest(run):
+    code, out, _ = run("doctor")
+    assert code == 0
+    assert "mujoco 3." in out
+    assert "trueup[learn]" in out
+
+
+def test_the_steps_one_by_one(run, demo, tmp_path):
+    code, out, _ = run("replay", demo, "--robot", "demo_arm", "--label", "mujoco/steps", "--jobs", 2)
+    assert (code, "12 episodes replayed" in out) == (0, True)
+    code, out, _ = run("gap", demo, "--runs", "mujoco/steps", "--out", tmp_path / "gap")
+    assert code == 0
+    gap = GapResult.load(tmp_path / "gap" / "gap.json")
+    assert set(gap.runs) == {"mujoco/steps", "command"}
+    assert gap.groups["payload_kg"].keys() == {"0", "0.4"}
+    assert (tmp_path / "gap" / "report.html").stat().st_size > 1e6
+    first = (tmp_path / "gap" / "report.html").read_bytes()
+    assert run("report", tmp_path / "gap", "--out", tmp_path / "again.html")[0] == 0
+    assert (tmp_path / "again.html").read_bytes() == first
+
+
+def test_close_writes_the_ladder_and_says_whether_it_is_better(run, demo, tmp_path):
+    code, out, _ = run("close", demo, "--robot", "demo_arm", "--out", tmp_path / "out")
+    assert code == 0
+    assert "mujoco/stock against command, test: " in out
+    ladder = Ladder.load(tmp_path / "out" / "ladder.json")
+    assert [rung.name for rung in ladder.rungs] == ["command", "stock"]
+    assert [rung.chosen for rung in ladder.rungs] == [False, True]
+    gap = GapResult.load(tmp_path / "out" / "gap.json")
+    assert ladder.rungs[1].splits["test"] == gap.runs["mujoco/stock"]["test"]
+
+
+@pytest.mark.parametrize(
+    ("bar", "code"), [("position.rmse=0.001", 3), ("position.rmse=9", 0), (":test:position.rmse=9", 0)]
+)
+def test_a_bar_that_is_not_met_is_exit_code_3(run, demo, tmp_path, bar, code):
+    got, _, err = run("close", demo, "--robot", "demo_arm", "--out", tmp_path / "out", "--fail-above", bar)
+    assert got == code
+    assert ("bar not met" in err) == (code == 3)
+
+
+@pytest.mark.parametrize(
+    "bar", ["position.rmse", "position.rmse=x", "rmse=1", "position.magic=1", "position.pearson=1"]
+)
+def test_a_bar_that_is_none_is_refused_before_the_work(run, demo, tmp_path, bar):
+    code, _, err = run("close", demo, "--robot", "demo_arm", "--out", tmp_path / "out", "--fail-above", bar)
+    assert code == 2
+    assert err.count("\n") <= 2
+    assert not (tmp_path / "out").exists()
+
+
+def test_results_are_not_overwritten_unasked(run, demo, tmp_path):
+    assert run("close", demo, "--robot", "demo_arm", "--out", tmp_path / "out")[0] == 0
+    code, _, err = run("close", demo, "--robot", "demo_arm", "--out", tmp_path / "out")
+    assert code == 2
+    assert "--overwrite" in err
+    assert run("close", demo, "--robot", "demo_arm", "--out", tmp_path / "out", "--overwrite")[0] == 0
+
+
+def test_logs_of_another_robot_print_both_lists_of_joints(run, demo, tmp_path):
+    code, _, err = run("close", demo, "--robot", "double_pendulum", "--model", demo, "--out", tmp_path / "out")
+    assert code == 2
+    model = tmp_path / "double_pendulum_A0.xml"
+    model.write_text(
+        '<mujoco><worldbody><body><joint name="joint1"/><geom size=".1"/><body><joint name="joint2"/>'
+        '<geom size=".1"/></body></body></worldbody><actuator><motor name="a" joint="joint1"/>'
+        '<motor name="b" joint="joint2"/></actuator></mujoco>'
+    )
+    code, _, err = run("close", demo, "--robot", "double_pendulum", "--model", model, "--out", tmp_path / "out2")
+    assert code == 2
+    assert "yaw, shoulder, elbow" in err
+    assert "joint1, joint2" in err
+
+
+def test_an_import_with_one_broken_motion_keeps_the_others(run, motion, tmp_path):
+    other = motion.parent / "broken"
+    other.mkdir()
+    for path in motion.iterdir():
+        (other / path.name).write_bytes(path.read_bytes())
+    text = (other / "state_motor.csv").read_text().replace("[0, 0, 0]", "[0, 0]", 1)
+    (other / "state_motor.csv").write_text(text)
+    code, _, err = run("import", motion.parent, "--out", tmp_path / "data")
+    assert code == 2
+    assert "broken was not imported" in err
+    assert "state_motor.csv" in err
+    assert Dataset(tmp_path / "data").ids == ("wave",)
+    assert run("import", motion.parent, "--out", tmp_path / "again", "--skip-bad")[0] == 0
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda folder: (folder / "state_motor.csv").write_text(""),
+        lambda folder: (folder / "control.csv").write_bytes(b"\xff\xfe\x00\x01"),
+        lambda folder: (folder / "joint_list.txt").write_text("yaw\nshoulder\n"),
+        lambda folder: (folder / "control.csv").write_text('type,timestamp,positions\nCONTROL,nan,"[0,0,0]"\n'),
+    ],
+    ids=["empty", "binary", "joints", "nan-clock"],
+)
+def test_a_broken_log_is_one_or_two_lines(run, motion, tmp_path, spoil):
+    spoil(motion)
+    code, _, err = run("import", motion.parent, "--out", tmp_path / "data")
+    assert code == 2
+    errors = [line for line in err.splitlines() if not line.startswith("note: ")]
+    assert 1 <= len(errors) <= 2
+    assert "wave" in err
+    assert "Traceback" not in err
+
+
+def test_a_dry_run_writes_nothing(run, motion, tmp_path):
+    code, out, _ = run("import", motion.parent, "--out", tmp_path / "data", "--dry-run")
+    assert code == 0
+    assert "wave" in out
+    assert not (tmp_path / "data").exists()
+
+
+def test_a_split_by_shares_is_drawn_by_whole_motion(run, motion, tmp_path):
+    for index in range(9):
+        other = motion.parent / f"wave{index}"
+        other.mkdir()
+        for path in motion.iterdir():
+            if path.is_file():
+                (other / path.name).write_bytes(path.read_bytes())
+    assert run("import", motion.parent, "--out", tmp_path / "data", "--split", "60/20/20")[0] == 0
+    splits = Dataset(tmp_path / "data").splits
+    assert sorted(set(splits.values())) == ["test", "train", "val"]
+    assert len(splits) == 10
+    assert run("import", motion.parent, "--out", tmp_path / "x", "--split", "nothing.json")[0] == 2
+
+
+@pytest.mark.parametrize("format", ["csv", "lerobot"])
+def test_an_export_can_be_imported_again(run, demo, tmp_path, format):
+    assert run("export", demo, "--out", tmp_path / "export", "--format", format)[0] == 0
+    assert run("import", tmp_path / "export", "--out", tmp_path / "data")[0] == 0
+    original, again = Dataset(demo), Dataset(tmp_path / "data")
+    assert len(again) == len(original)
+    before = original[0]
+    after = again[before.id] if format == "csv" else again[0]  # LeRobot numbers its episodes
+    np.testing.assert_allclose(after.measured["position"], before.measured["position"], atol=1e-6)
+    np.testing.assert_allclose(after.commanded()["position"], before.commanded()["position"], atol=1e-6)
+
+
+def test_a_bug_is_exit_code_1_and_a_traceback_only_with_debug(run, demo, tmp_path, monkeypatch):
+    def broken(*args, **kwargs):
+        raise RuntimeError("inner matter")
+
+    monkeypatch.setattr("trueup.stages.gap", broken)
+    code, _, err = run("gap", demo)
+    assert code == 1
+    assert "RuntimeError: inner matter" in err
+    assert "--debug" in err
+    with pytest.raises(RuntimeError, match="inner matter"):
+        main(["gap", str(demo), "--debug"])
+
+
+def test_an_import_that_was_killed_goes_on_with_resume(motion, tmp_path, run):
+    """kill -9 in the middle: what was finished is readable, and a rerun completes it."""
+    for index in range(60):
+        other = motion.parent / f"motion{index:03d}"
+        other.mkdir()
+        for path in motion.iterdir():
+            if path.is_file():
+                os.link(path, other / path.name)
+    command = [sys.executable, "-m", "trueup.cli.main", "import", str(motion.parent), "--out", str(tmp_path / "data")]
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    journal = tmp_path / "data"
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and process.poll() is None:
+        try:
+            if len(Dataset(journal)) >= 5:
+                break
+        except Exception:  # not there yet
+            time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    partial = Dataset(tmp_path / "data")
+    assert 5 <= len(partial) < 61
+    for episode in partial:
+        assert len(episode.measured) == 200
+    assert run("import", motion.parent, "--out", tmp_path / "data")[0] == 2  # exists
+    assert run("import", motion.parent, "--out", tmp_path / "data", "--resume")[0] == 0
+    whole = Dataset(tmp_path / "data")
+    assert len(whole) == 61
+    assert run("import", motion.parent, "--out", tmp_path / "straight")[0] == 0
+    assert whole.hash == Dataset(tmp_path / "straight").hash
+
+
+def test_gap_json_is_what_other_programs_read(run, demo, tmp_path):
+    run("replay", demo, "--robot", "demo_arm", "--label", "mujoco/json")
+    run("gap", demo, "--runs", "mujoco/json", "--out", tmp_path / "gap")
+    tree = json.loads((tmp_path / "gap" / "gap.json").read_text())
+    rmse = tree["runs"]["mujoco/json"]["splits"]["test"]["position"]["rmse"]
+    assert {"value", "low", "high", "unit", "per_joint"} <= set(rmse)
+    assert rmse["value"] == pytest.approx(
+        np.mean([rmse["per_joint"][joint]["value"] for joint in tree["scored_joints"]])
+    )
+    assert {"trueup", "git", "seed", "data_hash", "config", "packages"} <= set(tree["provenance"])

@@ -1,0 +1,148 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from trueup.core.episode import Episode, EpisodeMeta
+from trueup.core.timeseries import TimeSeries
+from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
+from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, OutputExists
+from trueup.robots import JointSpec, find_model, load_robot
+from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode
+from trueup.stages import close, gap, replay
+from trueup.stages.demo import demo_dataset
+
+
+@pytest.fixture
+def demo(tmp_path):
+    return Dataset(demo_dataset(tmp_path / "demo"))
+
+
+def twin_dataset(folder, *, rename=None, scale=1.0, offset=0.0):
+    """Logs that the demo arm's own simulator made, told in the words of another log."""
+    robot = load_robot("demo_arm")
+    simulator = MujocoSimulator.from_robot(robot, find_model(robot))
+    time_s = np.arange(0, 4.0, 0.01)
+    rename = rename or (lambda name: name)
+
+    def told(series):
+        position = (series["position"] - offset) / scale
+        names = tuple(rename(name) for name in series.joints)
+        return TimeSeries(series.time_s, names, {"position": position}, {"position": ("rad",) * len(names)})
+
+    with DatasetWriter.create(folder, DatasetInfo(robot="demo_arm")) as writer:
+        for index, split in enumerate(["train", "train", "val", "test"]):
+            waves = 0.4 * np.sin((1.0 + index) * time_s[:, None] + np.arange(3))
+            command = TimeSeries(time_s, robot.joint_names, {"position": waves}, {"position": ("rad",) * 3})
+            measured = replay_episode(Episode(EpisodeMeta("x"), command, command), simulator, ReplaySettings())
+            writer.append(Episode(EpisodeMeta(f"wave{index}", split=split), told(measured), told(command)))
+    return Dataset(folder)
+
+
+def test_a_robot_like_its_simulator_has_no_gap(tmp_path):
+    closed = close(twin_dataset(tmp_path / "twin").path, load_robot("demo_arm"), tmp_path / "out")
+    runs = closed.measurement.gap.runs
+    assert runs["mujoco/stock"]["test"]["position"]["rmse"].total.value < 1e-8
+    assert runs["command"]["test"]["position"]["rmse"].total.value > 1e-3
+    assert [rung.chosen for rung in closed.ladder.rungs] == [False, True]
+
+
+def test_the_words_of_the_log_do_not_matter(tmp_path):
+    """Other names, scales and zeros in the log, undone by the joint map, give the same gap of nothing."""
+    data = twin_dataset(tmp_path / "twin", rename=lambda name: f"J_{name}", scale=0.5, offset=0.2)
+    robot = load_robot("demo_arm")
+    joints = tuple(JointSpec(joint.name, log=f"J_{joint.name}", scale=0.5, offset=0.2) for joint in robot.joints)
+    closed = close(data.path, replace(robot, joints=joints), tmp_path / "out")
+    assert closed.measurement.gap.joints == ("yaw", "shoulder", "elbow")
+    assert closed.measurement.gap.runs["mujoco/stock"]["test"]["position"]["rmse"].total.value < 1e-8
+    with pytest.raises(NameMismatch, match=r"J_yaw.*yaw"):
+        close(data.path, robot, tmp_path / "other")
+
+
+def test_a_second_replay_needs_a_word(demo):
+    robot = load_robot("demo_arm")
+    assert replay(demo, robot).replayed == 12
+    with pytest.raises(OutputExists):
+        replay(demo, robot)
+    again = replay(demo, robot, resume=True)
+    assert (again.replayed, again.kept) == (0, 12)
+    with pytest.raises(OutputExists, match="settings"):
+        replay(demo, robot, delay_s=0.02, resume=True)
+    assert replay(demo, robot, delay_s=0.02, overwrite=True).replayed == 12
+
+
+def test_a_replay_of_some_goes_on_with_the_rest(demo):
+    robot = load_robot("demo_arm")
+    assert replay(demo, robot, ids=demo.ids[:5]).replayed == 5
+    partial = gap(demo)
+    assert partial.gap.runs["mujoco/stock"]["all"]["position"]["rmse"].episodes == 5
+    assert partial.gap.runs["command"]["all"]["position"]["rmse"].episodes == 12
+    rest = replay(demo, robot, resume=True)
+    assert (rest.replayed, rest.kept) == (7, 5)
+
+
+def test_a_delay_closer_to_the_hardware_is_better_and_the_pairing_says_so(demo):
+    robot = load_robot("demo_arm")
+    replay(demo, robot)
+    replay(demo, robot, label="mujoco/delayed", delay_s=0.024)
+    measured = gap(demo).gap
+    pair = next(
+        item
+        for item in measured.paired
+        if (item.run, item.baseline) in (("mujoco/delayed", "mujoco/stock"), ("mujoco/stock", "mujoco/delayed"))
+        and item.split == "all"
+        and item.signal == "position"
+        and item.metric == "rmse"
+    )
+    better = pair.run == "mujoco/delayed"
+    assert (pair.difference.value < 0) == better
+    assert pair.verdict == ("better" if better else "worse")
+
+
+def test_runs_that_do_not_belong_together_are_refused(demo):
+    robot = load_robot("demo_arm")
+    replay(demo, robot)
+    replay(demo, robot, label="mujoco/windows", window_s=0.5)
+    with pytest.raises(ConfigError, match="different windows"):
+        gap(demo)
+    assert gap(demo, runs=["mujoco/windows"]).analysis.horizon
+
+
+def test_what_is_not_there_is_answered_with_what_is(demo):
+    replay(demo, load_robot("demo_arm"))
+    with pytest.raises(MissingSignal, match="mujoco/stock"):
+        gap(demo, runs=["mujoco/fitted"])
+    with pytest.raises((DataError, MissingSignal), match="train"):
+        gap(demo, split="holdout")
+
+
+def test_without_a_run_the_command_is_measured(demo):
+    assert set(gap(demo, robot=load_robot("demo_arm")).gap.runs) == {"command"}
+
+
+def test_one_bad_motion_does_not_stop_a_close(tmp_path):
+    data = twin_dataset(tmp_path / "twin")
+    episode = data[0]
+    broken = episode.measured["position"].copy()
+    broken[0] = np.nan
+    with DatasetWriter.resume(data.path) as writer:
+        writer.append(
+            replace(
+                episode,
+                meta=EpisodeMeta("bad", split="test"),
+                measured=replace(episode.measured, signals={"position": broken}),
+            )
+        )
+    closed = close(data.path, load_robot("demo_arm"), tmp_path / "out")
+    assert set(closed.replayed.failed) == {"bad"}
+    assert closed.measurement.gap.runs["mujoco/stock"]["test"]["position"]["rmse"].episodes == 1
+
+
+def test_the_same_inputs_give_the_same_results(tmp_path):
+    results = []
+    for name in ("a", "b"):
+        data = demo_dataset(tmp_path / name)
+        close(data, load_robot("demo_arm"), tmp_path / f"{name}_out", jobs=2)
+        gap_json = (tmp_path / f"{name}_out" / "gap.json").read_text()
+        results.append([line for line in gap_json.splitlines() if '"created"' not in line])
+    assert results[0] == results[1]
