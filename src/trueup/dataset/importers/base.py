@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from trueup.core.episode import Episode
 
@@ -71,6 +71,7 @@ class ImportPlan:
     details: Mapping[str, Any] = field(default_factory=dict)
 
 
+@runtime_checkable
 class Importer(Protocol):
     """One log format. Modules in this package provide these two functions and a `NAME`."""
 

@@ -1,0 +1,45 @@
+"""How long the 43 SO-101 motions take to load, writing not included: python -m benchmarks.import_sage."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+from benchmarks.table import Row, print_table
+
+from trueup.dataset.importers import sage
+from trueup.dataset.importers.base import ImportOptions
+
+LIMIT_S = 3.5  # of the 8 s that the whole import may take
+REPEATS = 3
+
+
+def recording() -> Path | None:
+    """The SO-101 motions: in TRUEUP_SHARED, or in `shared` beside the project."""
+    beside = Path(__file__).resolve().parents[2] / "shared"
+    folder = Path(os.environ.get("TRUEUP_SHARED", beside)) / "data" / "so101_sage"
+    return folder if folder.is_dir() else None
+
+
+def rows() -> list[Row]:
+    """Best of three runs over files that are in the page cache; nothing without the recording."""
+    folder = recording()
+    if folder is None:
+        return []
+    seconds = []
+    for _ in range(REPEATS):
+        start = time.perf_counter()
+        episodes = sage.scan(folder, ImportOptions()).episodes
+        samples = sum(len(episode.load().measured) for episode in episodes)
+        seconds.append(time.perf_counter() - start)
+    best = min(seconds)
+    megabytes = sum(episode.bytes for episode in episodes) / 1e6
+    return [
+        Row(f"load {len(episodes)} SAGE motions, {samples} samples", best, LIMIT_S, "s", best <= LIMIT_S),
+        Row("  rate", megabytes / best, None, "MB/s", None),
+    ]
+
+
+if __name__ == "__main__":
+    print_table(rows())

@@ -1,0 +1,58 @@
+"""What every benchmark returns: a figure beside its limit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from rich.console import Console
+from rich.table import Table
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measured figure.
+
+    Attributes:
+        name: what was measured, on what.
+        value: the figure.
+        limit: what it is held against; None for a figure that is only shown.
+        unit: unit of both.
+        ok: whether the figure keeps the limit.
+    """
+
+    name: str
+    value: float
+    limit: float | None
+    unit: str
+    ok: bool = True
+
+
+def at_most(name: str, value: float, limit: float, unit: str) -> Row:
+    """A row for a figure that must not exceed its limit."""
+    return Row(name, value, limit, unit, value <= limit)
+
+
+def at_least(name: str, value: float, limit: float, unit: str) -> Row:
+    """A row for a figure that must reach its limit."""
+    return Row(name, value, limit, unit, value >= limit)
+
+
+def shown(name: str, value: float, unit: str) -> Row:
+    """A row for a figure without a limit."""
+    return Row(name, value, None, unit)
+
+
+def print_table(rows: Sequence[Row], title: str = "") -> None:
+    """Print the rows; a figure that misses its limit is marked."""
+    table = Table(title=title or None, title_justify="left")
+    table.add_column("benchmark")
+    for column in ("figure", "limit"):
+        table.add_column(column, justify="right")
+    table.add_column("unit")
+    table.add_column("")
+    for row in rows:
+        limit = "" if row.limit is None else f"{row.limit:.4g}"
+        verdict = "" if row.limit is None else "[green]ok[/]" if row.ok else "[bold red]MISSED[/]"
+        table.add_row(row.name, f"{row.value:.4g}", limit, row.unit, verdict)
+    Console().print(table)

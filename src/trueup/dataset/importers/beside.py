@@ -1,0 +1,63 @@
+"""What lies beside the logs: `split.json`, a licence, the robot's model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from trueup.dataset.importers.files import inside, read_bytes
+from trueup.dataset.splits import match_splits, read_split
+
+
+def splits_beside(
+    root: Path, ids: Mapping[str, Iterable[str]] | Iterable[str]
+) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Splits from `split.json` in `root`; how its entries name episodes: see `trueup.dataset.splits`.
+
+    Args:
+        root: folder that the episodes were found in.
+        ids: the episode ids; as a mapping, with the file or folder that each was made from, relative to `root`.
+
+    Returns:
+        Episode id -> split, empty if there is no `split.json`; and notes on entries and episodes that do not match.
+
+    Raises:
+        DataError: the file cannot be read or puts an episode into two splits.
+        FormatError: it is no split file.
+    """
+    path = root / "split.json"
+    if not path.is_file():
+        return {}, ()
+    sources = {name: next(iter(files), "") for name, files in ids.items()} if isinstance(ids, Mapping) else {}
+    match = match_splits(read_split(inside(root, path)), list(ids), sources=sources)
+    return dict(match.splits), match.notes
+
+
+def licence_beside(root: Path) -> str:
+    """The title of the licence file in `root`: its first line, with the version line that follows it; or empty.
+
+    Raises:
+        DataError: the file cannot be read, or leads out of the folder.
+    """
+    for name in ("LICENSE", "LICENCE", "LICENSE.txt", "LICENSE.md", "COPYING"):
+        path = root / name
+        if path.is_file():
+            text = read_bytes(inside(root, path))[:4096].decode("utf-8-sig", errors="replace")
+            lines = [line.strip(" #\t") for line in text.splitlines() if line.strip(" #\t")]
+            title = " ".join(lines[:2] if len(lines) > 1 and lines[1].startswith("Version") else lines[:1])
+            return title[:200]
+    return ""
+
+
+def model_beside(root: Path) -> Path | None:
+    """The folder `model` in `root`, if it holds an MJCF or URDF file.
+
+    Raises:
+        DataError: it leads out of the folder.
+    """
+    folder = root / "model"
+    if not folder.is_dir():
+        return None
+    inside(root, folder)
+    models = [path for path in folder.iterdir() if path.suffix.lower() in {".xml", ".urdf", ".mjcf"}]
+    return folder if models else None

@@ -1,0 +1,98 @@
+"""Which importer reads a path."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import cast
+
+from trueup.dataset.importers.base import Importer
+from trueup.errors import ConfigError, DataError, FormatError, MissingDependency
+
+# Specific formats first: any folder may hold a few CSV files too, so CSV counts only when nothing else does.
+_MODULES = {name: f"trueup.dataset.importers.{name}" for name in ("sage", "lerobot", "rosbag", "hdf5", "npz", "csv")}
+_GENERIC = "csv"
+
+
+class _Importers(Mapping[str, Importer]):
+    """Name -> importer; a module is imported when it is asked for, since some of them need heavy packages."""
+
+    def __getitem__(self, name: str) -> Importer:
+        module = _MODULES[name]
+        try:
+            return cast("Importer", import_module(module))
+        except ImportError as error:
+            raise MissingDependency(
+                f"the importer for {name} cannot be loaded", got=error, hint="`trueup doctor` shows what is missing."
+            ) from error
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_MODULES)
+
+    def __len__(self) -> int:
+        return len(_MODULES)
+
+
+IMPORTERS: Mapping[str, Importer] = _Importers()
+
+
+def find_importer(path: Path, name: str | None = None) -> Importer:
+    """The importer for a file or folder.
+
+    Args:
+        path: what is to be imported.
+        name: take this one, whatever the path looks like.
+
+    Raises:
+        ConfigError: there is no importer of this name.
+        DataError: the path does not exist.
+        FormatError: no format, or more than one, is recognized.
+        MissingDependency: the importer needs a package that is not installed.
+    """
+    if name is not None and name not in IMPORTERS:
+        raise ConfigError(f"there is no format {name!r}", available=IMPORTERS)
+    if not path.exists():
+        raise DataError(f"{path} does not exist")
+    if name is not None:
+        return IMPORTERS[name]
+    looked_for: list[str] = []
+    missing: list[str] = []
+    found: list[str] = []
+    for candidate in IMPORTERS:
+        try:
+            importer = IMPORTERS[candidate]
+        except MissingDependency as error:
+            missing.append(f"{candidate} was not tried: {error.details}")
+            continue
+        looked_for.append(f"{candidate} ({getattr(importer, 'LOOKS_FOR', 'its own files')})")
+        if not (found and candidate == _GENERIC) and importer.detects(path):
+            found.append(candidate)
+    if len(found) == 1:
+        return IMPORTERS[found[0]]
+    if found:
+        raise FormatError(
+            f"{path} looks like several formats",
+            available=found,
+            hint="Choose one with --format, or import a subfolder.",
+        )
+    raise FormatError(
+        f"{path} is of no known format",
+        got=_content(path),
+        expected="; ".join([*looked_for, *missing]),
+        available=IMPORTERS,
+        hint="Name the format with --format, or write a mapping for CSV files.",
+    )
+
+
+def _content(path: Path) -> str:
+    """A few of the names that are there."""
+    if path.is_file():
+        return f"a file of {path.stat().st_size} bytes"
+    try:
+        names = sorted(child.name + ("/" if child.is_dir() else "") for child in path.iterdir())
+    except OSError as error:
+        return error.strerror or str(error)
+    if not names:
+        return "an empty folder"
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")

@@ -1,0 +1,251 @@
+"""npz files: one file, one episode; the keys are `measured.time_s`, `measured.position`, `joints` and so on.
+
+A file holds, for each of the series `measured`, `command` (optional) and `simulated/LABEL` (optional):
+`SERIES.time_s` (T,) [s], and `SERIES.SIGNAL` (T, J), or (T, B, ...) for body signals. `joints` names the columns
+(`SERIES.joints` where a series has others), `bodies` likewise. `SERIES.SIGNAL.unit` is one unit, or one per joint;
+SI without it. Optional: `robot`, `unit`, `payload_kg`, `condition`. The file's name is the episode's id.
+"""
+
+from __future__ import annotations
+
+import io
+import lzma
+import math
+import struct
+import tokenize
+import zipfile
+import zlib
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Shaped
+
+from trueup.core.atomic import write_bytes
+from trueup.core.episode import Episode, EpisodeMeta, Flag
+from trueup.core.timeseries import BODY_PREFIX, TimeSeries
+from trueup.core.units import SI_UNIT, UNITS
+from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
+from trueup.dataset.importers.beside import licence_beside, model_beside, splits_beside
+from trueup.dataset.importers.clock import usable_clock
+from trueup.dataset.importers.files import bytes_hash, data_files, episode_id, inside, read_bytes, unique_ids
+from trueup.dataset.importers.mapping import COMPONENTS
+from trueup.dataset.importers.units import override_units
+from trueup.errors import DataError, FormatError, NameMismatch, TrueupError, UnitError
+
+NAME = "npz"
+LOOKS_FOR = "npz files with measured.time_s, measured.position, joints, ..."
+
+_TEXTS = ("robot", "unit", "condition")
+_NAMES = ("joints", "bodies")
+_SERIES_KEYS = ("time_s", *_NAMES, *SI_UNIT, *(f"{signal}.unit" for signal in SI_UNIT))
+_BROKEN = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    struct.error,
+    tokenize.TokenError,  # numpy tries a Python 2 grammar on headers that Python 3 refuses
+    ArithmeticError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RuntimeError,  # also encrypted entries, unknown compression and recursion
+    SyntaxError,
+    TypeError,
+    ValueError,
+)
+_LARGEST = 1 << 33  # a few kilobytes can claim to unpack to terabytes
+
+
+def detects(path: Path) -> bool:
+    """Whether `path` is an npz file or holds some."""
+    try:
+        return bool(data_files(path, ".npz"))
+    except TrueupError:
+        return False
+
+
+def scan(path: Path, options: ImportOptions) -> ImportPlan:
+    """List the npz files below `path`; an episode's id is its path without the ending.
+
+    Raises:
+        FormatError: there is none.
+        DataError: a link leads out of the folder; two files would get the same id.
+    """
+    files = data_files(path, ".npz")
+    if not files:
+        raise FormatError(f"{path} holds no npz file", expected=LOOKS_FOR)
+    root = path.parent if path.is_file() else path
+    named = {episode_id(file.relative_to(root).as_posix()[: -len(".npz")]): file for file in files}
+    unique_ids((episode_id(file.relative_to(root).as_posix()[: -len(".npz")]), str(file)) for file in files)
+    splits, notes = splits_beside(root, {id: (file.relative_to(root).as_posix(),) for id, file in named.items()})
+    return ImportPlan(
+        format=NAME,
+        root=root,
+        episodes=tuple(
+            EpisodeSource(id, partial(_load, root, file, id, options, splits.get(id, "")), file.stat().st_size)
+            for id, file in named.items()
+        ),
+        robot=options.robot,
+        licence=licence_beside(root),
+        splits=splits,
+        model_dir=model_beside(root),
+        notes=("clocks are kept as they are", *notes),
+    )
+
+
+def write_npz(episode: Episode, path: Path) -> None:
+    """Write one episode as an npz file that this importer reads back exactly, apart from split, source and flags.
+
+    Raises:
+        DataError: the disk is full or not writable.
+    """
+    meta = episode.meta
+    arrays: dict[str, Shaped[np.ndarray, "..."]] = {key: np.array(getattr(meta, key)) for key in _TEXTS}
+    if meta.payload_kg is not None:
+        arrays["payload_kg"] = np.array(meta.payload_kg)
+    series = {"measured": episode.measured, **{f"simulated/{label}": run for label, run in episode.simulated.items()}}
+    if episode.command is not None:
+        series["command"] = episode.command
+    for label, one in series.items():
+        arrays[f"{label}.time_s"] = one.time_s
+        arrays[f"{label}.joints"] = np.array(one.joints)
+        if one.bodies:
+            arrays[f"{label}.bodies"] = np.array(one.bodies)
+        for signal, values in one.signals.items():
+            arrays[f"{label}.{signal}"] = values
+            arrays[f"{label}.{signal}.unit"] = np.array(one.units[signal])
+    with io.BytesIO() as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+        write_bytes(path, file.getvalue())
+
+
+def _load(root: Path, path: Path, id: str, options: ImportOptions, split: str) -> Episode:
+    """Read one file."""
+    data = read_bytes(inside(root, path))
+    arrays = _arrays(path, data)
+    labels = [key.removesuffix(".time_s") for key in arrays if key.endswith(".time_s")]
+    known = {f"{label}.{key}" for label in labels for key in _SERIES_KEYS} | {*_TEXTS, *_NAMES, "payload_kg"}
+    strange = [label for label in labels if label not in {"measured", "command"} and not label.startswith("simulated/")]
+    strange += [key for key in arrays if key not in known]
+    if strange or "measured" not in labels:
+        raise DataError(
+            f"{path} does not have the keys of an episode",
+            got=", ".join(strange or sorted(arrays))[:200],
+            expected="measured.time_s, measured.SIGNAL, measured.SIGNAL.unit, the same with command. or "
+            f"simulated/LABEL., and {', '.join((*_NAMES, *_TEXTS))}, payload_kg; SIGNAL is one of {', '.join(SI_UNIT)}",
+        )
+    done = {label: _series(path, arrays, label, options) for label in labels}
+    payload = _numbers(path, "payload_kg", arrays["payload_kg"], ndim=0) if "payload_kg" in arrays else None
+    texts = {key: " ".join(_words(path, key, arrays[key])) for key in _TEXTS if key in arrays}
+    meta = EpisodeMeta(
+        id=id,
+        robot=options.robot or texts.get("robot", ""),
+        unit=texts.get("unit", ""),
+        payload_kg=None if payload is None else float(payload),
+        condition=texts.get("condition", ""),
+        split=split,
+        source=path.relative_to(root).as_posix(),
+        source_hash=bytes_hash([data]),
+        flags=tuple(flag for _, flags in done.values() for flag in flags),
+    )
+    return Episode(
+        meta=meta,
+        measured=done["measured"][0],
+        command=done["command"][0] if "command" in done else None,
+        simulated={label.partition("/")[2]: one[0] for label, one in done.items() if label.startswith("simulated/")},
+    )
+
+
+def _arrays(path: Path, data: bytes) -> dict[str, Shaped[np.ndarray, "..."]]:
+    """The arrays of a file, refused before anything large is unpacked or unpickled."""
+    if not data.startswith(b"PK"):
+        pickled = data.startswith((b"\x80", b"\x93NUMPY"))
+        got = "a pickle or a bare npy file" if pickled else "other bytes" if data else "an empty file"
+        raise DataError(f"{path} is not an npz file", got=got)
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            for entry in archive.infolist():
+                _check_entry(path, archive, entry)
+        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
+            return {key: arrays[key] for key in arrays.files}
+    except _BROKEN as error:
+        raise DataError(f"{path} is a damaged npz file", got=" ".join(str(error).split())[:200]) from error
+
+
+def _check_entry(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
+    """Refuse a pickle, and a header that promises other bytes than there are."""
+    with archive.open(entry) as file:
+        version = np.lib.format.read_magic(file)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(file)
+        if dtype.hasobject:
+            raise DataError(
+                f"{path} holds a pickle in {entry.filename!r}",
+                got=f"dtype {dtype}",
+                expected="numbers or text",
+                hint="Pickles can run code and are never read: save plain arrays, e.g. np.asarray(x, dtype=float).",
+            )
+        promised = math.prod(shape) * dtype.itemsize
+        if promised != entry.file_size - file.tell() or promised > _LARGEST:
+            raise DataError(
+                f"{path}: {entry.filename!r} is truncated or too large",
+                got=f"{entry.file_size - file.tell()} bytes",
+                expected=f"{promised} for shape {shape} of {dtype}",
+            )
+
+
+def _series(
+    path: Path, arrays: dict[str, Shaped[np.ndarray, "..."]], label: str, options: ImportOptions
+) -> tuple[TimeSeries, tuple[Flag, ...]]:
+    """One series of the file."""
+    own = {key: arrays[f"{label}.{key}"] for key in _SERIES_KEYS if f"{label}.{key}" in arrays}
+    names = {key: _words(path, key, own.get(key, arrays.get(key, np.array([], dtype=str)))) for key in _NAMES}
+    signals = [signal for signal in SI_UNIT if signal in own]
+    if not signals or not names["joints"]:
+        raise DataError(f"{path} has no signal or no joints for {label!r}", got=", ".join(arrays)[:200])
+    time_s = _numbers(path, f"{label}.time_s", own["time_s"], ndim=1).astype(np.float64)
+    rows, flags = usable_clock(time_s, source=f"{path}, {label}", series=label)
+    values, units = {}, {}
+    for signal in signals:
+        slots = names["bodies"] if signal.startswith(BODY_PREFIX) else names["joints"]
+        shape = (time_s.size, len(slots), *COMPONENTS.get(signal, ()))
+        array = _numbers(path, f"{label}.{signal}", own[signal], ndim=len(shape))
+        if array.shape != shape:
+            raise DataError(f"{path}: {label}.{signal} has the wrong shape", got=array.shape, expected=shape)
+        values[signal] = array[rows]
+        unit = _words(path, f"{signal}.unit", own.get(f"{signal}.unit", np.array(SI_UNIT[signal])))
+        units[signal] = unit * len(slots) if len(unit) == 1 else unit
+        if len(units[signal]) != len(slots) or not set(unit) <= set(UNITS):
+            raise UnitError(f"{path}: {label}.{signal}.unit does not fit {', '.join(slots)}", available=UNITS)
+    units |= override_units(
+        {key: unit for key, unit in units.items() if not key.startswith(BODY_PREFIX)}, names["joints"], options.units
+    )
+    bodies = names["bodies"] if any(key.startswith(BODY_PREFIX) for key in values) else ()
+    return TimeSeries(time_s=time_s[rows], joints=names["joints"], signals=values, units=units, bodies=bodies), flags
+
+
+def _words(path: Path, key: str, array: Shaped[np.ndarray, "..."]) -> tuple[str, ...]:
+    """Names or one text."""
+    if array.ndim > 1 or (array.size and array.dtype.kind != "U"):
+        raise DataError(f"{path}: {key} is not text", got=f"{array.dtype} of shape {array.shape}")
+    words = tuple(str(word) for word in array.reshape(-1))
+    if key in _NAMES and len(set(words)) < len(words):
+        raise NameMismatch(f"{path}: {key} has a name twice", left=words, right=sorted(set(words)))
+    return words
+
+
+def _numbers(path: Path, key: str, array: Shaped[np.ndarray, "..."], *, ndim: int) -> Float[np.ndarray, "..."]:
+    """Finite numbers, or NaN for missing samples; float32 stays, everything else becomes float64."""
+    if array.dtype.kind not in "fiu" or array.ndim != ndim:
+        raise DataError(
+            f"{path}: {key} cannot be used",
+            got=f"{array.dtype} of shape {array.shape}",
+            expected=f"numbers with {ndim} dimensions",
+        )
+    numbers = array if array.dtype == np.float32 else array.astype(np.float64)
+    if np.isinf(numbers).any():
+        raise DataError(f"{path}: {key} has values that are infinite", got=f"{int(np.isinf(numbers).sum())} of them")
+    return numbers
