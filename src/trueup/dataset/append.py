@@ -1,0 +1,242 @@
+"""Appending to a store: a journal for what is new, Parquet shards and an index for the rest.
+
+Order of every change, so that a crash between two steps loses nothing and doubles nothing:
+journal frame; then shards; then the index that names them; then the journal is deleted. Ids in the index win over
+the same ids in the journal, and shards that no index names do not exist.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator, KeysView, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from trueup.core.timeseries import TimeSeries
+from trueup.dataset.columns import Layout, content_hash, layout_of, parse_layout, to_table
+from trueup.dataset.index import StoreSpec, read_index, write_index
+from trueup.dataset.journal import Journal, JournalReader, Row, pack, unpack
+from trueup.dataset.lock import FolderLock, make_folder
+from trueup.dataset.shards import MAX_BYTES, ShardReader, capacity, shard_name, write_shard
+from trueup.errors import DataError
+
+
+@dataclass(frozen=True)
+class _Pending:
+    """An episode that is in the journal and not yet in a shard."""
+
+    row: Row
+    tables: Mapping[str, pa.Table]
+    layouts: Mapping[str, Layout]
+
+
+# The index is written as a whole, so a flush must be worth it; what is pending is held in memory.
+MAX_PENDING = 1024
+
+
+class StoreWriter:
+    """Appends episodes to a store; whatever `append` returned from survives a killed process.
+
+    Opening recovers what a writer that died left in the journal.
+
+    Raises:
+        DataError: another process writes the store, the disk is full, or the index is damaged.
+    """
+
+    def __init__(self, spec: StoreSpec) -> None:
+        self.spec = spec
+        for series in spec.series:
+            make_folder(spec.shard_folder(series))
+        self._lock = FolderLock(spec.folder)
+        try:
+            self._table = read_index(spec)
+            self._ids: dict[str, None] = dict.fromkeys(self._table.column("id").to_pylist())
+            if not spec.index_path.exists():
+                self._write_index(self._table)
+            self._forget_pending()
+            self._clean()
+            self._recover()
+        except BaseException:
+            self._lock.release()
+            raise
+        self._journal = Journal(spec.journal_path)
+        self._closed = False
+
+    def _clean(self) -> None:
+        """Delete what a writer that died left half-written, or had merged into a later shard.
+
+        Later shards that no index names are left alone: the next flush replaces them.
+        """
+        for folder in {self.spec.folder, *map(self.spec.shard_folder, self.spec.series)}:
+            for temporary in folder.glob(".*.parquet.*.tmp"):
+                temporary.unlink(missing_ok=True)
+        for series in self.spec.series:
+            named = set(self._table.column(f"{series}_shard").drop_null().to_pylist())
+            for number in set(range(self._last_number(series))) - named:
+                (self.spec.shard_folder(series) / shard_name(number)).unlink(missing_ok=True)
+
+    def _recover(self) -> None:
+        """Move the whole frames of a journal that was left behind into shards."""
+        with contextlib.suppress(FileNotFoundError), contextlib.closing(JournalReader(self.spec.journal_path)) as left:
+            for frame in left.frames(salvage=True):
+                row, tables = unpack(frame.payload)
+                if row["id"] not in self._ids:
+                    layouts = {name: parse_layout(table.schema) for name, table in tables.items()}
+                    self._add(_Pending(row, tables, layouts), len(frame.payload))
+        self._settle()
+        self.spec.journal_path.unlink(missing_ok=True)
+
+    def _last_number(self, series: str) -> int:
+        number = pc.max(self._table.column(f"{series}_shard")).as_py()
+        return -1 if number is None else number
+
+    @property
+    def ids(self) -> KeysView[str]:
+        """Ids that are there, in the order in which they were written; follows `append`."""
+        return self._ids.keys()
+
+    def append(self, row: Row, series: Mapping[str, TimeSeries]) -> None:
+        """Append one episode; the first series gives duration and rate.
+
+        Args:
+            row: `id` and the owner's columns.
+            series: name -> series.
+
+        Raises:
+            DataError: the id is taken, a series cannot be stored, the disk is full, or the writer is closed.
+        """
+        if self._closed:
+            raise DataError(f"the writer of {self.spec.folder} is closed")
+        if row["id"] in self._ids:
+            raise DataError(f"episode {row['id']!r} is there already", hint="ids are unique; skip those in `.ids`")
+        layouts = {name: layout_of(values) for name, values in series.items()}
+        tables = {name: to_table(values, layouts[name]) for name, values in series.items()}
+        first = next(iter(series.values()))
+        row = {
+            **row,
+            "hash": content_hash({name: (values, layouts[name]) for name, values in series.items()}),
+            "duration_s": first.duration_s,
+            "rate_hz": first.rate_hz,
+            **{f"{name}_samples": len(values) for name, values in series.items()},
+        }
+        pieces = pack(row, tables)
+        self._journal.append(pieces)
+        self._add(_Pending(row, tables, layouts), sum(map(len, pieces)))
+        if self._full():
+            self.flush()
+
+    def _forget_pending(self) -> None:
+        self._pending: list[_Pending] = []
+        # (series, layout) -> places in the list: one shard holds one series of one layout.
+        self._groups: dict[tuple[str, Layout], list[int]] = {}
+        self._bytes = 0
+
+    def _add(self, pending: _Pending, size: int) -> None:
+        for series, layout in pending.layouts.items():
+            self._groups.setdefault((series, layout), []).append(len(self._pending))
+        self._bytes += size
+        self._pending.append(pending)
+        self._ids[pending.row["id"]] = None
+
+    def _full(self) -> bool:
+        return self._bytes >= MAX_BYTES or len(self._pending) >= MAX_PENDING
+
+    def flush(self) -> None:
+        """Move what is in the journal into shards and the index.
+
+        Raises:
+            DataError: the disk is full or not writable; the journal still has everything.
+        """
+        if self._pending:
+            self._settle()
+            self._journal.remove()
+
+    def _settle(self) -> None:
+        if not self._pending:
+            return
+        table = self._table
+        rows = [dict(pending.row) for pending in self._pending]
+        merged = []
+        following = {series: self._last_number(series) + 1 for series in self.spec.series}
+        for (series, layout), members in self._groups.items():
+            folder, size = self.spec.shard_folder(series), capacity(layout)
+            old, head = self._small_shard(series, layout)
+            if head:
+                table = _moved(table, f"{series}_shard", old, following[series])
+                merged.append(folder / shard_name(old))
+            tables = head + [self._pending[member].tables[series] for member in members]
+            for place, member in enumerate(members, start=len(head)):
+                number = following[series] + place // size
+                rows[member] |= {f"{series}_shard": number, f"{series}_group": place % size}
+            for start in range(0, len(tables), size):
+                write_shard(folder / shard_name(following[series]), layout, tables[start : start + size])
+                following[series] += 1
+        table = pa.concat_tables([table, self.spec.table(rows)])
+        self._write_index(table)
+        self._forget_pending()
+        for path in merged:
+            with contextlib.suppress(OSError):  # a file that nothing names harms nobody
+                path.unlink()
+
+    def _small_shard(self, series: str, layout: Layout) -> tuple[int, list[pa.Table]]:
+        """The last shard, if it is less than half full: writing one episode a day must not make a file a day."""
+        number = self._last_number(series)
+        if number < 0 or self._full():
+            return -1, []
+        with contextlib.closing(ShardReader(self.spec.shard_folder(series))) as shards:
+            return (number, shards.tables(number)) if shards.is_small(number, layout) else (-1, [])
+
+    def _write_index(self, table: pa.Table) -> None:
+        write_index(self.spec, table)
+        # The new names must be on the disk before the journal's name goes.
+        for folder in {self.spec.folder, *map(self.spec.shard_folder, self.spec.series)}:
+            # Not every file system can sync a folder; those that cannot keep the order anyway.
+            with contextlib.suppress(OSError), _descriptor(folder) as descriptor:
+                os.fsync(descriptor)
+        self._table = table
+
+    def update(self, column: str, values: Mapping[str, Any]) -> None:
+        """Set a column of the index for some ids, which must be there."""
+        self.flush()
+        ids = self._table.column("id").to_pylist()
+        present = self._table.column(column).to_pylist()
+        place = self._table.schema.get_field_index(column)
+        changed = [values.get(id, value) for id, value in zip(ids, present, strict=True)]
+        field = self._table.schema.field(place)
+        self._write_index(self._table.set_column(place, field, pa.array(changed, type=field.type)))
+
+    def close(self) -> None:
+        """Move everything into shards and let the next writer in.
+
+        Raises:
+            DataError: the disk is full; the journal still has everything.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            self.flush()
+        finally:
+            self._journal.close()
+            self._lock.release()
+
+
+@contextlib.contextmanager
+def _descriptor(folder: Path) -> Iterator[int]:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def _moved(table: pa.Table, column: str, old: int, new: int) -> pa.Table:
+    place = table.schema.get_field_index(column)
+    numbers = table.column(column)
+    moved = pc.if_else(pc.equal(numbers, old), pa.scalar(new, pa.int32()), numbers)
+    return table.set_column(place, table.schema.field(place), moved)

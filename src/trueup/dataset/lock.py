@@ -1,0 +1,52 @@
+"""The folder that a writer works in, and the lock that keeps a second one out."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from pathlib import Path
+
+from trueup.errors import DataError
+
+LOCK_NAME = ".lock"
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and its parents, if they are not there.
+
+    Raises:
+        DataError: it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"cannot make the folder {path}", got=error.strerror) from error
+
+
+class FolderLock:
+    """An exclusive lock on a folder, held until `release`; the system drops it when the process dies.
+
+    Raises:
+        DataError: another writer holds it, or the file system has no locks.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        try:
+            self._descriptor = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise DataError(f"cannot write into {folder}", got=error.strerror) from error
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            os.close(self._descriptor)
+            if isinstance(error, BlockingIOError):
+                raise DataError(f"another process is writing {folder}", hint="wait until it has ended") from None
+            raise DataError(f"{folder} cannot be locked", got=error.strerror) from error
+
+    def release(self) -> None:
+        """Let the next writer in."""
+        if self._descriptor >= 0:
+            # Explicitly, since a forked child may still hold a copy of the descriptor.
+            fcntl.flock(self._descriptor, fcntl.LOCK_UN)
+            os.close(self._descriptor)
+            self._descriptor = -1
