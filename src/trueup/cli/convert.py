@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -11,7 +11,9 @@ from trueup.cli import options
 from trueup.cli.console import note, out, problem, track
 from trueup.core.quality import Quality
 from trueup.dataset.importers.base import ImportOptions
-from trueup.stages.importing import ImportSummary
+
+if TYPE_CHECKING:
+    from trueup.stages import ImportSummary
 
 
 def register(app: typer.Typer) -> None:

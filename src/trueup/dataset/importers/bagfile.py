@@ -1,0 +1,230 @@
+"""One ROS bag: open it, list its topics, read messages; every failure of the bag library becomes a DataError."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.rosbag1 import Reader as Reader1
+from rosbags.rosbag2 import Reader as Reader2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from trueup.dataset.importers.files import inside
+from trueup.errors import ConfigError, DataError, FormatError, TrueupError
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+ARRAY = "std_msgs/msg/Float64MultiArray"
+TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+
+FILE_SUFFIXES = (".bag", ".mcap", ".db3")
+_METADATA = "metadata.yaml"
+_REPAIR = {
+    ".bag": "Repair it with `rosbag reindex FILE`, then import it again.",
+    ".mcap": "Recover what is readable with `mcap recover FILE -o FIXED.mcap`, then import that.",
+    ".db3": "Recover what is readable with `sqlite3 FILE .recover | sqlite3 FIXED.db3`, then import that.",
+    "": "Rebuild its metadata with `ros2 bag reindex FOLDER`, then import it again.",
+}
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a bag; several publishers give several connections."""
+
+    name: str
+    type: str
+    count: int
+
+    def __str__(self) -> str:
+        """For lists in error messages."""
+        return f"{self.name} ({self.type.replace('/msg/', '/')}, {self.count} messages)"
+
+
+class Bag:
+    """An open bag. Made by `open_bag`."""
+
+    def __init__(self, reader: Reader1 | Reader2, source: str) -> None:
+        self._reader = reader
+        self.source = source
+        self.ros1 = isinstance(reader, Reader1)
+        self._store = _store(ros1=self.ros1)
+        by_topic: dict[tuple[str, str], int] = {}
+        for connection in reader.connections:
+            key = (connection.topic, connection.msgtype)
+            by_topic[key] = by_topic.get(key, 0) + connection.msgcount
+        self.topics = tuple(Topic(name, kind, count) for (name, kind), count in sorted(by_topic.items()))
+
+    def deserializer(self, kind: str) -> Callable[[bytes], Any]:
+        """The function that turns the bytes of one message of this type into an object."""
+        deserialize = self._store.deserialize_ros1 if self.ros1 else self._store.deserialize_cdr
+        return lambda raw: deserialize(raw, kind)
+
+    def publishers(self, topic: Topic) -> tuple[str, ...]:
+        """Who published the topic, as far as the bag knows (ROS 1 only)."""
+        callers = (getattr(connection.ext, "callerid", None) for connection in self._connections([topic]))
+        return tuple(sorted({str(caller) for caller in callers if caller}))
+
+    def messages(self, topics: Sequence[Topic]) -> Iterator[tuple[str, int, bytes]]:
+        """Topic name, time of recording [ns] and bytes of every message, in the order of recording.
+
+        Raises:
+            FormatError: a type of these topics is not the one of that name in ROS.
+        """
+        connections = self._connections(topics)
+        for connection in connections:
+            self._check_definition(connection)
+        for connection, log_ns, raw in self._reader.messages(connections=connections):
+            yield connection.topic, log_ns, raw
+
+    def _connections(self, topics: Sequence[Topic]) -> list[Connection]:
+        wanted = {(topic.name, topic.type) for topic in topics}
+        return [item for item in self._reader.connections if (item.topic, item.msgtype) in wanted]
+
+    def _check_definition(self, connection: Connection) -> None:
+        # Bags carry message definitions, but types built from them would be code that came with the data.
+        if connection.msgdef.format is not MessageDefinitionFormat.MSG:
+            return
+        found = get_types_from_msg(connection.msgdef.data, connection.msgtype)[connection.msgtype][1]
+        known = self._store.fielddefs[connection.msgtype][1]
+        if [(name.lower(), kind) for name, kind in found] != [(name.lower(), kind) for name, kind in known]:
+            raise FormatError(
+                f"{self.source}: {connection.topic} has a type of its own called {connection.msgtype}",
+                got=[name for name, _ in found],
+                expected=[name for name, _ in known],
+            )
+
+
+@contextlib.contextmanager
+def open_bag(path: Path) -> Iterator[Bag]:
+    """Open a `.bag`, `.mcap` or `.db3` file, or a rosbag2 folder, for reading.
+
+    Raises:
+        DataError: the bag is empty, truncated or corrupt, also while it is read inside the `with` block.
+    """
+    try:
+        with Reader1(path) if path.suffix == ".bag" else Reader2(path) as reader:
+            yield Bag(reader, path.name)
+    except TrueupError:
+        raise
+    except Exception as error:  # the reader lets errors of many kinds through when bytes are damaged
+        what = " ".join(str(error).split())[:200] or type(error).__name__
+        suffix = path.suffix if path.is_file() else ""
+        raise DataError(f"{path} cannot be read as a bag", got=what, hint=_REPAIR[suffix]) from error
+
+
+def is_bag(path: Path) -> bool:
+    """Whether the path is a bag file, or a folder with a rosbag2 metadata file."""
+    if path.is_dir():
+        return (path / _METADATA).is_file()
+    return path.suffix in FILE_SUFFIXES and path.is_file()
+
+
+def find_bags(path: Path) -> tuple[Path, ...]:
+    """All bags at or below a path, in a stable order; a rosbag2 folder is one bag.
+
+    Raises:
+        DataError: a folder cannot be read, or a link leads out of it.
+    """
+    if is_bag(path):
+        return (path,)
+    if not path.is_dir():
+        return ()
+    found: list[Path] = []
+    try:
+        for child in sorted(path.iterdir()):
+            if not child.name.startswith(".") and (child.is_dir() or child.suffix in FILE_SUFFIXES):
+                found += find_bags(inside(path, child))
+    except OSError as error:
+        raise DataError(f"cannot read the folder {path}", got=error.strerror or str(error)) from error
+    return tuple(found)
+
+
+def bag_files(path: Path) -> tuple[Path, ...]:
+    """The files that make up a bag.
+
+    Raises:
+        DataError: a link leads out of the bag's folder.
+    """
+    if not path.is_dir():
+        return (path,)
+    return tuple(inside(path, child) for child in sorted(path.iterdir()) if child.is_file())
+
+
+def choose_measured(topics: Sequence[Topic], asked: str | None, source: str) -> Topic:
+    """The topic of the measured joint states.
+
+    The one asked for; else the only joint state topic that does not sound like a command; else `/joint_states`.
+
+    Raises:
+        ConfigError: the topic asked for is not there or of another type, or the choice is open.
+    """
+    if asked is not None:
+        return _asked(topics, asked, (JOINT_STATE,), source)
+    states = [topic for topic in topics if topic.type == JOINT_STATE]
+    candidates = _with_messages([topic for topic in states if not _sounds_like_command(topic)])
+    if len(candidates) != 1:
+        candidates = [topic for topic in states if topic.name == "/joint_states"] or candidates
+    if len(candidates) != 1:
+        raise ConfigError(
+            f"{source}: the measured topic is not clear" if candidates else f"{source} has no joint states to import",
+            available=topics,
+            hint="Name a sensor_msgs/JointState topic with --measured-topic.",
+        )
+    return candidates[0]
+
+
+def choose_command(topics: Sequence[Topic], asked: str | None, measured: Topic, source: str) -> Topic | None:
+    """The topic of the commands, or None if the bag has none.
+
+    The one asked for; else the only one that sounds like a command or holds trajectories.
+
+    Raises:
+        ConfigError: the topic asked for is not there or of another type, or the choice is open.
+    """
+    kinds = (JOINT_STATE, ARRAY, TRAJECTORY)
+    if asked == measured.name:
+        raise ConfigError(f"{source}: {asked} cannot be both command and measured", available=topics)
+    if asked is not None:
+        return _asked(topics, asked, kinds, source)
+    candidates = _with_messages(
+        [
+            topic
+            for topic in topics
+            if topic.type in kinds and topic != measured and (topic.type == TRAJECTORY or _sounds_like_command(topic))
+        ]
+    )
+    if len(candidates) > 1:
+        raise ConfigError(
+            f"{source}: the command topic is not clear",
+            available=candidates,
+            hint="Name one of them with --command-topic.",
+        )
+    return candidates[0] if candidates and candidates[0].count else None
+
+
+def _asked(topics: Sequence[Topic], name: str, kinds: Sequence[str], source: str) -> Topic:
+    same = [topic for topic in topics if topic.name == name]
+    usable = [topic for topic in same if topic.type in kinds]
+    if not usable:
+        what = f"topic {name} of {source} is of a type that cannot be used" if same else f"{source} has no topic {name}"
+        expected = " or ".join(kind.replace("/msg/", "/") for kind in kinds)
+        raise ConfigError(what, got=same[0].type if same else None, expected=expected, available=topics)
+    return usable[0]
+
+
+def _with_messages(topics: list[Topic]) -> list[Topic]:
+    return [topic for topic in topics if topic.count] or topics
+
+
+def _sounds_like_command(topic: Topic) -> bool:
+    return any(word in topic.name.lower() for word in ("command", "desired", "cmd", "target", "setpoint", "reference"))
+
+
+@cache
+def _store(*, ros1: bool) -> Typestore:
+    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)

@@ -1,0 +1,137 @@
+"""ROS bags: `.bag` (ROS 1), rosbag2 folders (sqlite3 and MCAP) and bare `.mcap` or `.db3` files.
+
+One bag is one episode. Measured is a `sensor_msgs/JointState` topic (effort is stored as torque); the command is
+another one, a `trajectory_msgs/JointTrajectory` or a `std_msgs/Float64MultiArray` whose joints the user states.
+Joints are matched by the names in each message.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from trueup.core.episode import Episode, EpisodeMeta
+from trueup.dataset.importers.bagfile import (
+    Bag,
+    Topic,
+    bag_files,
+    choose_command,
+    choose_measured,
+    find_bags,
+    is_bag,
+    open_bag,
+)
+from trueup.dataset.importers.bagseries import choose_clocks, command_series, measured_series
+from trueup.dataset.importers.bagtopics import read_topics
+from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
+from trueup.dataset.importers.beside import licence_beside, model_beside, splits_beside
+from trueup.dataset.importers.files import episode_id, file_hash, unique_ids
+from trueup.dataset.importers.stated import Stated, read_stated, with_units
+from trueup.errors import DataError, FormatError
+
+NAME = "rosbag"
+LOOKS_FOR = ".bag, .mcap or .db3 files, or folders with a rosbag2 metadata.yaml"
+
+
+def detects(path: Path) -> bool:
+    """Whether `path` is a bag, or a folder that holds one directly."""
+    try:
+        return is_bag(path) or (path.is_dir() and any(is_bag(child) for child in path.iterdir()))
+    except OSError:
+        return False
+
+
+def scan(path: Path, options: ImportOptions) -> ImportPlan:
+    """List the bags at or below `path`.
+
+    Raises:
+        FormatError: there is no bag.
+        ConfigError: the mapping file is wrong, or the topics of the first bag leave a choice open.
+        DataError: a folder cannot be read, or a link leads out of it.
+    """
+    stated = read_stated(options)
+    bags = find_bags(path)
+    if not bags:
+        raise FormatError(f"{path} holds no bag", expected=LOOKS_FOR)
+    root = path if path not in bags else path.resolve().parent
+    names = {bag: episode_id(_relative(bag, root).removesuffix(bag.suffix)) for bag in bags}
+    unique_ids((name, _relative(bag, root)) for bag, name in names.items())
+    splits, notes = splits_beside(root, {name: (_relative(bag, root),) for bag, name in names.items()})
+    sources = tuple(
+        EpisodeSource(
+            id=name,
+            load=partial(_load, root, bag, name, options, stated, splits.get(name, "")),
+            bytes=sum(file.stat().st_size for file in bag_files(bag)),
+        )
+        for bag, name in names.items()
+    )
+    return ImportPlan(
+        format=NAME,
+        root=root,
+        episodes=sources,
+        robot=stated.robot,
+        licence=licence_beside(root),
+        splits=splits,
+        model_dir=model_beside(root),
+        notes=(
+            *_first_topics(bags, options),
+            "units are those of ROS: rad, rad/s, Nm; name others with --unit, e.g. for prismatic joints",
+            *(notes if len(bags) > 1 else ()),
+        ),
+    )
+
+
+def _relative(bag: Path, root: Path) -> str:
+    return bag.resolve().relative_to(root.resolve()).as_posix()
+
+
+def _first_topics(bags: Sequence[Path], options: ImportOptions) -> tuple[str, ...]:
+    """The topics of the first readable bag, so that an open choice is told before anything is imported."""
+    for path in bags:
+        try:
+            with open_bag(path) as bag:
+                measured, command = _topics(bag, options)
+        except DataError:
+            continue  # its own episode says so when it is loaded
+        return (f"measured: {measured}", f"command: {command}" if command else "command: none found in the bag")
+    return ()
+
+
+def _topics(bag: Bag, options: ImportOptions) -> tuple[Topic, Topic | None]:
+    measured = choose_measured(bag.topics, options.measured_topic, bag.source)
+    return measured, choose_command(bag.topics, options.command_topic, measured, bag.source)
+
+
+def _load(root: Path, path: Path, name: str, options: ImportOptions, stated: Stated, split: str) -> Episode:
+    """Read one bag."""
+    with open_bag(path) as bag:
+        measured_topic, command_topic = _topics(bag, options)
+        groups, flags = read_topics(bag, [topic for topic in (measured_topic, command_topic) if topic], stated)
+    if not groups[0]:
+        raise DataError(f"{path}: {measured_topic} has no values to import", expected="position, velocity or effort")
+    groups = [series for series in groups if series]
+    clocks, clock_flag = choose_clocks(groups)
+    origin = min(int(clock.min()) for series in clocks for clock in series)
+    measured, measured_flags = measured_series(groups[0], clocks[0], origin, f"{path}, {measured_topic.name}")
+    flags += (clock_flag, *measured_flags)
+    command = None
+    if command_topic is not None and len(groups) > 1:
+        command, command_flags = command_series(groups[1], clocks[1], origin, f"{path}, {command_topic.name}")
+        flags += command_flags
+    joints = (*measured.joints, *(command.joints if command is not None else ()))
+    return Episode(
+        meta=EpisodeMeta(
+            id=name,
+            robot=stated.robot,
+            unit=stated.unit,
+            payload_kg=stated.payload_kg,
+            condition=stated.condition,
+            split=split,
+            source=_relative(path, root),
+            source_hash=file_hash(bag_files(path)),
+            flags=flags,
+        ),
+        measured=with_units(measured, stated.units, joints),
+        command=None if command is None else with_units(command, stated.units, joints),
+    )
