@@ -8,10 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from benchmarks.table import Row, at_most, print_table, shown
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from benchmarks.table import Row, at_most, print_table, shown
 from trueup.dataset.importers import rosbag
 from trueup.dataset.importers.base import ImportOptions
 
@@ -56,7 +56,7 @@ def load(folder: Path) -> None:
     assert episode.measured["torque"].shape == (MESSAGES, 7)
 
 
-def rows() -> list[Row]:
+def run() -> list[Row]:
     """Best of alternated runs in one process, on a file that is in the page cache."""
     runs: tuple[Callable[[Path], None], ...] = (load, iterate_and_deserialize, iterate)
     best = dict.fromkeys(runs, np.inf)

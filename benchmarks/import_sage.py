@@ -7,7 +7,6 @@ import time
 from pathlib import Path
 
 from benchmarks.table import Row, print_table
-
 from trueup.dataset.importers import sage
 from trueup.dataset.importers.base import ImportOptions
 
@@ -22,7 +21,7 @@ def recording() -> Path | None:
     return folder if folder.is_dir() else None
 
 
-def rows() -> list[Row]:
+def run() -> list[Row]:
     """Best of three runs over files that are in the page cache; nothing without the recording."""
     folder = recording()
     if folder is None:

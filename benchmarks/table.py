@@ -30,12 +30,12 @@ class Row:
 
 def at_most(name: str, value: float, limit: float, unit: str) -> Row:
     """A row for a figure that must not exceed its limit."""
-    return Row(name, value, limit, unit, value <= limit)
+    return Row(name, value, limit, unit, bool(value <= limit))
 
 
 def at_least(name: str, value: float, limit: float, unit: str) -> Row:
     """A row for a figure that must reach its limit."""
-    return Row(name, value, limit, unit, value >= limit)
+    return Row(name, value, limit, unit, bool(value >= limit))
 
 
 def shown(name: str, value: float, unit: str) -> Row:

@@ -22,7 +22,8 @@ def test_a_robot_of_ones_own(tmp_path):
     (tmp_path / "arm.yaml").write_text(GOOD)
     robot = load_robot(tmp_path / "arm.yaml")
     assert robot.joint_names == robot.scored_joints == ("a", "b")
-    assert [rule["log"] for rule in robot.joint_rules()["joints"]] == ["A", "b"]
+    rules = robot.joint_rules()["joints"]
+    assert {name: (rule["log"], rule["sign"]) for name, rule in rules.items()} == {"a": ("A", 1), "b": ("b", -1)}
 
 
 @pytest.mark.parametrize(

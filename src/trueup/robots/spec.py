@@ -173,17 +173,16 @@ class RobotSpec:
 
     def joint_rules(self) -> dict[str, Any]:
         """The map from log names to model names, as `align.JointMap.from_dict` reads it."""
-        rules = [
-            {
-                "joint": joint.name,
+        rules: dict[str, dict[str, Any]] = {}
+        for joint in self.joints:
+            rules[joint.name] = {
                 "log": joint.log or joint.name,
                 "sign": joint.sign,
                 "scale": joint.scale,
                 "offset": joint.offset,
-                "log_unit": joint.log_unit,
             }
-            for joint in self.joints
-        ]
+            if joint.log_unit is not None:
+                rules[joint.name]["log_unit"] = joint.log_unit
         return {"joints": rules, "ignore": list(self.ignore)}
 
     def to_dict(self) -> dict[str, Any]:

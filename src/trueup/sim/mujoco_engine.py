@@ -19,6 +19,7 @@ from trueup.sim.controllers import Channel, attach_controller
 from trueup.sim.model import compile_spec, load_spec
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_ABSURD = 1e6  # rad or m; MuJoCo itself gives up at 1e10
 _DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 
 # MuJoCo's own handler writes MUJOCO_LOG.TXT into the current folder; a divergence is reported as an error here.
@@ -124,6 +125,27 @@ class MujocoSimulator:
                 limits[spec.name] = (float(low), float(high))
         return limits
 
+    @property
+    def torque_limits(self) -> dict[str, float]:
+        """Joint name -> largest torque of its actuators [Nm or N]; joints without a limit are left out."""
+        limits: dict[str, float] = {}
+        for spec in self.robot.joints:
+            joint = self.model.joint(spec.name).id
+            if spec.torque_limit is not None:
+                limits[spec.name] = spec.torque_limit
+            elif self.model.jnt_actfrclimited[joint]:
+                limits[spec.name] = float(np.abs(self.model.jnt_actfrcrange[joint]).max())
+            else:
+                ranges = [
+                    np.abs(self.model.actuator_forcerange[self.model.actuator(channel.actuator).id]).max()
+                    for channel in self.channels
+                    if channel.joint == spec.name
+                    and self.model.actuator_forcelimited[self.model.actuator(channel.actuator).id]
+                ]
+                if ranges:
+                    limits[spec.name] = float(sum(ranges))
+        return limits
+
     def rollout(self, request: RolloutRequest) -> RolloutResult:
         """Simulate B motions of N steps.
 
@@ -207,11 +229,11 @@ class MujocoSimulator:
         return states
 
     def _refuse_divergence(self, position: Float[np.ndarray, "B N1 J"]) -> None:
-        # MuJoCo stops a rollout at its own threshold (1e10) before numbers turn into NaN.
         warned = any(data.warning[kind].number for data in self._data for kind in _DIVERGED)
-        bad = ~np.isfinite(position).all(axis=2) | (np.abs(position).max(axis=2) > 1e6)
-        if not warned and not bad.any():
+        # One pass over the numbers: a NaN makes the comparison false.
+        if not warned and np.abs(position).max() <= _ABSURD:
             return
+        bad = ~(np.abs(position) <= _ABSURD).all(axis=2)
         for data in self._data:
             mujoco.mj_resetData(self.model, data)
         row = int(np.argmax(bad.any(axis=0))) if bad.any() else position.shape[1] - 1

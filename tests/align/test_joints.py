@@ -1,0 +1,250 @@
+"""Joint maps: what they do to every signal, and that they can be undone."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from align.align_cases import make_series
+from trueup.align import JointMap, JointRule
+from trueup.core.timeseries import TimeSeries
+from trueup.errors import ConfigError, NameMismatch, UnitError
+
+SO101_JAW = JointRule("gripper", "Jaw", scale=1.92, offset=-0.17, log_unit="1")
+
+rules = st.builds(
+    lambda sign, scale, offset: (sign, scale, offset),
+    st.sampled_from([1, -1]),
+    st.floats(0.01, 100.0),
+    st.floats(-10.0, 10.0),
+)
+
+
+def random_series(seed, joints):
+    rng = np.random.default_rng(seed)
+    values = {
+        name: rng.normal(size=(7, len(joints)))
+        for name in ("position", "velocity", "acceleration", "torque", "current")
+    }
+    return make_series(np.arange(7.0), joints, **values)
+
+
+@given(st.lists(rules, min_size=1, max_size=4), st.integers(0, 99), st.randoms(use_true_random=False))
+def test_apply_then_invert_is_the_identity(choices, seed, shuffle):
+    log_names = [f"log{i}" for i in range(len(choices))]
+    joint_map = JointMap(
+        tuple(
+            JointRule(f"robot{i}", f"log{i}", sign=sign, scale=scale, offset=offset)
+            for i, (sign, scale, offset) in enumerate(choices)
+        )
+    )
+    shuffle.shuffle(log_names)
+    series = random_series(seed, log_names)
+    back = joint_map.invert().apply(joint_map.apply(series)).select(log_names)
+    assert back.joints == series.joints
+    for name in series.signals:
+        assert back.units[name] == series.units[name]
+        np.testing.assert_allclose(back[name], series[name], rtol=1e-9, atol=1e-9)
+
+
+@given(rules, st.integers(0, 99))
+def test_power_is_the_same_on_both_sides(choice, seed):
+    sign, scale, offset = choice
+    series = random_series(seed, ("x",))
+    robot = JointMap((JointRule("r", "x", sign=sign, scale=scale, offset=offset),)).apply(series)
+    np.testing.assert_allclose(robot["torque"] * robot["velocity"], series["torque"] * series["velocity"], rtol=1e-9)
+
+
+def test_each_signal_by_hand():
+    units = {
+        "position": ("deg",),
+        "velocity": ("deg/s",),
+        "acceleration": ("deg/s^2",),
+        "torque": ("mNm",),
+        "current": ("mA",),
+    }
+    log = make_series(
+        [0.0],
+        ("x",),
+        units=units,
+        position=[90.0],
+        velocity=[180.0],
+        acceleration=[-360.0],
+        torque=[500.0],
+        current=[250.0],
+    )
+    robot = JointMap((JointRule("r", "x", sign=-1, scale=2.0, offset=0.5),)).apply(log)
+    assert robot.joints == ("r",)
+    assert robot["position"][0, 0] == pytest.approx(-2.0 * np.pi / 2 + 0.5)
+    assert robot["velocity"][0, 0] == pytest.approx(-2.0 * np.pi)
+    assert robot["acceleration"][0, 0] == pytest.approx(2.0 * 2.0 * np.pi)
+    assert robot["torque"][0, 0] == pytest.approx(-0.25)
+    assert robot["current"][0, 0] == pytest.approx(-0.25)
+    assert robot.units == {
+        k: (v,)
+        for k, v in {
+            "position": "rad",
+            "velocity": "rad/s",
+            "acceleration": "rad/s^2",
+            "torque": "Nm",
+            "current": "A",
+        }.items()
+    }
+
+
+def test_gripper_in_shares_of_its_range_whose_rates_are_already_the_joints():
+    log = make_series(
+        [0.0, 1.0], ("Jaw",), units={"position": ("1",)}, position=[0.0, 0.5], velocity=[1.0, -1.0], torque=[0.3, 0.4]
+    )
+    robot = JointMap((SO101_JAW,)).apply(log)
+    np.testing.assert_allclose(robot["position"][:, 0], [-0.17, -0.17 + 0.96])
+    np.testing.assert_allclose(robot["velocity"], log["velocity"])
+    np.testing.assert_allclose(robot["torque"], log["torque"])
+    assert robot.units["position"] == ("rad",)
+    back = JointMap((SO101_JAW,)).invert().apply(robot)
+    np.testing.assert_allclose(back["position"], log["position"], atol=1e-12)
+    assert back.units["position"] == ("1",)
+
+
+def test_a_log_that_is_the_robots_passes_unchanged_gripper_included():
+    log = make_series([0.0], ("Jaw",), units={"position": ("1",)}, position=[0.5], velocity=[1.0], torque=[0.3])
+    same = JointMap.identity(("Jaw",)).apply(log)
+    assert {name: same[name].tolist() for name in same.signals} == {name: log[name].tolist() for name in log.signals}
+    assert same.units == log.units
+
+
+def test_gripper_rate_in_shares_is_scaled():
+    log = make_series([0.0], ("Jaw",), units={"position": ("1",), "velocity": ("1/s",)}, position=[0.0], velocity=[0.5])
+    robot = JointMap((SO101_JAW,)).apply(log)
+    assert robot["velocity"][0, 0] == pytest.approx(0.96)
+    assert robot.units["velocity"] == ("rad/s",)
+
+
+def test_log_unit_goes_before_what_the_log_claims():
+    log = make_series([0.0], ("x",), position=[180.0])
+    assert JointMap((JointRule("x", "x", log_unit="deg"),)).apply(log)["position"][0, 0] == pytest.approx(np.pi)
+
+
+def test_spindle_turns_angle_into_length_and_torque_into_force():
+    log = make_series([0.0], ("motor",), position=[2.0], velocity=[4.0], torque=[1.0])
+    robot = JointMap((JointRule("slide", "motor", scale=0.01, unit="m"),)).apply(log)
+    assert (robot["position"][0, 0], robot["velocity"][0, 0], robot["torque"][0, 0]) == pytest.approx(
+        (0.02, 0.04, 100.0)
+    )
+    assert [robot.units[name][0] for name in ("position", "velocity", "torque")] == ["m", "m/s", "N"]
+    both = JointMap((JointRule("slide", "motor", scale=0.01, log_unit="rad", unit="m"),))
+    back = both.invert().apply(both.apply(log))
+    for name in log.signals:
+        np.testing.assert_allclose(back[name], log[name])
+        assert back.units[name] == log.units[name]
+
+
+def test_order_is_the_robots_and_bodies_pass():
+    log = make_series([0.0], ("b", "a"), position=[[1.0, 2.0]])
+    log = TimeSeries(
+        log.time_s,
+        log.joints,
+        {**log.signals, "body.position": np.full((1, 1, 3), 5.0, dtype=np.float32)},
+        {**log.units, "body.position": ("mm",)},
+        bodies=("hand",),
+    )
+    robot = JointMap.identity(("a", "b")).apply(log)
+    assert robot["position"].tolist() == [[2.0, 1.0]]
+    np.testing.assert_allclose(robot["body.position"], 0.005)
+    assert robot["body.position"].dtype == np.float32
+    assert robot.units["body.position"] == ("m",)
+
+
+@pytest.mark.parametrize(("joints", "unknown", "missing"), [(("a", "b", "c"), "c", ""), (("a",), "", "b")])
+def test_names_that_do_not_agree_are_printed_in_full(joints, unknown, missing):
+    series = make_series([0.0], joints, position=[[0.0] * len(joints)])
+    with pytest.raises(NameMismatch) as caught:
+        JointMap.identity(("a", "b")).apply(series)
+    message = str(caught.value)
+    assert f"log has [{', '.join(joints)}]" in message
+    assert "map expects [a, b]" in message
+    assert (f"unknown: ['{unknown}']" in message) if unknown else (f"missing: ['{missing}']" in message)
+
+
+def test_ignored_joints_may_be_there_or_not():
+    joint_map = JointMap(JointMap.identity(("a",)).rules, ignore=("extra",))
+    for joints in (("extra", "a"), ("a",)):
+        series = make_series([0.0], joints, position=[[float(name == "a") for name in joints]])
+        assert joint_map.apply(series)["position"].tolist() == [[1.0]]
+
+
+def test_for_series_tells_log_and_robot_apart():
+    joint_map = JointMap((SO101_JAW,))
+    log = make_series([0.0], ("Jaw",), units={"position": ("1",)}, position=[0.5])
+    robot = joint_map.apply(log)
+    assert joint_map.for_series(log) is joint_map
+    assert joint_map.for_series(robot).apply(robot)["position"].tolist() == robot["position"].tolist()
+    with pytest.raises(NameMismatch):
+        joint_map.for_series(make_series([0.0], ("jaw",), position=[0.5]))
+    unconverted = make_series([0.0], ("gripper",), units={"position": ("1",)}, position=[0.5])
+    with pytest.raises(UnitError, match="gripper"):
+        joint_map.for_series(unconverted)
+
+
+def test_for_series_takes_a_robot_log_in_degrees():
+    joint_map = JointMap((JointRule("r", "x", sign=-1),))
+    series = make_series([0.0], ("r",), units={"position": ("deg",)}, position=[180.0])
+    assert joint_map.for_series(series).apply(series)["position"][0, 0] == pytest.approx(np.pi)
+
+
+def test_an_unquoted_1_of_yaml_is_a_ratio():
+    assert JointMap.from_dict({"joints": {"a": {"log_unit": 1}}}).rules[0].log_unit == "1"
+
+
+def test_dictionary_round_trip_is_plain_json():
+    joint_map = JointMap((SO101_JAW, JointRule("pan", "Rotation", sign=-1)), ignore=("extra",))
+    data = json.loads(json.dumps(joint_map.to_dict()))
+    assert JointMap.from_dict(data) == joint_map
+    assert data["joints"]["pan"] == {"log": "Rotation", "sign": -1}
+    assert JointMap.from_dict({"joints": {"a": {}}}) == JointMap.identity(("a",))
+
+
+@pytest.mark.parametrize(
+    ("entry", "word"),
+    [
+        ({"logs": "x"}, "logs"),
+        ({"sign": 2}, "sign"),
+        ({"sign": True}, "sign"),
+        ({"scale": 0.0}, "scale"),
+        ({"scale": -1.0}, "scale"),
+        ({"scale": "2"}, "scale"),
+        ({"offset": float("nan")}, "offset"),
+        ({"log_unit": 2}, "log_unit"),
+        ({"log": 1}, "log"),
+        ({"sign": 0.5}, "sign"),
+        ({"unit": "deg"}, "unit"),
+        ("x", "mapping"),
+    ],
+)
+def test_bad_rules_are_refused(entry, word):
+    with pytest.raises(ConfigError, match=word):
+        JointMap.from_dict({"joints": {"a": entry}})
+
+
+@pytest.mark.parametrize("data", [{}, {"joints": []}, {"joints": {}, "ignore": "a"}, {"joints": {}, "other": 1}, []])
+def test_bad_maps_are_refused(data):
+    with pytest.raises(ConfigError):
+        JointMap.from_dict(data)
+
+
+def test_units_that_do_not_fit_are_refused():
+    with pytest.raises(UnitError):
+        JointRule("a", "a", log_unit="Nm")
+    for units in ({"velocity": ("Nm",)}, {"torque": ("A",)}, {"position": ("furlong",)}):
+        signal = next(iter(units))
+        with pytest.raises(UnitError):
+            JointMap.identity(("a",)).apply(make_series([0.0], ("a",), units=units, **{signal: [1.0]}))
+
+
+def test_a_joint_twice_is_refused():
+    with pytest.raises(NameMismatch):
+        JointMap((JointRule("a", "x"), JointRule("b", "x")))
+    with pytest.raises(NameMismatch):
+        JointMap((JointRule("a", "x"),), ignore=("x",))
