@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from trueup.dataset import Dataset as Dataset
-    from trueup.lab import record_demo as record_demo
     from trueup.report import write_report as write_report
     from trueup.robots import load_robot as load_robot
     from trueup.stages import close as close
+    from trueup.stages import demo_dataset as demo_dataset
     from trueup.stages import gap as gap
     from trueup.stages import import_logs as import_logs
     from trueup.stages import replay as replay
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 _WHERE = {
     "Dataset": "trueup.dataset",
     "close": "trueup.stages",
+    "demo_dataset": "trueup.stages",
     "gap": "trueup.stages",
     "import_logs": "trueup.stages",
     "load_robot": "trueup.robots",
-    "record_demo": "trueup.lab",
     "replay": "trueup.stages",
     "write_report": "trueup.report",
 }
@@ -35,10 +35,10 @@ _WHERE = {
 __all__ = [
     "Dataset",
     "close",
+    "demo_dataset",
     "gap",
     "import_logs",
     "load_robot",
-    "record_demo",
     "replay",
     "write_report",
 ]

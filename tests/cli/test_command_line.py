@@ -13,7 +13,7 @@ import pytest
 from trueup.cli.main import main
 from trueup.core.results import GapResult, Ladder
 from trueup.dataset import Dataset
-from trueup.stages.demo import demo_dataset
+from trueup.stages.demonstrating import demo_dataset
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, O
 from trueup.robots import JointSpec, find_model, load_robot
 from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode
 from trueup.stages import close, gap, replay
-from trueup.stages.demo import demo_dataset
+from trueup.stages.demonstrating import demo_dataset
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ def demo(
     overwrite: options.Overwrite = False,
 ) -> int:
     """Close on the built-in arm, whose hardware has other gains, friction, delay and payload than its model."""
-    from trueup.stages.demo import demo as run
+    from trueup.stages.demonstrating import demo as run
 
     closed = run(out_dir, seed=seed, jobs=jobs, overwrite=overwrite, track=track)
     out.print("12 motions of the built-in arm, recorded on hardware that its model does not know", markup=False)

@@ -1,0 +1,307 @@
+"""The report in a real browser: what a reader sees and does."""
+
+import base64
+import json
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from report.run_folders import World, make_run
+from trueup.report import write_report
+
+pytestmark = pytest.mark.browser
+
+OPTIONS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-dev-shm-usage",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--no-first-run",
+    "--force-device-scale-factor=1",
+    "--force-prefers-reduced-motion",  # a click must not chase a page that still scrolls
+)
+
+
+def program(*names):
+    """A browser program; without it the tests are skipped, in CI they fail."""
+    found = next((path for path in map(shutil.which, names) if path), None)
+    if found is None:
+        message = f"{names[0]} is not installed: apt-get install chromium chromium-driver"
+        if os.environ.get("CI"):
+            pytest.fail(message)
+        pytest.skip(message)
+    return found
+
+
+@pytest.fixture(scope="module")
+def driver():
+    browser, chromedriver = program("chromium", "chromium-browser", "google-chrome"), program("chromedriver")
+    webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is in the extra report-test")
+    options = webdriver.ChromeOptions()
+    options.binary_location = browser
+    for option in OPTIONS:
+        options.add_argument(option)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    service = webdriver.ChromeService(executable_path=chromedriver)
+    window = webdriver.Chrome(options=options, service=service)
+    window.set_script_timeout(30)
+    yield window
+    window.quit()
+
+
+@pytest.fixture(scope="module")
+def page(run_folder, tmp_path_factory) -> Path:
+    return write_report(run_folder, tmp_path_factory.mktemp("page") / "report.html")
+
+
+def view(driver, width, height=900, *, mobile=False):
+    size = {"width": width, "height": height, "deviceScaleFactor": 2 if mobile else 1, "mobile": mobile}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+
+
+def show(driver, page, width=1280, *, mobile=False):
+    view(driver, width, mobile=mobile)
+    for kind in ("browser", "performance"):
+        driver.get_log(kind)
+    driver.get(page.as_uri())
+    wait_for(driver, "return document.querySelectorAll('#trace-figure .scatterlayer .trace').length > 0")
+
+
+def wait_for(driver, script):
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    WebDriverWait(driver, 20).until(lambda window: window.execute_script(script))
+
+
+def problems(driver):
+    return [entry["message"] for entry in driver.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")]
+
+
+def requests(driver):
+    messages = [json.loads(entry["message"])["message"] for entry in driver.get_log("performance")]
+    sent = [item["params"] for item in messages if item["method"] == "Network.requestWillBeSent"]
+    return [item["request"]["url"] for item in sent]
+
+
+def curves(driver):
+    """Name, axis, and first, middle and last value of every curve that is drawn."""
+    return driver.execute_script(
+        "return document.getElementById('trace-figure').data.map((curve) => [curve.name, curve.yaxis || 'y',"
+        " curve.y.length, curve.y[0], curve.y[curve.y.length >> 1], curve.y[curve.y.length - 1]])"
+    )
+
+
+def paths(driver):
+    script = "return [...document.querySelectorAll('#trace-figure .scatterlayer path.js-line')].map((p) => p.getAttribute('d'))"
+    return driver.execute_script(script)
+
+
+def choose(driver, name, text):
+    from selenium.webdriver.support.ui import Select
+
+    Select(driver.find_element("id", f"trace-{name}")).select_by_visible_text(text)
+
+
+def screenshot(driver, path):
+    size = driver.execute_script("const e = document.documentElement; return [e.clientWidth, e.scrollHeight]")
+    clip = {"x": 0, "y": 0, "width": size[0], "height": size[1], "scale": 1}
+    command = {"format": "png", "captureBeyondViewport": True, "clip": clip}
+    path.write_bytes(base64.b64decode(driver.execute_cdp_cmd("Page.captureScreenshot", command)["data"]))
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert path.stat().st_size > 50_000
+
+
+def test_it_opens_without_errors_and_without_the_network(driver, page, tmp_path):
+    show(driver, page)
+    figures = driver.execute_script(
+        "return [...document.querySelectorAll('.figure')].map((e) => e.data ? e.data.length : 0)"
+    )
+    assert len(figures) == 7
+    assert all(figures)
+    screenshot(driver, tmp_path / "desktop.png")
+    assert problems(driver) == []
+    urls = requests(driver)
+    assert page.as_uri() in urls
+    assert all(url.startswith(("file:", "data:", "blob:")) for url in urls)
+
+
+def test_curves_and_residuals_are_drawn(driver, page):
+    show(driver, page)
+    drawn = curves(driver)
+    assert [name for name, axis, *_ in drawn if axis == "y"] == ["measured", "command", "mujoco/stock", "mujoco/fitted"]
+    assert [name for name, axis, *_ in drawn if axis == "y2"] == [
+        "residual command",
+        "residual mujoco/stock",
+        "residual mujoco/fitted",
+    ]
+    assert len(paths(driver)) == 7
+    by_name = {name: values for name, _, *values in drawn}
+    for run in ("command", "mujoco/stock", "mujoco/fitted"):
+        for row in (1, 2, 3):
+            expected = by_name["measured"][row] - by_name[run][row]
+            assert by_name[f"residual {run}"][row] == pytest.approx(expected, abs=1e-6)
+
+
+def test_drawn_values_are_those_of_the_recording(driver, page, run_folder):
+    from trueup.core.traces import TraceSet
+
+    show(driver, page)
+    choose(driver, "episode", "chirp_sweep")
+    choose(driver, "joint", "gripper")
+    traces = TraceSet.load(run_folder).episodes["chirp_sweep"].traces
+    trace = next(item for item in traces if (item.signal, item.joint) == ("position", "gripper"))
+    measured = driver.execute_script("return Array.from(document.getElementById('trace-figure').data[0].y)")
+    assert measured == pytest.approx(trace.curves["measured"].tolist())
+
+
+def test_each_menu_changes_the_curves(driver, page):
+    show(driver, page)
+    for menu, text in (("episode", "pick_place"), ("joint", "gripper"), ("signal", "torque")):
+        before, lines = curves(driver), paths(driver)
+        choose(driver, menu, text)
+        assert curves(driver) != before
+        assert paths(driver) != lines
+        assert text in driver.find_element("id", "trace-figure").get_attribute("aria-label")
+    assert problems(driver) == []
+
+
+def test_a_run_can_be_hidden_and_degrees_shown(driver, page):
+    show(driver, page)
+    radians = curves(driver)
+    driver.find_element("css selector", "#trace-runs input[value='mujoco/stock']").click()
+    assert {name for name, *_ in curves(driver)} == {name for name, *_ in radians if "stock" not in name}
+    driver.find_element("id", "trace-degrees").click()
+    assert curves(driver)[0][3] == pytest.approx(radians[0][3] * 57.29578, rel=1e-5)
+    assert "[deg]" in driver.execute_script("return document.getElementById('trace-figure').layout.yaxis.title.text")
+
+
+def test_the_keyboard_changes_motion_and_joint(driver, page):
+    from selenium.webdriver.common.keys import Keys
+
+    show(driver, page)
+    figure = driver.find_element("id", "trace-figure")
+    label = figure.get_attribute("aria-label")
+    figure.send_keys(Keys.ARROW_RIGHT)
+    after = figure.get_attribute("aria-label")
+    assert after.split(" in motion ")[1] != label.split(" in motion ")[1]
+    figure.send_keys(Keys.ARROW_DOWN)
+    assert figure.get_attribute("aria-label").split(" in motion ")[0] != after.split(" in motion ")[0]
+    joint = driver.find_element("id", "trace-joint")
+    chosen = joint.get_property("value")
+    joint.send_keys(Keys.HOME)
+    joint.send_keys(Keys.ARROW_DOWN)
+    assert joint.get_property("value") in ("elbow_flex", chosen)
+    assert joint.get_property("value") in figure.get_attribute("aria-label")
+
+
+def test_a_flag_opens_its_trace_and_is_marked_there(driver, page):
+    show(driver, page)
+    row = driver.find_element("css selector", "#flags tr[data-trace-joint='elbow_flex'] button")
+    row.click()
+    label = driver.find_element("id", "trace-figure").get_attribute("aria-label")
+    assert label.startswith("torque of joint elbow_flex in motion single_joint_wrist_roll")
+    # the recording starts at 5 s, the flag spans 9.1 to 10.5 s
+    (mark,) = driver.execute_script("return document.getElementById('trace-figure').layout.shapes")
+    assert (mark["x0"], mark["x1"]) == pytest.approx((4.1, 5.5))
+    assert "torque stays at 10.0 Nm" in driver.find_element("id", "trace-flags").text
+
+
+def test_motions_are_sorted_worst_first_and_open_their_trace(driver, page):
+    show(driver, page)
+
+    def column(number):
+        script = "return [...document.querySelectorAll('#episodes tbody tr')].map((r) => r.cells[arguments[0]].dataset.value)"
+        return [float(value) for value in driver.execute_script(script, number)]
+
+    assert column(4) == sorted(column(4), reverse=True)
+    header = driver.find_element("css selector", "#episodes th:nth-child(3) button")
+    header.click()
+    assert column(2) == sorted(column(2), reverse=True)
+    header.click()
+    assert column(2) == sorted(column(2))
+    first = driver.find_element("css selector", "#episodes tbody tr button")
+    name = first.text
+    first.click()
+    assert f"in motion {name}:" in driver.find_element("id", "trace-figure").get_attribute("aria-label")
+
+
+def test_menus_swap_tables_and_bars(driver, page, run_folder):
+    from selenium.webdriver.support.ui import Select
+
+    from trueup.core.results import GapResult
+
+    show(driver, page)
+    server_side = driver.execute_script("return document.querySelector('#joints [data-table=joints]').innerText")
+    split, signal, metric = driver.find_elements("css selector", "#joints select")
+    Select(split).select_by_value("train")
+    Select(signal).select_by_value("velocity")
+    changed = driver.execute_script("return document.querySelector('#joints [data-table=joints]').innerText")
+    result = GapResult.load(run_folder / "gap.json").runs["mujoco/stock"]["train"]["velocity"]["rmse"]
+    assert f"{result.per_joint['gripper'].value:#.3g}\N{NO-BREAK SPACE}rad/s" in changed
+    # The command holds no velocity: its column is gone, and paired comparisons are of position only.
+    assert "command" not in changed
+    assert driver.execute_script("return document.querySelector('#joints [data-table=pairs]').hidden")
+    Select(signal).select_by_value("position")
+    Select(split).select_by_value("test")
+    assert metric.get_property("value") == "rmse"
+    again = driver.execute_script("return document.querySelector('#joints [data-table=joints]').innerText")
+    assert again.split() == server_side.split()
+
+
+def test_it_fits_a_phone(driver, page, tmp_path):
+    show(driver, page, 390, mobile=True)
+    wide, narrow = driver.execute_script("const e = document.documentElement; return [e.scrollWidth, e.clientWidth]")
+    assert narrow == 390
+    assert wide <= narrow
+    sticking_out = driver.execute_script(
+        "return [...document.querySelectorAll('main *')].filter((e) => !e.closest('.scroll') && !e.closest('svg')"
+        " && e.getBoundingClientRect().right > 391).map((e) => e.outerHTML.slice(0, 80))"
+    )
+    assert sticking_out == []
+    screenshot(driver, tmp_path / "phone.png")
+
+
+def test_dark_theme_redraws_the_figures(driver, page):
+    show(driver, page)
+
+    def measured_color():
+        return driver.execute_script("return document.getElementById('trace-figure').data[0].line.color")
+
+    light = measured_color()
+    driver.execute_cdp_cmd(
+        "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
+    )
+    try:
+        wait_for(driver, f"return document.getElementById('trace-figure').data[0].line.color !== '{light}'")
+        assert measured_color() != light
+    finally:
+        driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
+def test_it_prints(driver, page):
+    show(driver, page)
+    assert base64.b64decode(driver.print_page()).startswith(b"%PDF")
+    wait_for(driver, "return document.getElementById('trace-figure').offsetWidth > 900")
+    assert problems(driver) == []
+
+
+def test_hostile_names_are_only_text(driver, tmp_path):
+    joints = ("</script><script>window.hacked=1</script>", "<img src=x onerror='window.hacked=2'>", "__proto__")
+    names = tuple(f"{number} <svg onload='window.hacked=3'> constructor" for number in range(8))
+    runs = ("x/<i>stock</i>", "toString")
+    world = World(joints=joints, scored=joints[:2], runs=runs, names=names, samples=120)
+    page = write_report(make_run(tmp_path / "run", world))
+    show(driver, page)
+    for joint in joints:
+        choose(driver, "joint", joint)
+        assert joint in driver.find_element("id", "trace-figure").get_attribute("aria-label")
+    from selenium.webdriver.support.ui import Select
+
+    Select(driver.find_elements("css selector", "#joints select")[0]).select_by_value("all")
+    assert driver.execute_script("return window.hacked") is None
+    assert not driver.find_elements("css selector", "main img, main i, main svg[onload]")
+    assert problems(driver) == []
