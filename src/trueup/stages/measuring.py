@@ -42,8 +42,9 @@ class Measurement:
     traces: TraceSet
     quality: Quality
 
-    def save(self, folder: Path) -> None:
+    def save(self, folder: Path | str) -> None:
         """Write gap.json, analysis.json, quality.json, traces.json and traces.npz."""
+        folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         self.traces.save(folder)
         self.analysis.save(folder / "analysis.json")

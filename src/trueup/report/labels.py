@@ -1,0 +1,89 @@
+"""Order and wording of splits, signals, metrics and runs."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable
+
+from trueup.core.results import Metrics
+from trueup.report.numbers import pretty_unit
+
+COMMAND = "command"
+SPLITS = ("train", "val", "test", "all")
+SIGNALS = ("position", "velocity", "acceleration", "torque", "current", "voltage", "temperature")
+# The number that the report is about.
+MAIN_METRIC = "rmse"
+METRICS = {
+    "rmse": "RMSE (root mean square error)",
+    "mae": "MAE (mean absolute error)",
+    "max": "largest error",
+    "mse": "MSE (mean square error)",
+    "nrmse": "NRMSE (RMSE over the measured range)",
+    "mape": "MAPE (mean absolute percentage error)",
+    "phase_lag": "phase lag",
+    "large_gap_ratio": "large-gap ratio (share of samples)",
+    "pearson": "correlation (Pearson)",
+    "cosine": "cosine similarity",
+    "ccc": "concordance correlation (CCC)",
+    "r2": "R² (coefficient of determination)",
+    "iqr": "interquartile range of the error",
+    "range": "range of the error",
+    "trajectory_consistency": "trajectory consistency",
+    "smoothness": "smoothness",
+    "robustness": "robustness",
+    "position_norm": "mean distance of bodies",
+    "rotation_distance": "mean rotation between bodies",
+}
+SPLIT_TITLES = {"train": "train", "val": "validation", "test": "test", "all": "all motions", "": "not assigned"}
+
+
+def ordered(names: Iterable[str], known: Iterable[str]) -> list[str]:
+    """Known names in their order, then the others by alphabet."""
+    present, first = set(names), list(known)
+    return [name for name in first if name in present] + sorted(present.difference(first))
+
+
+def ordered_runs(labels: Iterable[str]) -> list[str]:
+    """The command first, then stock simulators, then the others by alphabet: the order in which a gap is closed."""
+    return sorted(labels, key=lambda label: (label != COMMAND, "stock" not in label.split("/")[-1], label))
+
+
+def run_title(label: str) -> str:
+    """What a run is called where it needs no further words."""
+    return "command as motion" if label == COMMAND else label
+
+
+def source_title(label: str) -> str:
+    """What the measured motion lags behind."""
+    return "behind the command" if label == COMMAND else f"behind {label}"
+
+
+def split_title(split: str) -> str:
+    """A split as people call it."""
+    return SPLIT_TITLES.get(split, split)
+
+
+def metric_title(metric: str) -> str:
+    """A metric with its meaning where it is known."""
+    return METRICS.get(metric, metric.replace("_", " "))
+
+
+def axis_title(signal: str, metric: str, unit: str) -> str:
+    """`position RMSE [rad]`."""
+    name = f"{signal} {metric_title(metric).split(' (')[0]}"
+    return f"{name} [{pretty_unit(unit)}]" if pretty_unit(unit) else name
+
+
+def plot_text(text: str) -> str:
+    """A name as plotly must be given it, whose labels know a few HTML tags."""
+    return html.escape(text, quote=False)
+
+
+def main_split(splits: Iterable[str]) -> str:
+    """The split that a verdict is about: what was held back, if anything was."""
+    return ordered(splits, ("test", "val", "all", "train"))[0]
+
+
+def main_signal(metrics: Metrics) -> str:
+    """Position if it was compared, else the first signal that was."""
+    return ordered(metrics, SIGNALS)[0]

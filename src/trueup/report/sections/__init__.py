@@ -1,0 +1,30 @@
+"""The sections of the report, in reading order."""
+
+from collections.abc import Callable
+
+from trueup.report.folder import RunFolder
+from trueup.report.sections.base import Section as Section
+from trueup.report.sections.causes import causes_section
+from trueup.report.sections.episodes import episodes_section
+from trueup.report.sections.flags import flags_section
+from trueup.report.sections.groups import groups_section
+from trueup.report.sections.joints import joints_section
+from trueup.report.sections.ladder import ladder_section
+from trueup.report.sections.provenance import provenance_section
+from trueup.report.sections.traces import traces_section
+from trueup.report.sections.verdict import verdict_section
+
+# Each takes the run and returns its section, or None when there is nothing to show.
+SECTIONS: tuple[Callable[[RunFolder], Section | None], ...] = (
+    verdict_section,
+    ladder_section,
+    joints_section,
+    groups_section,
+    traces_section,
+    causes_section,
+    flags_section,
+    episodes_section,
+    provenance_section,
+)
+
+__all__ = ["SECTIONS", "Section"]

@@ -1,0 +1,96 @@
+"""The verdict: a sentence, and four tiles that repeat its numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from trueup.core.quality import Quality
+from trueup.report.folder import RunFolder
+from trueup.report.labels import COMMAND, split_title
+from trueup.report.numbers import in_degrees, interval, percent, plural, quantity, with_unit
+from trueup.report.sections.base import Section
+from trueup.report.verdict import (
+    Comparison,
+    Headline,
+    JointError,
+    compare,
+    extreme_joints,
+    find_headline,
+    gap_sentence,
+    joints_sentence,
+    tone_words,
+)
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A number that is read from afar.
+
+    Attributes:
+        title: what it is.
+        value: the number.
+        note: below it.
+        tone: `better`, `worse`, `undecided`, or empty.
+    """
+
+    title: str
+    value: str
+    note: str = ""
+    tone: str = ""
+
+
+def verdict_section(run: RunFolder) -> Section:
+    """Always there; without any RMSE it says so."""
+    headline = find_headline(run.gap, run.ladder)
+    if headline is None:
+        sentence = "This run holds no RMSE of any signal, so there is no verdict; see the tables below."
+        return Section("verdict", "Verdict", {"lead": sentence, "sentences": [], "tiles": []})
+    comparisons = [compare(headline, label, run.gap) for label in run.runs]
+    found = [item for item in comparisons if item is not None]
+    extremes = extreme_joints(headline, run.gap)
+    sentences = [item.sentence for item in found]
+    sentences += [headline.reason] if headline.reason else []
+    sentences += [joints_sentence(*extremes)] if extremes else []
+    sentences += [quality_sentence(run.quality)] if run.quality else []
+    return Section(
+        "verdict",
+        "Verdict",
+        {"lead": gap_sentence(headline, run.gap), "sentences": sentences, "tiles": tiles(headline, found, extremes)},
+    )
+
+
+def tiles(
+    headline: Headline, comparisons: list[Comparison], extremes: tuple[JointError, JointError] | None
+) -> list[Tile]:
+    """The gap, its change against the command, the worst and the best joint; what is not known is left out."""
+    total = headline.result.total
+    ends = interval(total)
+    note = with_unit(ends, total.unit) if ends else "no interval"
+    degrees = in_degrees(total.value, total.unit)
+    result = [
+        Tile(
+            f"{headline.signal.capitalize()} RMSE, {split_title(headline.split)}",
+            quantity(total.value, total.unit),
+            f"{degrees} · {note}" if degrees else note,
+        )
+    ]
+    against = next((item for item in comparisons if item.baseline == COMMAND), None)
+    if against is not None:
+        result.append(Tile("Against the command", percent(against.ratio), tone_words(against.tone), against.tone))
+    for title, item in zip(("Worst joint", "Best joint"), extremes or (), strict=False):
+        value = quantity(item.error.value, item.error.unit)
+        degrees = in_degrees(item.error.value, item.error.unit)
+        result.append(Tile(title, item.joint, f"{value} · {degrees}" if degrees else value))
+    return result
+
+
+def quality_sentence(quality: Quality) -> str:
+    """How many motions carry warnings and how many were left out."""
+    items = quality.episodes.values()
+    total, warned = len(items), sum(item.warned for item in items)
+    dropped = sum(item.dropped for item in items)
+    left_out = "none was left out" if dropped == 0 else f"{dropped} {'was' if dropped == 1 else 'were'} left out"
+    if warned == 0:
+        return f"Quality checks raised no warning on {plural(total, 'motion')}; {left_out}."
+    verb = "carries" if warned == 1 else "carry"
+    return f"Of {plural(total, 'motion')}, {warned} {verb} a quality warning; {left_out}."
