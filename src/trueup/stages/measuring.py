@@ -61,6 +61,7 @@ class _Frame:
     torque_limits: dict[str, float] | None
     window_s: float | None
     follows_motion: bool
+    robot: str
 
 
 def gap(
@@ -143,6 +144,8 @@ def gap(
             available=labels,
             hint="Make a run first: trueup replay DATASET --robot ROBOT.",
         )
+    names = {"robot": frame.robot or dataset.info.robot, "dataset": dataset.path.resolve().name}
+    result = replace(result, settings={**result.settings, **names})
     return Measurement(result, builder.result(lags_of(result)), traces, _quality(dataset, set(kept), frame.joint_map))
 
 
@@ -169,6 +172,7 @@ def _frame(dataset: Dataset, labels: Sequence[str], robot: RobotSpec | None) -> 
         torque_limits={**base.get("torque_limits", {}), **limits} or None,
         window_s=next(iter(windows.values()), None),
         follows_motion=base.get("command_signal", "position") in ("position", "velocity"),
+        robot=robot.name if robot else base.get("inputs", {}).get("robot", {}).get("name", ""),
     )
 
 
