@@ -141,8 +141,8 @@ def test_one_bad_motion_does_not_stop_a_close(tmp_path):
 def test_the_same_inputs_give_the_same_results(tmp_path):
     results = []
     for name in ("a", "b"):
-        data = demo_dataset(tmp_path / name)
-        close(data, load_robot("demo_arm"), tmp_path / f"{name}_out", jobs=2)
-        gap_json = (tmp_path / f"{name}_out" / "gap.json").read_text()
+        data = demo_dataset(tmp_path / name / "data")
+        close(data, load_robot("demo_arm"), tmp_path / name / "out", jobs=2)
+        gap_json = (tmp_path / name / "out" / "gap.json").read_text()
         results.append([line for line in gap_json.splitlines() if '"created"' not in line])
     assert results[0] == results[1]

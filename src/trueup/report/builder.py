@@ -19,7 +19,7 @@ from trueup.report.sections import SECTIONS
 REPORT_NAME = "report.html"
 
 
-def build_report(folder: Path) -> str:
+def build_report(folder: Path | str) -> str:
     """The report of a finished run as one self-contained HTML page.
 
     The folder holds gap.json and, if they were made, ladder.json, traces.json with traces.npz, quality.json and
@@ -29,7 +29,7 @@ def build_report(folder: Path) -> str:
         DataError: there is no gap.json, or a file is broken.
         FormatError: a file holds something else, or was written by another version.
     """
-    run = RunFolder.load(folder)
+    run = RunFolder.load(Path(folder))
     sections = [section for make in SECTIONS if (section := make(run)) is not None]
     page = _environment().get_template("page.html.j2")
     return page.render(
@@ -41,7 +41,7 @@ def build_report(folder: Path) -> str:
     )
 
 
-def write_report(folder: Path, out: Path | None = None) -> Path:
+def write_report(folder: Path | str, out: Path | str | None = None) -> Path:
     """Build the report of a run and write it atomically.
 
     Args:
@@ -54,7 +54,7 @@ def write_report(folder: Path, out: Path | None = None) -> Path:
     Raises:
         TrueupError: as `build_report`, or the file cannot be written.
     """
-    path = out if out is not None else folder / REPORT_NAME
+    path = Path(folder) / REPORT_NAME if out is None else Path(out)
     write_text(path, build_report(folder))
     return path
 
