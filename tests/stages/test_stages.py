@@ -146,3 +146,22 @@ def test_the_same_inputs_give_the_same_results(tmp_path):
         gap_json = (tmp_path / name / "out" / "gap.json").read_text()
         results.append([line for line in gap_json.splitlines() if '"created"' not in line])
     assert results[0] == results[1]
+
+
+def test_a_motion_far_from_the_simulation_is_noted(tmp_path):
+    twin = twin_dataset(tmp_path / "twin")
+    with DatasetWriter.create(tmp_path / "noisy", DatasetInfo(robot="demo_arm")) as writer:
+        for index in range(8):
+            episode = twin[index % 4]
+            noise = 1e-3 * np.random.default_rng(index).standard_normal(episode.measured["position"].shape)
+            pushed = 0.3 * (index == 5)  # as if something had held the arm aside
+            position = {
+                "position": episode.measured["position"] + noise + pushed * (episode.measured.time_s > 1)[:, None]
+            }
+            measured = replace(episode.measured, signals=position)
+            writer.append(replace(episode, meta=EpisodeMeta(f"motion{index}"), measured=measured))
+    closed = close(tmp_path / "noisy", load_robot("demo_arm"), tmp_path / "out")
+    flags = {name: item.flags for name, item in closed.measurement.quality.episodes.items()}
+    assert {name for name, found in flags.items() if "far_from_simulation" in {flag.kind for flag in found}} == {
+        "motion5"
+    }

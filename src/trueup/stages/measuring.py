@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from trueup.align import JointMap, resample
+from trueup.align import JointMap, position_mse, resample, robust_threshold
 from trueup.core.analysis import Analysis
-from trueup.core.episode import Episode
+from trueup.core.episode import Episode, Flag
 from trueup.core.provenance import provenance
 from trueup.core.quality import EpisodeQuality, Quality
 from trueup.core.results import GapResult
@@ -24,6 +24,8 @@ from trueup.measure import COMMAND_RUN, AnalysisBuilder, Comparison, lags_of, me
 from trueup.robots import RobotSpec
 from trueup.stages.progress import Track, silent
 from trueup.stages.replaying import in_robot_names
+
+_FEWEST_FOR_A_THRESHOLD = 5
 
 
 @dataclass(frozen=True)
@@ -110,6 +112,7 @@ def gap(
         )
     builder = AnalysisBuilder(window_s=frame.window_s)
     traces = TraceSet()
+    errors: dict[str, float] = {}
 
     def comparisons() -> Iterator[Comparison]:
         for name in track(kept, "gap", len(kept)):
@@ -119,6 +122,9 @@ def gap(
             # A robot that is driven by torque may log a wish for its position, but that is not what it was told.
             scored = comparison if frame.follows_motion else replace(comparison, command=None)
             builder.add(scored)
+            if labels and labels[0] in comparison.simulated and "position" in comparison.measured:
+                motion = Episode(comparison.meta, comparison.measured, simulated=comparison.simulated)
+                errors[name] = position_mse(motion, run=labels[0])
             yield scored
 
     config: dict[str, Any] = {
@@ -146,7 +152,9 @@ def gap(
         )
     names = {"robot": frame.robot or dataset.info.robot, "dataset": dataset.path.resolve().name}
     result = replace(result, settings={**result.settings, **names})
-    return Measurement(result, builder.result(lags_of(result)), traces, _quality(dataset, set(kept), frame.joint_map))
+    return Measurement(
+        result, builder.result(lags_of(result)), traces, _quality(dataset, set(kept), frame.joint_map, _failed(errors))
+    )
 
 
 def _frame(dataset: Dataset, labels: Sequence[str], robot: RobotSpec | None) -> _Frame:
@@ -208,13 +216,35 @@ def _at(series: TimeSeries, time_s: np.ndarray) -> TimeSeries:
     return series.rows(rows)
 
 
-def _quality(dataset: Dataset, kept: set[str], joint_map: JointMap | None) -> Quality:
+def _failed(errors: Mapping[str, float]) -> dict[str, Flag]:
+    """Motions that are much further from the simulation than the others are (LSTM thesis, 4.2)."""
+    known = {name: value for name, value in errors.items() if np.isfinite(value)}
+    if len(known) < _FEWEST_FOR_A_THRESHOLD:
+        return {}
+    threshold = robust_threshold(list(known.values()))
+    return {
+        name: Flag(
+            kind="far_from_simulation",
+            signal="position",
+            severity="note",
+            detail=f"position MSE against the simulation {value:.3g}, the other motions stay below {threshold:.3g}: "
+            "executed wrongly, or something that the model does not know",
+        )
+        for name, value in known.items()
+        if value > threshold
+    }
+
+
+def _quality(dataset: Dataset, kept: set[str], joint_map: JointMap | None, failed: Mapping[str, Flag]) -> Quality:
     names = {rule.log: rule.joint for rule in joint_map.rules} if joint_map else {}
     return Quality(
         {
             meta.id: EpisodeQuality(
                 split=meta.split,
-                flags=tuple(replace(flag, joint=names.get(flag.joint, flag.joint)) for flag in meta.flags),
+                flags=(
+                    *(replace(flag, joint=names.get(flag.joint, flag.joint)) for flag in meta.flags),
+                    *([failed[meta.id]] if meta.id in failed else []),
+                ),
                 dropped=meta.id not in kept,
             )
             for meta in dataset.metas
