@@ -11,6 +11,7 @@ from trueup.robots import JointSpec, find_model, load_robot
 from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode
 from trueup.stages import close, gap, replay
 from trueup.stages.demonstrating import demo_dataset
+from trueup.stages.importing import checked
 
 
 @pytest.fixture
@@ -165,3 +166,20 @@ def test_a_motion_far_from_the_simulation_is_noted(tmp_path):
     assert {name for name, found in flags.items() if "far_from_simulation" in {flag.kind for flag in found}} == {
         "motion5"
     }
+
+
+def test_the_limits_of_the_robot_hold_in_the_words_of_the_log(tmp_path):
+    """A joint that stands at the limit that robot.yaml states is flagged, whatever the log calls and scales it."""
+    robot = load_robot("demo_arm")
+    data = twin_dataset(tmp_path / "twin", rename=lambda name: f"J_{name}", scale=-0.5, offset=0.2)
+    told = {"log": "J_yaw", "sign": -1, "scale": 0.5, "offset": 0.2}
+    joints = (JointSpec("yaw", **told, position_limits=(-9.0, 0.25)), JointSpec("shoulder"), JointSpec("elbow"))
+    flags = [checked(item, replace(robot, joints=joints)).meta.flags for item in data]
+    assert not any(flag.kind == "position_limit" for found in flags for flag in found)  # other names: not this robot
+    joints = (
+        JointSpec("yaw", **told, position_limits=(-9.0, 0.25)),
+        *(JointSpec(name, **{**told, "log": f"J_{name}"}) for name in ("shoulder", "elbow")),
+    )
+    flags = [checked(item, replace(robot, joints=joints)).meta.flags for item in data]
+    assert {flag.joint for found in flags for flag in found if flag.kind == "position_limit"} <= {"J_yaw"}
+    assert any(flag.kind == "position_limit" for found in flags for flag in found)

@@ -28,7 +28,9 @@ def import_(
     format: options.Format = None,
     mapping: options.Mapping = None,
     unit: options.Units = None,
-    robot: Annotated[str, typer.Option("--robot-name", help="Name of the robot, if the logs do not say.")] = "",
+    robot: Annotated[
+        str | None, typer.Option("--robot", help="Whose logs these are: its limits enter the quality checks.")
+    ] = None,
     command_topic: options.CommandTopic = None,
     measured_topic: options.MeasuredTopic = None,
     split: options.Split = None,
@@ -41,11 +43,11 @@ def import_(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only list what would be imported.")] = False,
 ) -> int:
     """Read logs (SAGE, CSV, npz, rosbag, MCAP, HDF5, LeRobot) into a dataset."""
+    from trueup.robots import load_robot
     from trueup.stages import import_logs, plan_import
 
     choices = ImportOptions(
         mapping=mapping,
-        robot=robot,
         units=options.unit_choices(unit),
         command_topic=command_topic,
         measured_topic=measured_topic,
@@ -63,6 +65,7 @@ def import_(
         out_dir,
         format=format,
         options=choices,
+        robot=load_robot(robot) if robot else None,
         split=options.split_choice(split),
         seed=seed,
         overwrite=overwrite,

@@ -59,8 +59,9 @@ def gap_table(gap: GapResult, *, metric: str = "rmse") -> Table:
 def verdicts(gap: GapResult) -> list[str]:
     """The paired comparisons of the position in words, one line each."""
     lines = []
+    whole = not any(gap.splits.values())  # no splits: the comparison over all motions is the only one
     for pair in gap.paired:
-        if pair.signal == "position" and pair.metric == "rmse" and pair.split != "all":
+        if pair.signal == "position" and pair.metric == "rmse" and (pair.split != "all" or whole):
             change = f"{100 * abs(pair.relative):.1f} % {'less' if pair.difference.value < 0 else 'more'}"
             lines.append(f"{pair.run} against {pair.baseline}, {pair.split}: {change} ({pair.verdict})")
     return lines

@@ -92,9 +92,17 @@ def close(
     if not is_dataset(source):
         dataset_path = out / "dataset"
         imported = import_logs(
-            source, dataset_path, format=format, options=options, split=split, seed=seed, overwrite=overwrite,
-            resume=resume, track=track,
-        )  # fmt: skip
+            source,
+            dataset_path,
+            format=format,
+            options=options,
+            robot=robot,
+            split=split,
+            seed=seed,
+            overwrite=overwrite,
+            resume=resume,
+            track=track,
+        )
     dataset = Dataset(dataset_path)
     replayed = _stock(dataset, robot, model=model, jobs=jobs, track=track)
     measurement = gap(dataset, runs=[STOCK], drop_flagged=drop_flagged, metrics=metrics, seed=seed, track=track)

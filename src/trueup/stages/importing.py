@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from trueup.align import check_quality, failed_execution
+import numpy as np
+
+from trueup.align import JointMap, check_quality
 from trueup.core.episode import Episode
 from trueup.core.provenance import provenance
+from trueup.core.timeseries import TimeSeries
 from trueup.dataset import DatasetInfo, DatasetWriter, assign_splits, match_splits, read_split
 from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
 from trueup.dataset.importers.detect import find_importer
-from trueup.errors import ConfigError, DataError, MissingSignal, TrueupError
+from trueup.errors import ConfigError, DataError, TrueupError
+from trueup.robots import RobotSpec
 from trueup.stages.progress import Track, silent
 
 # A model folder with meshes is copied whole; beyond this size it is somebody's asset library.
@@ -61,6 +65,7 @@ def import_logs(
     *,
     format: str | None = None,
     options: ImportOptions | None = None,
+    robot: RobotSpec | None = None,
     split: Path | Mapping[str, float] | None = None,
     seed: int = 0,
     overwrite: bool = False,
@@ -78,6 +83,7 @@ def import_logs(
         out: the dataset's folder.
         format: name of the format; detected if None.
         options: mapping file, units, topics.
+        robot: whose logs they are; its limits enter the quality checks.
         split: a split.json, or fractions such as {"train": 0.8, "val": 0.1, "test": 0.1} drawn by whole motion;
             None takes what lies beside the data.
         seed: of that draw.
@@ -98,7 +104,7 @@ def import_logs(
         splits, unmatched = _splits(split, [item.id for item in plan.episodes], seed)
         notes += unmatched
     info = DatasetInfo(
-        robot=plan.robot,
+        robot=robot.name if robot else plan.robot,
         licence=plan.licence,
         provenance=provenance(config={"format": plan.format, "source": source.name, **plan.details}, seed=seed),
         notes=tuple(notes),
@@ -112,7 +118,7 @@ def import_logs(
             writer.info = _copy_model(plan.model_dir, out, writer.info)
         missing = [item for item in plan.episodes if item.id not in there]
         for item in track(missing, "import", len(missing)):
-            episode = _load(item, splits.get(item.id, ""), refused)
+            episode = _load(item, splits.get(item.id, ""), robot, refused)
             if episode is None:
                 continue
             if episode.meta.warned:
@@ -130,23 +136,45 @@ def import_logs(
     return ImportSummary(out, plan.format, imported, kept, refused, flagged, tuple(notes))
 
 
-def _load(item: EpisodeSource, split: str, refused: dict[str, TrueupError]) -> Episode | None:
+def _load(item: EpisodeSource, split: str, robot: RobotSpec | None, refused: dict[str, TrueupError]) -> Episode | None:
     try:
-        episode = checked(item.load())
+        episode = checked(item.load(), robot)
     except TrueupError as error:
         refused[item.id] = error
         return None
     return replace(episode, meta=replace(episode.meta, split=split or episode.meta.split))
 
 
-def checked(episode: Episode) -> Episode:
-    """The episode with what the quality checks find, a failed execution included."""
-    flags = check_quality(episode)
-    try:
-        failed = failed_execution(episode)
-    except MissingSignal:  # nothing to follow: a torque command, or a position that never changes
-        failed = None
-    return episode.with_flags(flags if failed is None else (*flags, failed))
+def checked(episode: Episode, robot: RobotSpec | None = None) -> Episode:
+    """The episode with what the quality checks find; the limits that the robot's description states count, too."""
+    positions, torques = _limits_of_log(robot, episode.measured.joints) if robot else ({}, {})
+    return episode.with_flags(check_quality(episode, limits=positions, torque_limits=torques))
+
+
+def _limits_of_log(
+    robot: RobotSpec, log_joints: Sequence[str]
+) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
+    """Position and torque limits, in the names and units of a log that may speak of the joints in other words."""
+    joint_map = JointMap.from_dict(robot.joint_rules())
+    if not set(joint_map.log_joints) <= set(log_joints):
+        joint_map = JointMap.identity(robot.joint_names)  # in the robot's own words, or of another robot
+    nan = float("nan")
+    ends = np.array([joint.position_limits or (nan, nan) for joint in robot.joints], dtype=np.float64).T
+    torque = np.array([joint.torque_limit or nan for joint in robot.joints], dtype=np.float64)
+    limits = TimeSeries(
+        time_s=np.array([0.0, 1.0]),
+        joints=robot.joint_names,
+        signals={"position": ends, "torque": np.stack([torque, torque])},
+        units={"position": ("rad",) * len(torque), "torque": ("Nm",) * len(torque)},
+    )
+    told = joint_map.invert().apply(limits)
+    columns = [(name, column) for column, name in enumerate(told.joints) if name in log_joints]
+    positions = {name: np.sort(told["position"][:, column]) for name, column in columns}
+    torques = {name: abs(float(told["torque"][0, column])) for name, column in columns}
+    return (
+        {name: (float(low), float(high)) for name, (low, high) in positions.items() if np.isfinite(low + high)},
+        {name: value for name, value in torques.items() if np.isfinite(value)},
+    )
 
 
 def _splits(split: Path | Mapping[str, float], ids: Iterable[str], seed: int) -> tuple[dict[str, str], list[str]]:
