@@ -190,11 +190,11 @@ def test_a_split_by_shares_is_drawn_by_whole_motion(run, motion, tmp_path):
         for path in motion.iterdir():
             if path.is_file():
                 (other / path.name).write_bytes(path.read_bytes())
-    assert run("import", motion.parent, "--out", tmp_path / "data", "--split", "60/20/20")[0] == 0
+    assert run("import", motion.parent, "--out", tmp_path / "data", "--splits", "60/20/20")[0] == 0
     splits = Dataset(tmp_path / "data").splits
     assert sorted(set(splits.values())) == ["test", "train", "val"]
     assert len(splits) == 10
-    assert run("import", motion.parent, "--out", tmp_path / "x", "--split", "nothing.json")[0] == 2
+    assert run("import", motion.parent, "--out", tmp_path / "x", "--splits", "nothing.json")[0] == 2
 
 
 @pytest.mark.parametrize("format", ["csv", "lerobot"])

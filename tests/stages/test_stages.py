@@ -6,10 +6,10 @@ import pytest
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
-from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, OutputExists
+from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, OutputExists, TrueupError
 from trueup.robots import JointSpec, find_model, load_robot
 from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode
-from trueup.stages import close, gap, replay
+from trueup.stages import close, gap, import_logs, replay
 from trueup.stages.demonstrating import demo_dataset
 from trueup.stages.importing import checked
 
@@ -183,3 +183,32 @@ def test_the_limits_of_the_robot_hold_in_the_words_of_the_log(tmp_path):
     flags = [checked(item, replace(robot, joints=joints)).meta.flags for item in data]
     assert {flag.joint for found in flags for flag in found if flag.kind == "position_limit"} <= {"J_yaw"}
     assert any(flag.kind == "position_limit" for found in flags for flag in found)
+
+
+def test_a_torque_without_its_sign_is_said_to_say_little(demo):
+    robot = load_robot("demo_arm")
+    replay(demo, robot)
+    assert gap(demo).gap.settings["warnings"] == []
+    with DatasetWriter.create(demo.path.parent / "unsigned", DatasetInfo(robot="demo_arm")) as writer:
+        for episode in demo:
+            signals = {**episode.measured.signals, "torque": np.abs(episode.measured["torque"])}
+            writer.append(replace(episode, measured=replace(episode.measured, signals=signals)))
+    unsigned = Dataset(demo.path.parent / "unsigned")
+    replay(unsigned, robot)
+    (warning,) = gap(unsigned).gap.settings["warnings"]
+    assert "yaw, shoulder, elbow" in warning
+
+
+def test_an_import_of_which_nothing_can_be_read_leaves_nothing_behind(tmp_path):
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "motion.npz").write_bytes(b"PK\x03\x04 broken")
+    with pytest.raises(TrueupError, match="motion"):
+        import_logs(tmp_path / "logs", tmp_path / "data")
+    assert not (tmp_path / "data").exists()
+
+
+def test_a_replay_of_another_robot_leaves_nothing_behind(tmp_path):
+    data = twin_dataset(tmp_path / "twin", rename=lambda name: f"J_{name}")
+    with pytest.raises(NameMismatch):
+        replay(data, load_robot("demo_arm"))
+    assert data.runs == ()

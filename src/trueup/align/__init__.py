@@ -7,6 +7,7 @@ from trueup.align.execution import position_mse as position_mse
 from trueup.align.execution import robust_threshold as robust_threshold
 from trueup.align.joint_rule import JointRule as JointRule
 from trueup.align.joints import JointMap as JointMap
+from trueup.align.limits import limits_in_log as limits_in_log
 from trueup.align.quality import check_quality as check_quality
 from trueup.align.quality_config import QualityConfig as QualityConfig
 from trueup.align.resample import common_grid as common_grid
@@ -35,6 +36,7 @@ __all__ = [
     "differentiate",
     "estimate_delay",
     "failed_execution",
+    "limits_in_log",
     "moving_span",
     "position_mse",
     "resample",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from trueup.cli import options
-from trueup.cli.console import out, problem, track
+from trueup.cli.console import note, out, problem, track
 from trueup.cli.convert import show_flags, show_import
 from trueup.cli.gap import check_bars
 from trueup.cli.tables import ladder_table, verdicts
@@ -33,13 +33,14 @@ def close(
     unit: options.Units = None,
     command_topic: options.CommandTopic = None,
     measured_topic: options.MeasuredTopic = None,
-    split: options.Split = None,
+    splits: options.Splits = None,
     drop_flagged: options.DropFlagged = False,
     fail_above: options.FailAbove = None,
     seed: options.Seed = 0,
     jobs: options.Jobs = None,
     overwrite: options.Overwrite = False,
     resume: options.Resume = False,
+    skip_bad: options.SkipBad = False,
 ) -> int:
     """From logs to the ladder: import if needed, check, replay, measure, report."""
     from trueup.measure import parse_bar
@@ -59,7 +60,7 @@ def close(
             command_topic=command_topic,
             measured_topic=measured_topic,
         ),
-        split=options.split_choice(split),
+        splits=options.splits_choice(splits),
         drop_flagged=drop_flagged,
         seed=seed,
         jobs=jobs,
@@ -68,7 +69,9 @@ def close(
         track=track,
     )
     show(closed, out_dir)
-    return check_bars(closed.measurement.gap, bars)
+    missed = check_bars(closed.measurement.gap, bars)
+    refused = closed.replayed.failed or (closed.imported and closed.imported.refused)
+    return missed or (2 if refused and not skip_bad else 0)
 
 
 def show(closed: Closed, out_dir: Path) -> None:
@@ -86,4 +89,6 @@ def show(closed: Closed, out_dir: Path) -> None:
         out.print("* best on val", markup=False)
     for line in verdicts(closed.measurement.gap):
         out.print(line, markup=False)
+    for line in closed.measurement.gap.settings["warnings"]:
+        note(line)
     out.print(f"report: {write_report(out_dir)}", markup=False)

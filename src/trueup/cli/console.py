@@ -75,8 +75,8 @@ def _plain(items: Iterable[T], what: str, total: int | None) -> Iterator[T]:
 def problem(message: str, hint: str | None = None) -> None:
     """An error in one or two lines."""
     err.print(Text("error: ", style="bold red") + Text(" ".join(message.split())))
-    if hint:
-        err.print(Text("  next: ", style="bold") + Text(" ".join(hint.split())))
+    if hint:  # lines are kept: a hint may be a file to copy
+        err.print(Text("  next: ", style="bold") + Text(hint.strip()))
 
 
 def note(message: str) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from trueup.cli import options
-from trueup.cli.console import out, problem, track
+from trueup.cli.console import note, out, problem, track
 from trueup.cli.tables import gap_table, verdicts
 from trueup.core.results import GapResult
 from trueup.errors import OutputExists
@@ -27,7 +27,9 @@ def gap(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset with runs.")],
     out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for gap.json and report.html.")] = None,
     runs: Annotated[str | None, typer.Option("--runs", help="Labels, comma-separated; all if not given.")] = None,
-    robot: Annotated[str | None, typer.Option("--robot", help="For a dataset without runs: its joint names.")] = None,
+    robot: Annotated[
+        str | None, typer.Option("--robot", help="Which joints are scored, instead of what the runs say.")
+    ] = None,
     split: Annotated[str | None, typer.Option("--split", help="Measure only train, val or test.")] = None,
     signals: Annotated[str | None, typer.Option("--signals", help="Comma-separated, e.g. position,torque.")] = None,
     metrics: Annotated[str | None, typer.Option("--metrics", help="Comma-separated; see docs/metrics.md.")] = None,
@@ -59,9 +61,12 @@ def gap(
         seed=seed,
         track=track,
     )
-    out.print(gap_table(measurement.gap))
+    shown = _list(metrics) or ["rmse"]
+    out.print(gap_table(measurement.gap, metric="rmse" if "rmse" in shown else shown[0]))
     for line in verdicts(measurement.gap):
         out.print(line, markup=False)
+    for line in measurement.gap.settings["warnings"]:
+        note(line)
     if out_dir is not None:
         measurement.save(out_dir)
         out.print(f"report: {write_report(out_dir)}", markup=False)

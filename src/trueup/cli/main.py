@@ -4,23 +4,37 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from importlib import metadata
+from typing import Annotated
 
 import typer
 
 from trueup.cli import close, convert, demo, doctor, gap, replay, report
-from trueup.cli.console import problem
+from trueup.cli.console import out, problem
 from trueup.errors import TrueupError
 
 app = typer.Typer(
     name="trueup",
     help="True up your simulator to your robot: measure, explain and close the sim-to-real gap from its logs.",
-    no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
 for module in (convert, replay, gap, report, close, demo, doctor):
     module.register(app)
+
+
+_INTERRUPTED = 130  # typer's code for Ctrl-C, too
+
+
+@app.callback(invoke_without_command=True)
+def version(
+    show: Annotated[bool, typer.Option("--version", help="Show the version.", is_eager=True)] = False,
+) -> None:
+    """Answer `trueup --version`; everything else is done by the commands."""
+    if show:
+        out.print(f"trueup {metadata.version('trueup')}")
+        raise typer.Exit
 
 
 def main(argv: Sequence[str] | None = None) -> None:
@@ -30,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
-    arguments = [argument for argument in arguments if argument != "--debug"]
+    arguments = [argument for argument in arguments if argument != "--debug"] or ["--help"]
     try:
         # typer returns the code of typer.Exit when it does not handle exits by itself
         code = app(arguments, standalone_mode=False, prog_name="trueup")
@@ -40,8 +54,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         problem(f"{error.what}: {error.details}" if error.details else error.what, error.hint)
         code = error.exit_code
     except (typer.Abort, KeyboardInterrupt):
-        problem("interrupted", "What was finished is kept; --resume goes on from there.")
-        code = 130
+        code = _INTERRUPTED
     except BrokenPipeError:
         code = 0  # the reader, e.g. head, has seen enough
     except Exception as error:
@@ -57,6 +70,8 @@ def main(argv: Sequence[str] | None = None) -> None:
             "Run it again with --debug and report the traceback.",
         )
         code = 1
+    if code == _INTERRUPTED:
+        problem("interrupted", "What was finished is kept; --resume goes on from there.")
     raise SystemExit(code if isinstance(code, int) else 0)
 
 

@@ -28,9 +28,9 @@ Units = Annotated[
 ]
 CommandTopic = Annotated[str | None, typer.Option("--command-topic", help="Bag topic that holds the commands.")]
 MeasuredTopic = Annotated[str | None, typer.Option("--measured-topic", help="Bag topic that holds the joint states.")]
-Split = Annotated[
+Splits = Annotated[
     str | None,
-    typer.Option("--split", help="A split.json, or TRAIN/VAL/TEST per cent such as 80/10/10 drawn by whole motion."),
+    typer.Option("--splits", help="A split.json, or TRAIN/VAL/TEST per cent such as 80/10/10 drawn by whole motion."),
 ]
 FailAbove = Annotated[
     list[str] | None,
@@ -39,10 +39,10 @@ FailAbove = Annotated[
         help="SIGNAL.METRIC=VALUE or RUN:SPLIT:SIGNAL.METRIC=VALUE; exit code 3 if a run is above; repeatable.",
     ),
 ]
-Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+SkipBad = Annotated[bool, typer.Option("--skip-bad", help="Exit with 0 even if some episodes were refused.")]
 
 
-def split_choice(text: str | None) -> Path | dict[str, float] | None:
+def splits_choice(text: str | None) -> Path | dict[str, float] | None:
     """A path, or fractions from per cents.
 
     Raises:
@@ -54,11 +54,11 @@ def split_choice(text: str | None) -> Path | dict[str, float] | None:
     if len(parts) == 3 and all(part.strip().replace(".", "", 1).isdigit() for part in parts):
         numbers = [float(part) for part in parts]
         if sum(numbers) <= 0:
-            raise ConfigError("the shares of --split add up to nothing", got=text)
+            raise ConfigError("the shares of --splits add up to nothing", got=text)
         return {name: number / sum(numbers) for name, number in zip(("train", "val", "test"), numbers, strict=True)}
     path = Path(text)
     if not path.is_file():
-        raise ConfigError("--split", got=text, expected="a split.json, or three numbers such as 80/10/10")
+        raise ConfigError("--splits", got=text, expected="a split.json, or three numbers such as 80/10/10")
     return path
 
 

@@ -49,6 +49,8 @@ def gap_table(gap: GapResult, *, metric: str = "rmse") -> Table:
     table.add_column("worst joint")
     for run, splits in gap.runs.items():
         for split, signals in splits.items():
+            if split == "all" and len(splits) == 2:
+                continue  # one split and all of it are the same
             for signal, metrics in signals.items():
                 if metric in metrics:
                     result = metrics[metric]

@@ -10,6 +10,7 @@ from trueup.dataset.splits import match_splits as match_splits
 from trueup.dataset.splits import read_split as read_split
 from trueup.dataset.writer import DatasetWriter as DatasetWriter
 from trueup.dataset.writer import RunWriter as RunWriter
+from trueup.dataset.writer import refuse_occupied as refuse_occupied
 
 __all__ = [
     "SPLITS",
@@ -22,4 +23,5 @@ __all__ = [
     "is_dataset",
     "match_splits",
     "read_split",
+    "refuse_occupied",
 ]

@@ -42,7 +42,7 @@ def export_csv(episodes: Iterable[Episode], folder: Path) -> int:
         DataError: there is no episode; a joint's name cannot be a column; the disk is full or not writable.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise OutputExists(f"{folder} is not an empty folder", hint="Give another folder, or --overwrite.")
+        raise OutputExists(f"{folder} is not an empty folder", hint="Give another folder.")
     table = io.StringIO()
     writer = csv.writer(table, lineterminator="\n")
     writer.writerow(("id", *_META))

@@ -129,20 +129,15 @@ class DatasetWriter(_Closing):
         self._runs: dict[str, StoreWriter] = {}
 
     @classmethod
-    def create(cls, path: Path, info: DatasetInfo, *, overwrite: bool = False) -> DatasetWriter:
+    def create(cls, path: Path | str, info: DatasetInfo, *, overwrite: bool = False) -> DatasetWriter:
         """Start a dataset in a folder that is missing, empty, or, with `overwrite`, a dataset.
 
         Raises:
             OutputExists: there is something else, or a dataset and no `overwrite`.
             DataError: another process writes it; the disk is full.
         """
-        if _occupied(path):
-            if not is_dataset(path):
-                raise OutputExists(f"{path} exists and is no trueup dataset", hint="choose another folder for --out")
-            if not overwrite:
-                raise OutputExists(
-                    f"{path} exists", hint="--resume adds what is missing, --overwrite deletes the dataset first"
-                )
+        path = Path(path)
+        refuse_occupied(path, overwrite=overwrite)
         make_folder(path)
         lock = FolderLock(path)
         try:
@@ -153,7 +148,7 @@ class DatasetWriter(_Closing):
         return cls(path, info, StoreWriter(dataset_spec(path)))
 
     @classmethod
-    def resume(cls, path: Path, info: DatasetInfo | None = None) -> DatasetWriter:
+    def resume(cls, path: Path | str, info: DatasetInfo | None = None) -> DatasetWriter:
         """Go on with a dataset; starts one if the folder is missing or empty and `info` is given.
 
         Raises:
@@ -161,6 +156,7 @@ class DatasetWriter(_Closing):
             NameMismatch: the dataset is of another robot.
             DataError: another process writes it; it is damaged.
         """
+        path = Path(path)
         if info is not None and not _occupied(path):
             return cls.create(path, info)
         stored = DatasetInfo.load(path)
@@ -320,6 +316,18 @@ def _save_run(spec: StoreSpec, label: str, run_info: Mapping[str, Any]) -> None:
         write_json(spec.folder / RUN_NAME, {"schema": RUN_SCHEMA, "label": label, "info": dict(run_info)})
     except (TypeError, ValueError, RecursionError) as error:
         raise ConfigError(f"the description of run {label!r} is not JSON", got=error) from error
+
+
+def refuse_occupied(path: Path, *, overwrite: bool) -> None:
+    """Raise OutputExists unless the folder is missing, empty, or, with `overwrite`, a dataset."""
+    if not _occupied(path):
+        return
+    if not is_dataset(path):
+        raise OutputExists(f"{path} exists and is no trueup dataset", hint="choose another folder for --out")
+    if not overwrite:
+        raise OutputExists(
+            f"{path} exists", hint="--resume adds what is missing, --overwrite deletes the dataset first"
+        )
 
 
 def _occupied(path: Path) -> bool:

@@ -38,7 +38,7 @@ class JointSpec:
         offset: model value at log value 0 [rad or m].
         log_unit: unit of the position in the logs where the log does not say or says wrongly, e.g. `1` for a
             gripper in 0..1 of its range.
-        position_limits: measured range [rad or m] for the quality checks; the model's range if absent.
+        position_limits: range [rad or m] that the quality checks hold the log against; not checked if absent.
         torque_limit: largest torque [Nm or N]; limits the controller and the quality checks.
     """
 
@@ -235,7 +235,8 @@ def find_model(spec: RobotSpec, *, given: Path | None = None, beside: Path | Non
         return given
     folders = [beside / "model"] if beside else []
     if spec.folder:
-        folders += [spec.folder, spec.folder / "models"]
+        folders.append(spec.folder)
+    folders.append(Path(str(resources.files("trueup.robots"))) / "models")
     for folder in folders:
         if (folder / spec.model).is_file():
             return folder / spec.model

@@ -48,7 +48,7 @@ def close(
     model: Path | None = None,
     format: str | None = None,
     options: ImportOptions | None = None,
-    split: Path | Mapping[str, float] | None = None,
+    splits: Path | Mapping[str, float] | None = None,
     drop_flagged: bool = False,
     metrics: Sequence[str] | None = None,
     seed: int = 0,
@@ -69,7 +69,7 @@ def close(
         model: MJCF or URDF; looked for beside the data and in the package if None.
         format: of the logs; detected if None.
         options: for the import.
-        split: split.json or fractions, for the import.
+        splits: split.json or fractions, for the import.
         drop_flagged: leave out episodes with warnings.
         metrics: names; a sensible set per signal if None.
         seed: of all draws.
@@ -97,7 +97,7 @@ def close(
             format=format,
             options=options,
             robot=robot,
-            split=split,
+            splits=splits,
             seed=seed,
             overwrite=overwrite,
             resume=resume,

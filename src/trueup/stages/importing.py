@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-
-from trueup.align import JointMap, check_quality
+from trueup.align import JointMap, check_quality, limits_in_log
 from trueup.core.episode import Episode
 from trueup.core.provenance import provenance
-from trueup.core.timeseries import TimeSeries
-from trueup.dataset import DatasetInfo, DatasetWriter, assign_splits, match_splits, read_split
+from trueup.dataset import (
+    DatasetInfo,
+    DatasetWriter,
+    assign_splits,
+    is_dataset,
+    match_splits,
+    read_split,
+    refuse_occupied,
+)
 from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
 from trueup.dataset.importers.detect import find_importer
 from trueup.errors import ConfigError, DataError, TrueupError
@@ -66,7 +72,7 @@ def import_logs(
     format: str | None = None,
     options: ImportOptions | None = None,
     robot: RobotSpec | None = None,
-    split: Path | Mapping[str, float] | None = None,
+    splits: Path | Mapping[str, float] | None = None,
     seed: int = 0,
     overwrite: bool = False,
     resume: bool = False,
@@ -84,7 +90,7 @@ def import_logs(
         format: name of the format; detected if None.
         options: mapping file, units, topics.
         robot: whose logs they are; its limits enter the quality checks.
-        split: a split.json, or fractions such as {"train": 0.8, "val": 0.1, "test": 0.1} drawn by whole motion;
+        splits: a split.json, or fractions such as {"train": 0.8, "val": 0.1, "test": 0.1} drawn by whole motion;
             None takes what lies beside the data.
         seed: of that draw.
         overwrite: delete the dataset that is there first.
@@ -98,10 +104,10 @@ def import_logs(
     source, out = Path(source), Path(out)
     _refuse_nesting(source, out)
     plan = plan_import(source, format=format, options=options)
-    splits = dict(plan.splits)
+    assigned = dict(plan.splits)
     notes = list(plan.notes)
-    if split is not None:
-        splits, unmatched = _splits(split, [item.id for item in plan.episodes], seed)
+    if splits is not None:
+        assigned, unmatched = _assigned(splits, [item.id for item in plan.episodes], seed)
         notes += unmatched
     info = DatasetInfo(
         robot=robot.name if robot else plan.robot,
@@ -109,22 +115,25 @@ def import_logs(
         provenance=provenance(config={"format": plan.format, "source": source.name, **plan.details}, seed=seed),
         notes=tuple(notes),
     )
+    if not resume:
+        refuse_occupied(out, overwrite=overwrite)
     refused: dict[str, TrueupError] = {}
     flagged: dict[str, tuple[str, ...]] = {}
-    writer = DatasetWriter.resume(out, info) if resume else DatasetWriter.create(out, info, overwrite=overwrite)
-    with writer:
-        there = writer.ids
-        if plan.model_dir is not None and not writer.info.model:
-            writer.info = _copy_model(plan.model_dir, out, writer.info)
+    with contextlib.ExitStack() as stack:
+        writer = stack.enter_context(DatasetWriter.resume(out, info)) if resume and is_dataset(out) else None
+        there = frozenset(writer.ids if writer else ())
         missing = [item for item in plan.episodes if item.id not in there]
         for item in track(missing, "import", len(missing)):
-            episode = _load(item, splits.get(item.id, ""), robot, refused)
+            episode = _load(item, assigned.get(item.id, ""), robot, refused)
             if episode is None:
                 continue
+            if writer is None:  # only now, so that an import of which nothing can be read leaves nothing behind
+                writer = stack.enter_context(DatasetWriter.create(out, info, overwrite=overwrite))
+                if plan.model_dir is not None:
+                    writer.info = _copy_model(plan.model_dir, out, writer.info)
             if episode.meta.warned:
-                flagged[item.id] = tuple(
-                    dict.fromkeys(flag.kind for flag in episode.meta.flags if flag.severity == "warning")
-                )
+                warnings = (flag.kind for flag in episode.meta.flags if flag.severity == "warning")
+                flagged[item.id] = tuple(dict.fromkeys(warnings))
             writer.append(episode)
     imported = len(missing) - len(refused)
     if refused and not imported and not there:
@@ -147,41 +156,25 @@ def _load(item: EpisodeSource, split: str, robot: RobotSpec | None, refused: dic
 
 def checked(episode: Episode, robot: RobotSpec | None = None) -> Episode:
     """The episode with what the quality checks find; the limits that the robot's description states count, too."""
-    positions, torques = _limits_of_log(robot, episode.measured.joints) if robot else ({}, {})
+    if robot is None:
+        return episode.with_flags(check_quality(episode))
+    joint_map = JointMap.from_dict(robot.joint_rules())
+    if not set(joint_map.log_joints) <= set(episode.measured.joints):
+        joint_map = JointMap.identity(robot.joint_names)  # in the robot's own words already
+    positions, torques = limits_in_log(
+        joint_map,
+        episode.measured,
+        positions={joint.name: joint.position_limits for joint in robot.joints if joint.position_limits},
+        torques={joint.name: joint.torque_limit for joint in robot.joints if joint.torque_limit},
+    )
     return episode.with_flags(check_quality(episode, limits=positions, torque_limits=torques))
 
 
-def _limits_of_log(
-    robot: RobotSpec, log_joints: Sequence[str]
-) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
-    """Position and torque limits, in the names and units of a log that may speak of the joints in other words."""
-    joint_map = JointMap.from_dict(robot.joint_rules())
-    if not set(joint_map.log_joints) <= set(log_joints):
-        joint_map = JointMap.identity(robot.joint_names)  # in the robot's own words, or of another robot
-    nan = float("nan")
-    ends = np.array([joint.position_limits or (nan, nan) for joint in robot.joints], dtype=np.float64).T
-    torque = np.array([joint.torque_limit or nan for joint in robot.joints], dtype=np.float64)
-    limits = TimeSeries(
-        time_s=np.array([0.0, 1.0]),
-        joints=robot.joint_names,
-        signals={"position": ends, "torque": np.stack([torque, torque])},
-        units={"position": ("rad",) * len(torque), "torque": ("Nm",) * len(torque)},
-    )
-    told = joint_map.invert().apply(limits)
-    columns = [(name, column) for column, name in enumerate(told.joints) if name in log_joints]
-    positions = {name: np.sort(told["position"][:, column]) for name, column in columns}
-    torques = {name: abs(float(told["torque"][0, column])) for name, column in columns}
-    return (
-        {name: (float(low), float(high)) for name, (low, high) in positions.items() if np.isfinite(low + high)},
-        {name: value for name, value in torques.items() if np.isfinite(value)},
-    )
-
-
-def _splits(split: Path | Mapping[str, float], ids: Iterable[str], seed: int) -> tuple[dict[str, str], list[str]]:
+def _assigned(splits: Path | Mapping[str, float], ids: Iterable[str], seed: int) -> tuple[dict[str, str], list[str]]:
     names = list(ids)
-    if isinstance(split, Mapping):
-        return assign_splits(names, split, seed=seed), []
-    match = match_splits(read_split(split), names)
+    if isinstance(splits, Mapping):
+        return assign_splits(names, splits, seed=seed), []
+    match = match_splits(read_split(splits), names)
     return dict(match.splits), list(match.notes)
 
 

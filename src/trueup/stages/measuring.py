@@ -101,7 +101,9 @@ def gap(
         ConfigError: runs with different joint maps or windows cannot share one table.
         DataError: no episode is left.
     """
-    labels = tuple(dataset.runs if runs is None else (label for label in runs if label != COMMAND_RUN))
+    # The stock model is what the others are compared with, whatever their names.
+    known = sorted(dataset.runs, key=lambda label: (not label.endswith("/stock"), label))
+    labels = tuple(known if runs is None else (label for label in runs if label != COMMAND_RUN))
     frame = _frame(dataset, labels, robot)
     kept = dataset.select(split=split, drop_flagged=drop_flagged)
     if not kept:
@@ -113,6 +115,7 @@ def gap(
     builder = AnalysisBuilder(window_s=frame.window_s)
     traces = TraceSet()
     errors: dict[str, float] = {}
+    signs = _Signs()
 
     def comparisons() -> Iterator[Comparison]:
         for name in track(kept, "gap", len(kept)):
@@ -122,6 +125,7 @@ def gap(
             # A robot that is driven by torque may log a wish for its position, but that is not what it was told.
             scored = comparison if frame.follows_motion else replace(comparison, command=None)
             builder.add(scored)
+            signs.add(comparison)
             if labels and labels[0] in comparison.simulated and "position" in comparison.measured:
                 motion = Episode(comparison.meta, comparison.measured, simulated=comparison.simulated)
                 errors[name] = position_mse(motion, run=labels[0])
@@ -151,7 +155,8 @@ def gap(
             hint="Make a run first: trueup replay DATASET --robot ROBOT.",
         )
     names = {"robot": frame.robot or dataset.info.robot, "dataset": dataset.path.resolve().name}
-    result = replace(result, settings={**result.settings, **names})
+    warnings = {"warnings": signs.warnings()}
+    result = replace(result, settings={**result.settings, **names, **warnings})
     return Measurement(
         result, builder.result(lags_of(result)), traces, _quality(dataset, set(kept), frame.joint_map, _failed(errors))
     )
@@ -172,7 +177,8 @@ def _frame(dataset: Dataset, labels: Sequence[str], robot: RobotSpec | None) -> 
             )
     base = next(iter(infos.values()), {})
     rules = next(iter(maps.values()), robot.joint_rules() if robot else None)
-    scored = robot.scored_joints if robot else tuple(base["scored_joints"]) if "scored_joints" in base else None
+    stated = next((tuple(info["scored_joints"]) for info in infos.values() if "scored_joints" in info), None)
+    scored = robot.scored_joints if robot else stated
     limits = {joint.name: joint.torque_limit for joint in robot.joints if joint.torque_limit} if robot else {}
     return _Frame(
         joint_map=None if rules is None else JointMap.from_dict(rules),
@@ -214,6 +220,33 @@ def _at(series: TimeSeries, time_s: np.ndarray) -> TimeSeries:
             hint="Replay it again: trueup replay DATASET --robot ROBOT --overwrite.",
         )
     return series.rows(rows)
+
+
+class _Signs:
+    """Finds torques that are measured without their sign: comparing them with signed ones says little."""
+
+    def __init__(self) -> None:
+        self._lowest: dict[str, float] = {}
+        self._simulated: dict[str, float] = {}
+
+    def add(self, comparison: Comparison) -> None:
+        series = (
+            comparison.measured,
+            *(item.select(comparison.measured.joints) for item in comparison.simulated.values()),
+        )
+        if len(series) < 2 or not all("torque" in item for item in series):
+            return
+        for number, joint in enumerate(comparison.measured.joints):
+            for lowest, item in zip((self._lowest, self._simulated), series, strict=False):
+                lowest[joint] = min(lowest.get(joint, 0.0), float(np.nanmin(item["torque"][:, number], initial=0.0)))
+
+    def warnings(self) -> list[str]:
+        """One sentence, or none."""
+        unsigned = [joint for joint, low in self._lowest.items() if low >= 0.0 > self._simulated[joint]]
+        if not unsigned:
+            return []
+        joints = ", ".join(unsigned)
+        return [f"The measured torque of {joints} has no sign, the simulated one has: errors of torque say little."]
 
 
 def _failed(errors: Mapping[str, float]) -> dict[str, Flag]:

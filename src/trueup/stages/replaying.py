@@ -120,10 +120,10 @@ def replay(
     joint_map = JointMap.from_dict(robot.joint_rules())
     wanted = tuple(dataset.ids if ids is None else ids)
     failed: dict[str, TrueupError] = {}
+    if wanted:  # names that do not fit concern all episodes: say it once, before anything is written
+        in_robot_names(dataset.episode(wanted[0]), joint_map)
     with RunWriter(dataset.path, label, run_info=info, overwrite=overwrite, resume=resume) as writer:
         missing = [name for name in wanted if name not in writer.ids]
-        if missing:
-            in_robot_names(dataset.episode(missing[0]), joint_map)  # names that do not fit concern all: say it once
         results = replay_episodes(
             _readable(dataset, missing, joint_map, failed), simulator.clone, settings, jobs=jobs or os.cpu_count() or 1
         )

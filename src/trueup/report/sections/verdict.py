@@ -52,6 +52,7 @@ def verdict_section(run: RunFolder) -> Section:
     sentences += [headline.reason] if headline.reason else []
     sentences += [joints_sentence(*extremes)] if extremes else []
     sentences += [quality_sentence(run.quality)] if run.quality else []
+    sentences += [str(warning) for warning in run.gap.settings.get("warnings", ())]
     return Section(
         "verdict",
         "Verdict",
