@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trueup.core.hold import held_rows
 from trueup.core.units import SI_UNIT, UNITS, conversion, si_factor
 from trueup.core.windows import window_starts
 from trueup.errors import UnitError
@@ -53,3 +54,17 @@ def test_every_window_starts_within_its_length_and_is_not_empty(steps, window_s)
         <= 1
     )
     assert list(window_starts(clock, None)) == [0]
+
+
+def test_windows_shorter_than_a_step_are_the_steps():
+    clock = np.arange(5) * 0.1
+    assert list(window_starts(clock, 1e-9)) == [0, 1, 2, 3, 4]
+
+
+@given(st.integers(1, 1000), st.integers(2, 300))
+def test_stamps_that_mean_the_same_instant_are_the_same(rate_hz, count):
+    """k * (1 / rate) and k / rate differ by a rounding error; a command is held from its own stamp on."""
+    left, right = np.arange(count) * (1.0 / rate_hz), np.arange(count) / rate_hz
+    np.testing.assert_array_equal(held_rows(left, right), np.arange(count))
+    np.testing.assert_array_equal(held_rows(right, left), np.arange(count))
+    assert held_rows(left, np.array([-1.0]))[0] == -1

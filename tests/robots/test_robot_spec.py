@@ -31,7 +31,12 @@ def test_a_robot_of_ones_own(tmp_path):
     [
         ("scored: [c]", r"\['c'\] are not joints.*available: a, b"),
         ("controller: {kind: magic}", r"controller: kind is not a choice.*pid"),
-        ("controller: {delay_s: -0.1}", "delay_s must be >= 0"),
+        ("controller: {kind: torque, delay_s: -0.1}", "delay_s must be >= 0"),
+        ("controller: {kind: model}", "needs to know what it is told"),
+        ("controller: {kind: pd, kp: 1, command: torque}", "'pd' follows position"),
+        ("controller: {kind: position, kv: 2}", r"gains of joint 'a'.*kp > 0"),
+        ("controller: {kind: position, kp: 2, per_joint: {b: {kp: -1}}}", r"gains of joint 'b'"),
+        ("controller: {kind: position, kp: 2, per_joint: {b: {Kp: 1}}}", r"unknown keys \['Kp'\]"),
         ("simulation: {timestep_s: 0}", "timestep_s must be positive"),
         ("replay: {window_s: 0.0}", "window_s must be positive"),
         ("gains: {}", r"unknown keys \['gains'\].*controller"),
@@ -55,11 +60,19 @@ def test_the_model_is_looked_for_beside_the_data_first(tmp_path):
     assert find_model(robot).name == "demo_arm.xml"
     (tmp_path / "model").mkdir()
     (tmp_path / "model" / "demo_arm.xml").write_text("<mujoco/>")
-    assert find_model(robot, beside=tmp_path) == tmp_path / "model" / "demo_arm.xml"
+    assert find_model(robot, folder=tmp_path / "model") == tmp_path / "model" / "demo_arm.xml"
     with pytest.raises(ConfigError, match="no model at"):
         find_model(robot, given=tmp_path / "other.xml")
 
 
 def test_a_model_that_is_nowhere_says_where_it_was_looked_for(tmp_path):
-    with pytest.raises(ConfigError, match=r"(?s)so101\.xml.*searched.*--model"):
-        find_model(load_robot("so101"), beside=tmp_path)
+    with pytest.raises(ConfigError, match=r"(?s)so101\.xml.*not in .*--model"):
+        find_model(load_robot("so101"), folder=tmp_path)
+
+
+def test_a_model_that_is_a_link_out_of_the_dataset_is_not_followed(tmp_path):
+    (tmp_path / "elsewhere.xml").write_text("<mujoco/>")
+    (tmp_path / "model").mkdir()
+    (tmp_path / "model" / "so101.xml").symlink_to(tmp_path / "elsewhere.xml")
+    with pytest.raises(ConfigError, match="was not found"):
+        find_model(load_robot("so101"), folder=tmp_path / "model")

@@ -2,16 +2,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from sim.arms import two_links
+from sim.arms import PENDULUM, two_links
 from trueup.core.protocols import RolloutRequest
 from trueup.errors import DataError, MissingSignal, NameMismatch
-from trueup.robots import ControllerSpec, JointSpec, RobotSpec
+from trueup.robots import ControllerSpec, JointGains, JointSpec, RobotSpec
 from trueup.sim import MujocoSimulator
 
 KINDS = [
     ControllerSpec(kind="torque"),
     ControllerSpec(kind="position", kp=40.0, kv=2.0),
-    ControllerSpec(kind="pd", kp=40.0, kv=2.0, per_joint={"b": {"kp": 15.0}}),
+    ControllerSpec(kind="pd", kp=40.0, kv=2.0, per_joint={"b": JointGains(kp=15.0)}),
     ControllerSpec(kind="pid", kp=40.0, kv=2.0, ki=30.0),
     ControllerSpec(kind="velocity", kv=8.0),
     ControllerSpec(kind="velocity-integrator", kp=40.0, kv=2.0),
@@ -152,3 +152,42 @@ def test_joints_that_the_model_lacks_are_listed_with_those_it_has(tmp_path):
     robot = RobotSpec(name="other", joints=(JointSpec("a"), JointSpec("c")), model="pendulum.xml")
     with pytest.raises(NameMismatch, match=r"robot \[a, c\], model \[a, b\]"):
         MujocoSimulator.from_robot(robot, tmp_path / "pendulum.xml")
+
+
+@pytest.mark.parametrize("controller", KINDS, ids=lambda spec: spec.kind)
+def test_defaults_of_the_model_do_not_leak_into_the_controller(tmp_path, controller):
+    """A <default> that gives motors gears, limits and gains is for the model's own actuators."""
+    plain = two_links(tmp_path, controller)
+    command = smooth_command(plain, 200)
+    expected = plain.rollout(request(command))
+    hostile = (
+        '<mujoco><default><general gear="100" ctrlrange="-0.01 0.01" forcerange="-1 1" gainprm="7" biastype="affine"'
+        ' biasprm="1 2 3" dyntype="filter" dynprm="0.1"/></default>'
+    )
+    (tmp_path / "hostile.xml").write_text(PENDULUM.replace("<mujoco>", hostile))
+    result = MujocoSimulator.from_robot(plain.robot, tmp_path / "hostile.xml").rollout(request(command))
+    np.testing.assert_allclose(result.position, expected.position, atol=1e-12)
+    np.testing.assert_allclose(result.torque, expected.torque, atol=1e-12)
+
+
+def test_a_limit_behind_a_gear_is_the_limit_of_the_joint(tmp_path):
+    path = tmp_path / "geared.xml"
+    motors = '<actuator><motor name="a" joint="a" gear="-50" forcerange="-2 2"/><motor name="b" joint="b"/></actuator>'
+    path.write_text(PENDULUM.replace("</mujoco>", f"{motors}</mujoco>"))
+    joints = (JointSpec("a"), JointSpec("b"))
+    controller = ControllerSpec(kind="model", command="torque")
+    robot = RobotSpec(name="geared", joints=joints, model=path.name, controller=controller)
+    simulator = MujocoSimulator.from_robot(robot, path)
+    assert simulator.torque_limits == {"a": 100.0}
+    result = simulator.rollout(request({"torque": np.full((1, 20, 2), 9.0)}))
+    assert np.abs(result.torque[0, :, 0]).max() == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize("bad", [0, 2])
+def test_one_diverging_motion_of_a_batch_is_seen(tmp_path, bad):
+    simulator = two_links(tmp_path, ControllerSpec(kind="position", kp=2000.0, kv=0.0), timestep_s=0.02)
+    position = np.zeros((3, 2))
+    command = np.zeros((3, 400, 2))
+    command[bad] = 1.0
+    with pytest.raises(DataError, match="diverged"):
+        simulator.rollout(RolloutRequest(position, np.zeros((3, 2)), {"position": command}))

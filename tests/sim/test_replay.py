@@ -34,8 +34,11 @@ def test_replaying_a_log_of_the_simulator_gives_the_log(tmp_path):
 def test_windows_of_a_log_of_the_simulator_give_the_log_too(tmp_path):
     simulator = two_links(tmp_path, SERVO)
     log = logged_motion(simulator)
-    again = replay_episode(log, simulator, ReplaySettings(window_s=0.25, initial_velocity="measured"))
+    again = replay_episode(log, simulator, ReplaySettings(window_s=0.25))  # from the measured state, velocity included
     np.testing.assert_allclose(again["position"], log.measured["position"], atol=1e-7)
+    np.testing.assert_allclose(again["velocity"], log.measured["velocity"], atol=1e-7)
+    at_rest = replay_episode(log, simulator, ReplaySettings(window_s=0.25, initial_velocity="zero"))
+    assert np.abs(at_rest["position"] - log.measured["position"]).max() > 1e-3
 
 
 def test_every_window_starts_in_the_measured_state(tmp_path):
@@ -134,7 +137,9 @@ def test_clocks_that_do_not_overlap_are_refused(tmp_path):
         replay_episode(episode(log.measured, late), simulator, ReplaySettings())
 
 
-@pytest.mark.parametrize("wrong", [{"window_s": 0.0}, {"window_s": -1.0}, {"delay_s": -0.01}])
+@pytest.mark.parametrize(
+    "wrong", [{"window_s": 0.0}, {"window_s": -1.0}, {"window_s": np.nan}, {"delay_s": -0.01}, {"delay_s": np.inf}]
+)
 def test_settings_that_make_no_sense_are_refused(wrong):
     with pytest.raises(ConfigError, match=next(iter(wrong))):
         ReplaySettings(**wrong)

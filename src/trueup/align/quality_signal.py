@@ -10,6 +10,7 @@ from jaxtyping import Bool
 from trueup.align.quality_config import QualityConfig
 from trueup.align.tracks import Track, runs
 from trueup.core.episode import Flag
+from trueup.core.hold import held_rows
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 
 
@@ -123,7 +124,7 @@ def saturation_flags(
         if limit is not None:
             mask, level, what = load >= config.saturated_share * limit, limit, "its limit"
         elif command is not None and "torque" in command and joint in command.joints:
-            rows = np.maximum(np.searchsorted(command.time_s, series.time_s, side="right") - 1, 0)
+            rows = np.maximum(held_rows(command.time_s, series.time_s), 0)
             asked = np.abs(command["torque"][rows, command.joints.index(joint)].astype(np.float64))
             level, what = float(np.percentile(load, 99.9)), "a plateau below its command"
             beyond = config.saturated_share * asked > level

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Float64, Int
 
+from trueup.core.hold import SAME_INSTANT_S, held_rows
 from trueup.core.timeseries import TimeSeries
 from trueup.errors import DataError
 
@@ -34,7 +35,7 @@ def resample(
         DataError: a time is outside the series (with `clip`: all of them are).
     """
     clock = series.time_s
-    inside = (time_s >= clock[0]) & ((time_s <= clock[-1]) | hold)
+    inside = (time_s >= clock[0] - SAME_INSTANT_S * hold) & ((time_s <= clock[-1]) | hold)
     if clip:
         time_s = time_s[inside]
     outside = time_s.size == 0 if clip else not np.all(inside)
@@ -47,7 +48,7 @@ def resample(
         )
     before, weight = _brackets(clock, time_s)
     if hold:
-        before = np.searchsorted(clock, time_s, side="right") - 1
+        before = np.maximum(held_rows(clock, time_s), 0)
         signals = {name: values[before] for name, values in series.signals.items()}
     else:
         signals = {

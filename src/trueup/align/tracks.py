@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Float64
 from trueup.align.quality_config import per_radian
 from trueup.align.start import quantum
 from trueup.core.episode import Episode
+from trueup.core.hold import held_rows
 from trueup.core.timeseries import TimeSeries
 
 
@@ -119,5 +120,5 @@ def _path(command: TimeSeries | None, joint: str, time_s: Float64[np.ndarray, "T
     values = _column(command, "position", column)
     if values is None or ("torque" in command and np.ptp(values) == 0.0):
         return None
-    rows = np.maximum(np.searchsorted(command.time_s, time_s, side="right") - 1, 0)
+    rows = np.maximum(held_rows(command.time_s, time_s), 0)
     return np.asarray(values[rows] / per_radian(command.units["position"][column]))

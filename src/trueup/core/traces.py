@@ -14,6 +14,7 @@ from jaxtyping import Float32, Float64, Int
 
 from trueup.core.atomic import read_json, replacing, write_json
 from trueup.core.decimation import decimation_rows
+from trueup.core.hold import held_rows
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.errors import ConfigError, DataError, FormatError, NameMismatch, UnitError
 
@@ -279,7 +280,7 @@ def _at_stamps(label: str, series: TimeSeries, signal: str, measured: TimeSeries
 def _held(
     stamps: Float64[np.ndarray, "N"], values: Float64[np.ndarray, "N J"], clock: Float64[np.ndarray, "T"]
 ) -> Float64[np.ndarray, "T J"]:
-    rows = np.searchsorted(stamps, clock, side="right") - 1
+    rows = held_rows(stamps, clock)
     return np.where(rows[:, None] >= 0, values[np.maximum(rows, 0)], np.nan)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64, Int
 
+from trueup.core.hold import SAME_INSTANT_S
+
 
 def window_starts(time_s: Float64[np.ndarray, "T"], window_s: float | None) -> Int[np.ndarray, "W"]:
     """Rows at which a new window begins: the first sample at or after `time_s[0] + k * window_s`.
@@ -18,7 +20,6 @@ def window_starts(time_s: Float64[np.ndarray, "T"], window_s: float | None) -> I
     """
     if window_s is None:
         return np.zeros(1, dtype=np.int64)
-    count = int(np.floor((time_s[-1] - time_s[0]) / window_s)) + 1
     # Stamps that should fall on a boundary may lie a rounding error before it.
-    boundaries = time_s[0] + np.arange(count) * window_s - 1e-9
-    return np.unique(np.searchsorted(time_s, boundaries))
+    window = np.floor((time_s - time_s[0] + SAME_INSTANT_S) / window_s)
+    return np.flatnonzero(np.diff(window, prepend=-1.0))

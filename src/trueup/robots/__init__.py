@@ -1,6 +1,7 @@
 """Robot descriptions and the project's own models."""
 
 from trueup.robots.spec import ControllerSpec as ControllerSpec
+from trueup.robots.spec import JointGains as JointGains
 from trueup.robots.spec import JointSpec as JointSpec
 from trueup.robots.spec import ReplaySpec as ReplaySpec
 from trueup.robots.spec import RobotSpec as RobotSpec
@@ -11,6 +12,7 @@ from trueup.robots.spec import shipped_robots as shipped_robots
 
 __all__ = [
     "ControllerSpec",
+    "JointGains",
     "JointSpec",
     "ReplaySpec",
     "RobotSpec",

@@ -11,8 +11,6 @@ from typing import Any, Literal
 from trueup.core.config import build, read_yaml
 from trueup.errors import ConfigError
 
-SCHEMA = "trueup.robot/1"
-
 ControllerKind = Literal["model", "position", "pd", "pid", "torque", "velocity", "velocity-integrator"]
 
 # The signal of the command series that each controller follows.
@@ -52,6 +50,31 @@ class JointSpec:
     torque_limit: float | None = None
 
 
+# The gain without which a controller does nothing.
+_NEEDED_GAIN: Mapping[str, Literal["kp", "kv"]] = {
+    "position": "kp",
+    "pd": "kp",
+    "pid": "kp",
+    "velocity": "kv",
+    "velocity-integrator": "kp",
+}
+
+
+@dataclass(frozen=True)
+class JointGains:
+    """Gains of one joint; what is not given is the controller's common gain.
+
+    Attributes:
+        kp: position gain [Nm/rad].
+        kv: velocity gain [Nm s/rad].
+        ki: integral gain [Nm/(rad s)].
+    """
+
+    kp: float | None = None
+    kv: float | None = None
+    ki: float | None = None
+
+
 @dataclass(frozen=True)
 class ControllerSpec:
     """How commands become joint torques; gains per joint name override the common ones.
@@ -68,7 +91,10 @@ class ControllerSpec:
         ki: integral gain [Nm/(rad s)], `pid` only.
         integral_limit: largest torque of the integral [Nm], `pid` only.
         delay_s: the command acts this much later [s], >= 0.
-        per_joint: joint name -> {kp, kv, ki} for joints that differ.
+        per_joint: joint name -> gains of a joint that differs.
+
+    Raises:
+        ConfigError: `model` without `command`, or another kind with a command that it does not follow.
     """
 
     kind: ControllerKind = "model"
@@ -78,16 +104,28 @@ class ControllerSpec:
     ki: float = 0.0
     integral_limit: float | None = None
     delay_s: float = 0.0
-    per_joint: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    per_joint: Mapping[str, JointGains] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse a controller that would silently do something else."""
+        if self.kind == "model" and not self.command:
+            raise ConfigError(
+                "controller kind 'model' needs to know what it is told",
+                expected="command: position, velocity or torque",
+                hint="Name the signal of the logs that goes into the model's actuators.",
+            )
+        if self.kind != "model" and self.command not in ("", COMMAND_SIGNAL[self.kind]):
+            raise ConfigError(f"controller kind {self.kind!r} follows {COMMAND_SIGNAL[self.kind]}", got=self.command)
 
     def gain(self, name: Literal["kp", "kv", "ki"], joint: str) -> float:
         """The gain of one joint."""
-        return self.per_joint.get(joint, {}).get(name, getattr(self, name))
+        own = getattr(self.per_joint[joint], name) if joint in self.per_joint else None
+        return float(getattr(self, name) if own is None else own)
 
     @property
     def signal(self) -> str:
         """The signal of the command series that is followed."""
-        return self.command or COMMAND_SIGNAL.get(self.kind, "position")
+        return self.command or COMMAND_SIGNAL[self.kind]
 
 
 @dataclass(frozen=True)
@@ -110,11 +148,12 @@ class ReplaySpec:
     Attributes:
         window_s: restart from the measured state this often [s]; None replays whole motions. Torque-driven and
             chaotic systems need short windows (0.2 to 0.5 s): their open-loop error says nothing after that.
-        initial_velocity: start with `zero` velocity (a robot at rest) or the `measured` one.
+        initial_velocity: start with `zero` velocity (a robot at rest) or the `measured` one; if not given, windows
+            start with the measured one and whole motions with zero.
     """
 
     window_s: float | None = None
-    initial_velocity: Literal["zero", "measured"] = "zero"
+    initial_velocity: Literal["zero", "measured"] | None = None
 
 
 @dataclass(frozen=True)
@@ -141,7 +180,7 @@ class RobotSpec:
     schema: Literal["trueup.robot/1"] = "trueup.robot/1"
     scored: tuple[str, ...] = ()
     ignore: tuple[str, ...] = ()
-    controller: ControllerSpec = field(default_factory=ControllerSpec)
+    controller: ControllerSpec = field(default_factory=lambda: ControllerSpec(command="position"))
     simulation: SimulationSpec = field(default_factory=SimulationSpec)
     replay: ReplaySpec = field(default_factory=ReplaySpec)
     description: str = ""
@@ -155,6 +194,15 @@ class RobotSpec:
         strangers = [name for name in (*self.scored, *self.controller.per_joint) if name not in names]
         if strangers:
             raise ConfigError(f"robot {self.name!r}: {strangers} are not joints", available=names)
+        needed = _NEEDED_GAIN.get(self.controller.kind)
+        for name in names:
+            gains = {gain: self.controller.gain(gain, name) for gain in ("kp", "kv", "ki")}
+            if not all(0 <= value < float("inf") for value in gains.values()) or (needed and gains[needed] == 0):
+                raise ConfigError(
+                    f"robot {self.name!r}: the gains of joint {name!r} make no {self.controller.kind} controller",
+                    got=gains,
+                    expected=f"{needed} > 0, none negative" if needed else "none negative",
+                )
         if self.controller.delay_s < 0:
             raise ConfigError(f"robot {self.name!r}: delay_s must be >= 0", got=self.controller.delay_s)
         for label, value in (("timestep_s", self.simulation.timestep_s), ("window_s", self.replay.window_s)):
@@ -218,13 +266,13 @@ def shipped_robots() -> list[Path]:
     return sorted(folder.glob("*.yaml"))
 
 
-def find_model(spec: RobotSpec, *, given: Path | None = None, beside: Path | None = None) -> Path:
+def find_model(spec: RobotSpec, *, given: Path | None = None, folder: Path | None = None) -> Path:
     """The robot's MJCF or URDF.
 
     Args:
         spec: the robot.
         given: path from `--model`, first choice.
-        beside: the dataset folder; `beside/model/` is looked into.
+        folder: the dataset's folder of models; a link out of it is not followed.
 
     Raises:
         ConfigError: found nowhere; the message lists where it was looked for.
@@ -233,15 +281,15 @@ def find_model(spec: RobotSpec, *, given: Path | None = None, beside: Path | Non
         if not given.is_file():
             raise ConfigError(f"there is no model at {given}")
         return given
-    folders = [beside / "model"] if beside else []
+    folders = [folder] if folder and (folder / spec.model).resolve().is_relative_to(folder.resolve()) else []
     if spec.folder:
         folders.append(spec.folder)
     folders.append(Path(str(resources.files("trueup.robots"))) / "models")
-    for folder in folders:
-        if (folder / spec.model).is_file():
-            return folder / spec.model
+    for place in folders:
+        if (place / spec.model).is_file():
+            return place / spec.model
     raise ConfigError(
         f"the model {spec.model!r} of robot {spec.name!r} was not found",
-        available=[f"{folder}/ (searched)" for folder in folders],
+        got=f"not in {', '.join(map(str, folders))}",
         hint="Give its path with --model, or put it into the folder `model/` of the dataset.",
     )

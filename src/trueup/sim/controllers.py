@@ -11,6 +11,14 @@ from trueup.robots import ControllerSpec, JointSpec
 
 PID_PLUGIN = "mujoco.pid"
 
+# Everything that decides what an actuator does; names, targets and plugins are set where it is made.
+_ACTUATOR_FIELDS = tuple(
+    name
+    for name in dir(mujoco.MjSpec().add_actuator())
+    if not name.startswith(("_", "set_to_"))
+    and name not in ("classname", "compiler", "id", "info", "name", "plugin", "signature", "target", "trntype", "type")
+)
+
 
 @dataclass(frozen=True)
 class Channel:
@@ -51,7 +59,15 @@ def attach_controller(
         return tuple(_own_channel(spec, joint.name, controller.signal) for joint in joints)
     for actuator in list(spec.actuators):
         spec.delete(actuator)
-    return tuple(channel for joint in joints for channel in _add(spec, controller, joint.name))
+    channels = {joint: _add(spec, controller, joint.name) for joint in joints}
+    for joint, own in channels.items():
+        if joint.torque_limit is not None and len(own) == 1:
+            # The same limit once more, on the actuator: implicit integrators leave out the derivatives of a saturated
+            # actuator, not those of a joint at its limit.
+            actuator = spec.actuator(own[0].actuator)
+            actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+            actuator.forcerange = [-joint.torque_limit, joint.torque_limit]
+    return tuple(channel for own in channels.values() for channel in own)
 
 
 def _own_channel(spec: mujoco.MjSpec, joint: str, signal: str) -> Channel:
@@ -100,8 +116,17 @@ def _add(spec: mujoco.MjSpec, controller: ControllerSpec, joint: str) -> list[Ch
 
 
 def _motor(spec: mujoco.MjSpec, name: str, joint: str, signal: str) -> Channel:
-    spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    _actuator(spec, name, joint)
     return Channel(actuator=name, joint=joint, signal=signal)
+
+
+def _actuator(spec: mujoco.MjSpec, name: str, joint: str) -> mujoco.MjsActuator:
+    """A plain motor: gear 1, no limits, whatever the <default> of the model says about actuators."""
+    actuator = spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    plain = mujoco.MjSpec().add_actuator()
+    for field in _ACTUATOR_FIELDS:
+        setattr(actuator, field, getattr(plain, field))
+    return actuator
 
 
 def _affine(spec: mujoco.MjSpec, channel: Channel, *, gain: float, bias: tuple[float, float, float]) -> None:
@@ -120,7 +145,7 @@ def _pid(spec: mujoco.MjSpec, joint: str, *, kp: float, ki: float, kd: float, li
     if limit is not None:
         config["imax"] = repr(limit)
     plugin.config = config
-    actuator = spec.add_actuator(name=f"{joint}.pid", target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    actuator = _actuator(spec, f"{joint}.pid", joint)
     actuator.plugin = plugin
     actuator.actdim = 1 if ki else 0
     return Channel(actuator=f"{joint}.pid", joint=joint, signal="position")

@@ -19,7 +19,7 @@ from trueup.sim.controllers import Channel, attach_controller
 from trueup.sim.model import compile_spec, load_spec
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_ABSURD = 1e6  # rad or m; MuJoCo itself gives up at 1e10
+_ABSURD = 1e6  # rad, m, rad/s or m/s; MuJoCo itself gives up at accelerations of 1e10
 _DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 
 # MuJoCo's own handler writes MUJOCO_LOG.TXT into the current folder; a divergence is reported as an error here.
@@ -136,14 +136,12 @@ class MujocoSimulator:
             elif self.model.jnt_actfrclimited[joint]:
                 limits[spec.name] = float(np.abs(self.model.jnt_actfrcrange[joint]).max())
             else:
-                ranges = [
-                    np.abs(self.model.actuator_forcerange[self.model.actuator(channel.actuator).id]).max()
-                    for channel in self.channels
-                    if channel.joint == spec.name
-                    and self.model.actuator_forcelimited[self.model.actuator(channel.actuator).id]
+                own = [
+                    self.model.actuator(channel.actuator).id for channel in self.channels if channel.joint == spec.name
                 ]
-                if ranges:
-                    limits[spec.name] = float(sum(ranges))
+                if all(self.model.actuator_forcelimited[actuator] for actuator in own):
+                    forces = np.abs(self.model.actuator_forcerange[own]).max(axis=1)
+                    limits[spec.name] = float(forces @ np.abs(self.model.actuator_gear[own, 0]))
         return limits
 
     def rollout(self, request: RolloutRequest) -> RolloutResult:
@@ -168,7 +166,7 @@ class MujocoSimulator:
         velocity[:, 1:] = state[:, :, 1 + self.model.nq + layout.qvel]
         torque[:, :-1] = sensors[:, :, layout.torque]
         torque[:, -1] = torque[:, -2]
-        self._refuse_divergence(position)
+        self._refuse_divergence(np.maximum(np.abs(position), np.abs(velocity)))
         return RolloutResult(position=position, velocity=velocity, torque=torque)
 
     def reset(self, position: Float[np.ndarray, "B J"], velocity: Float[np.ndarray, "B J"]) -> None:
@@ -228,15 +226,15 @@ class MujocoSimulator:
             states[:, 1 + self.model.nq + self.model.nv + activation] = request.position[:, column]
         return states
 
-    def _refuse_divergence(self, position: Float[np.ndarray, "B N1 J"]) -> None:
+    def _refuse_divergence(self, size: Float[np.ndarray, "B N1 J"]) -> None:
+        # MuJoCo's own warnings tell of the last motion of each thread only; a NaN makes the comparison false.
         warned = any(data.warning[kind].number for data in self._data for kind in _DIVERGED)
-        # One pass over the numbers: a NaN makes the comparison false.
-        if not warned and np.abs(position).max() <= _ABSURD:
+        if not warned and size.max() <= _ABSURD:
             return
-        bad = ~(np.abs(position) <= _ABSURD).all(axis=2)
+        bad = ~(size <= _ABSURD).all(axis=2)
         for data in self._data:
             mujoco.mj_resetData(self.model, data)
-        row = int(np.argmax(bad.any(axis=0))) if bad.any() else position.shape[1] - 1
+        row = int(np.argmax(bad.any(axis=0))) if bad.any() else size.shape[1] - 1
         raise DataError(
             f"the simulation of {self.robot.name!r} diverged",
             got=f"{row * self.timestep_s:.3f} s after its start, at a time step of {self.timestep_s} s",

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float, Float64, Int
 
 from trueup.core.episode import Episode
+from trueup.core.hold import SAME_INSTANT_S, held_rows
 from trueup.core.protocols import RolloutRequest, RolloutResult, Simulator
 from trueup.core.timeseries import TimeSeries
 from trueup.core.windows import window_starts
@@ -25,20 +26,26 @@ class ReplaySettings:
 
     Attributes:
         window_s: restart from the measured state this often [s]; None replays whole motions.
-        initial_velocity: `zero`, or the `measured` one (its derivative of position where there is no channel).
+        initial_velocity: `zero`, or the `measured` one (its derivative of position where there is no channel);
+            None takes the measured one at the start of windows and zero at that of a whole motion.
         delay_s: the command acts this much later [s], >= 0.
     """
 
     window_s: float | None = None
-    initial_velocity: Literal["zero", "measured"] = "zero"
+    initial_velocity: Literal["zero", "measured"] | None = None
     delay_s: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what cannot be replayed."""
-        if self.window_s is not None and self.window_s <= 0:
+        if self.window_s is not None and not 0 < self.window_s < np.inf:
             raise ConfigError("window_s must be positive", got=self.window_s)
-        if self.delay_s < 0:
+        if not 0 <= self.delay_s < np.inf:
             raise ConfigError("delay_s must be >= 0", got=self.delay_s)
+
+    @property
+    def starts_moving(self) -> bool:
+        """Whether a simulation starts with the measured velocity."""
+        return self.initial_velocity == "measured" or (self.initial_velocity is None and self.window_s is not None)
 
     @staticmethod
     def of(robot: RobotSpec) -> ReplaySettings:
@@ -53,9 +60,8 @@ def hold(
 
     Before the first stamp the first command acts.
     """
-    # Stamps on the simulation's grid may differ from it by a rounding error.
-    row = np.searchsorted(command.time_s, time_s - delay_s + 1e-9, side="right") - 1
-    return command[signal][np.maximum(row, 0)]
+    held: Float[np.ndarray, "*shape J"] = command[signal][np.maximum(held_rows(command.time_s, time_s - delay_s), 0)]
+    return held
 
 
 def replay_episode(episode: Episode, simulator: Simulator, settings: ReplaySettings) -> TimeSeries:
@@ -79,7 +85,7 @@ def replay_episode(episode: Episode, simulator: Simulator, settings: ReplaySetti
     """
     command = episode.commanded().select(simulator.joints)
     measured = episode.measured.select(simulator.joints)
-    rows = np.flatnonzero(measured.time_s >= command.time_s[0] - 1e-9)
+    rows = np.flatnonzero(measured.time_s >= command.time_s[0] - SAME_INSTANT_S)
     if rows.size == 0:
         raise DataError(
             f"episode {episode.id!r}: the measurement ends before the first command",
@@ -155,7 +161,7 @@ def _request(
     grid = clock[starts][:, None] + np.arange(steps) * timestep
     position = measured["position"][starts].astype(np.float64)
     velocity = np.zeros_like(position)
-    if settings.initial_velocity == "measured":
+    if settings.starts_moving:
         velocity = _velocity(measured)[starts].astype(np.float64)
     needed = [signal for signal in simulator.command_signals if signal in command]
     held = {signal: hold(command, signal, grid, delay_s=settings.delay_s) for signal in needed}

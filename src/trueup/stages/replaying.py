@@ -94,7 +94,7 @@ def replay(
     from trueup.sim import replay as replay_episodes
 
     started = time.perf_counter()
-    path = find_model(robot, given=model, beside=dataset.path)
+    path = find_model(robot, given=model, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")
     settings = ReplaySettings.of(robot)
     settings = replace(
         settings,
