@@ -1,15 +1,20 @@
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from trueup.core.episode import Episode, EpisodeMeta
+from trueup.core.episode import Episode, EpisodeMeta, Flag
+from trueup.core.results import Estimate, MetricResult, Rung
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
+from trueup.dataset.importers.base import ImportOptions
+from trueup.dataset.importers.npz import write_npz
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, OutputExists, TrueupError
 from trueup.robots import JointSpec, find_model, load_robot
 from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode
 from trueup.stages import close, gap, import_logs, replay
+from trueup.stages.closing import choose
 from trueup.stages.demonstrating import demo_dataset
 from trueup.stages.importing import checked
 
@@ -212,3 +217,116 @@ def test_a_replay_of_another_robot_leaves_nothing_behind(tmp_path):
     with pytest.raises(NameMismatch):
         replay(data, load_robot("demo_arm"))
     assert data.runs == ()
+
+
+def test_a_run_that_came_with_the_logs_speaks_their_language(tmp_path):
+    """A simulation in the log's signs and zeros, on a clock of its own, that equals the measurement: no gap."""
+    twin = twin_dataset(tmp_path / "twin", scale=-0.5, offset=0.2)
+    with DatasetWriter.create(tmp_path / "logs", DatasetInfo(robot="demo_arm")) as writer:
+        for episode in twin:
+            fine = np.arange(-0.05, 4.05, 0.002)
+            values = np.stack(
+                [np.interp(fine, episode.measured.time_s, column) for column in episode.measured["position"].T], 1
+            )
+            foreign = replace(episode.measured, time_s=fine, signals={"position": values})
+            writer.append(replace(episode, simulated={"isaac/run": foreign}))
+    data = Dataset(tmp_path / "logs")
+    robot = load_robot("demo_arm")
+    told = tuple(JointSpec(joint.name, sign=-1, scale=0.5, offset=0.2) for joint in robot.joints)
+    robot = replace(robot, joints=told)
+    replay(data, robot)
+    runs = gap(data).gap.runs
+    assert runs["isaac/run"]["all"]["position"]["rmse"].total.value < 1e-9
+    assert runs["mujoco/stock"]["all"]["position"]["rmse"].total.value < 1e-8
+
+
+def test_what_was_left_out_is_what_was_flagged(tmp_path):
+    data = Dataset(demo_dataset(tmp_path / "demo"))
+    replay(data, load_robot("demo_arm"))
+    data.set_flags({data.ids[0]: [Flag("saturation", detail="a test")]})
+    everything, rest = gap(data), gap(data, drop_flagged=True)
+    assert not any(item.dropped for item in everything.quality.episodes.values())
+    assert [name for name, item in rest.quality.episodes.items() if item.dropped] == [data.ids[0]]
+    assert rest.gap.runs["mujoco/stock"]["all"]["position"]["rmse"].episodes == 11
+    test_only = gap(data, split="test")
+    assert set(test_only.quality.episodes) == {name for name, split in data.splits.items() if split == "test"}
+    assert not any(item.dropped for item in test_only.quality.episodes.values())
+
+
+def test_resting_ends_can_be_cut(demo):
+    replay(demo, load_robot("demo_arm"))
+    whole, cut = gap(demo), gap(demo, cut_resting=True)
+    left, right = (item.traces.episodes["reach_a"].traces[0].time_s[-1] for item in (whole, cut))
+    assert right <= left
+    assert cut.gap.runs["mujoco/stock"]["all"]["position"]["rmse"].episodes == 12
+
+
+def test_a_changed_included_file_makes_a_stale_run(tmp_path):
+    data = Dataset(demo_dataset(tmp_path / "demo"))
+    robot = load_robot("demo_arm")
+    text = find_model(robot).read_text()
+    (tmp_path / "part.xml").write_text('<mujoco><default><joint damping="0.4"/></default></mujoco>')
+    (tmp_path / "arm.xml").write_text(
+        text.replace("<option", '<include file="part.xml"/><option').replace('damping="0.4"', "", 1)
+    )
+    assert replay(data, robot, model=tmp_path / "arm.xml").replayed == 12
+    assert replay(data, robot, model=tmp_path / "arm.xml", resume=True).kept == 12
+    (tmp_path / "part.xml").write_text('<mujoco><default><joint damping="4"/></default></mujoco>')
+    with pytest.raises(OutputExists, match="model_sha256"):
+        replay(data, robot, model=tmp_path / "arm.xml", resume=True)
+
+
+def test_a_dataset_that_grows_keeps_what_was_replayed(tmp_path):
+    data = twin_dataset(tmp_path / "twin")
+    robot = load_robot("demo_arm")
+    first = replay(data, robot)
+    with DatasetWriter.resume(data.path) as writer:
+        writer.append(replace(data[0], meta=EpisodeMeta("new")))
+    grown = Dataset(data.path)
+    again = replay(grown, robot, resume=True)
+    assert (again.replayed, again.kept) == (1, 4)
+    assert again.seconds > first.seconds
+    assert replay(grown, robot, resume=True).seconds == again.seconds
+
+
+def npz_logs(folder, twin):
+    folder.mkdir()
+    for episode in twin:
+        write_npz(episode, folder / f"{episode.id}.npz")
+    return folder
+
+
+def test_an_import_goes_on_with_the_same_settings_only(tmp_path):
+    logs = npz_logs(tmp_path / "logs", twin_dataset(tmp_path / "twin"))
+    import_logs(logs, tmp_path / "data")
+    assert import_logs(logs, tmp_path / "data", resume=True).kept == 4
+    with pytest.raises(OutputExists, match="options"):
+        import_logs(logs, tmp_path / "data", resume=True, options=ImportOptions(units={"position": "deg"}))
+
+
+def test_a_split_that_is_given_is_the_only_one(tmp_path):
+    logs = npz_logs(tmp_path / "logs", twin_dataset(tmp_path / "twin"))
+    (logs / "split.json").write_text('{"test": ["wave0", "wave1", "wave2", "wave3"]}')
+    (tmp_path / "mine.json").write_text('{"train": ["wave1.npz"], "val": ["wave9"]}')
+    summary = import_logs(logs, tmp_path / "data", splits=tmp_path / "mine.json")
+    assert Dataset(tmp_path / "data").splits == {"wave1": "train"}
+    assert any("wave9" in note for note in summary.notes)
+    assert set(import_logs(logs, tmp_path / "other") and Dataset(tmp_path / "other").splits.values()) == {"test"}
+
+
+def test_results_carry_their_origin(tmp_path):
+    close(twin_dataset(tmp_path / "twin").path, load_robot("demo_arm"), tmp_path / "out")
+    for name in ("gap", "ladder", "analysis", "quality", "traces"):
+        origin = json.loads((tmp_path / "out" / f"{name}.json").read_text())["provenance"]
+        assert origin["data_hash"] and origin["trueup"] and origin["config"]
+
+
+def test_a_rung_without_a_number_is_not_chosen():
+    nothing = MetricResult(Estimate(np.nan, "rad"), {}, 1)
+    something = MetricResult(Estimate(0.1, "rad"), {}, 1)
+    rungs = [
+        Rung(name, 0.0, {"val": {"position": {"rmse": item}}})
+        for name, item in (("command", nothing), ("stock", something))
+    ]
+    assert [rung.chosen for rung in choose(rungs)] == [False, True]
+    assert not any(rung.chosen for rung in choose(rungs[:1]))

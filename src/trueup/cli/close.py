@@ -10,7 +10,7 @@ import typer
 from trueup.cli import options
 from trueup.cli.console import note, out, problem, track
 from trueup.cli.convert import show_flags, show_import
-from trueup.cli.gap import check_bars
+from trueup.cli.gap import hold_bars
 from trueup.cli.tables import ladder_table, verdicts
 from trueup.dataset.importers.base import ImportOptions
 
@@ -69,9 +69,9 @@ def close(
         track=track,
     )
     show(closed, out_dir)
-    missed = check_bars(closed.measurement.gap, bars)
+    hold_bars(closed.measurement.gap, bars)
     refused = closed.replayed.failed or (closed.imported and closed.imported.refused)
-    return missed or (2 if refused and not skip_bad else 0)
+    return 2 if refused and not skip_bad else 0
 
 
 def show(closed: Closed, out_dir: Path) -> None:

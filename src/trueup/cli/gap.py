@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from trueup.cli import options
-from trueup.cli.console import note, out, problem, track
+from trueup.cli.console import note, out, track
 from trueup.cli.tables import gap_table, verdicts
 from trueup.core.results import GapResult
-from trueup.errors import OutputExists
+from trueup.errors import BarNotMet, OutputExists
 
 if TYPE_CHECKING:
     from trueup.measure import Bar
@@ -35,6 +35,7 @@ def gap(
     metrics: Annotated[str | None, typer.Option("--metrics", help="Comma-separated; see docs/metrics.md.")] = None,
     tau_rad: Annotated[float, typer.Option("--tau-rad", help="Threshold of the large-gap ratio [rad].")] = 0.5,
     drop_flagged: options.DropFlagged = False,
+    cut_rest: Annotated[bool, typer.Option("--cut-rest", help="Leave out the resting ends of each motion.")] = False,
     fail_above: options.FailAbove = None,
     seed: options.Seed = 0,
     overwrite: options.Overwrite = False,
@@ -55,6 +56,7 @@ def gap(
         robot=load_robot(robot) if robot else None,
         split=split,
         drop_flagged=drop_flagged,
+        cut_resting=cut_rest,
         signals=_list(signals),
         metrics=_list(metrics),
         tau_rad=tau_rad,
@@ -70,17 +72,17 @@ def gap(
     if out_dir is not None:
         measurement.save(out_dir)
         out.print(f"report: {write_report(out_dir)}", markup=False)
-    return check_bars(measurement.gap, bars)
+    hold_bars(measurement.gap, bars)
+    return 0
 
 
-def check_bars(gap: GapResult, bars: Sequence[Bar]) -> int:
-    """Print the bars that were not met; 3 if there are any."""
-    from trueup.measure import check_bars as failures_of
+def hold_bars(gap: GapResult, bars: Sequence[Bar]) -> None:
+    """Raise BarNotMet, naming every bar that was not met."""
+    from trueup.measure import check_bars
 
-    failures = failures_of(gap, bars)
-    for failure in failures:
-        problem(f"bar not met: {failure}")
-    return 3 if failures else 0
+    failures = check_bars(gap, bars)
+    if failures:
+        raise BarNotMet("bar not met: " + "; ".join(map(str, failures)))
 
 
 def _list(text: str | None) -> list[str] | None:

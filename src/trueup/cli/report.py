@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
+from trueup.cli import options
 from trueup.cli.console import out
+from trueup.errors import OutputExists
 
 
 def register(app: typer.Typer) -> None:
@@ -18,9 +20,12 @@ def register(app: typer.Typer) -> None:
 def report(
     folder: Annotated[Path, typer.Argument(help="Folder with the results of gap or close.")],
     out_file: Annotated[Path | None, typer.Option("--out", help="HTML file; FOLDER/report.html if not given.")] = None,
+    overwrite: options.Overwrite = False,
 ) -> int:
     """Render saved results as one self-contained HTML file."""
     from trueup.report import write_report
 
+    if out_file is not None and out_file.exists() and not overwrite:
+        raise OutputExists(f"{out_file} exists", hint="Give --overwrite, or choose another --out.")
     out.print(f"report: {write_report(folder, out_file)}", markup=False)
     return 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 from rich.table import Table
 
@@ -49,10 +50,8 @@ def gap_table(gap: GapResult, *, metric: str = "rmse") -> Table:
     table.add_column("worst joint")
     for run, splits in gap.runs.items():
         for split, signals in splits.items():
-            if split == "all" and len(splits) == 2:
-                continue  # one split and all of it are the same
             for signal, metrics in signals.items():
-                if metric in metrics:
+                if metric in metrics and not _repeats(splits, split, signal, metric):
                     result = metrics[metric]
                     table.add_row(run, split, signal, str(result.episodes), number(result.total), _worst(gap, result))
     return table
@@ -67,6 +66,12 @@ def verdicts(gap: GapResult) -> list[str]:
             change = f"{100 * abs(pair.relative):.1f} % {'less' if pair.difference.value < 0 else 'more'}"
             lines.append(f"{pair.run} against {pair.baseline}, {pair.split}: {change} ({pair.verdict})")
     return lines
+
+
+def _repeats(splits: Mapping[str, Metrics], split: str, signal: str, metric: str) -> bool:
+    """Whether `all` is the only other split once more."""
+    others = [_episodes(metrics, signal, metric) for name, metrics in splits.items() if name != "all"]
+    return split == "all" and len(others) == 1 and others[0] == _episodes(splits["all"], signal, metric)
 
 
 def _episodes(metrics: Metrics, signal: str, metric: str) -> int:

@@ -128,11 +128,13 @@ class Analysis:
             command as the motion.
         lags: source (`command` or a run) -> joint -> delay from that source to the measured motion.
         horizon: run -> signal -> joint -> curve; empty unless short windows were scored.
+        provenance: versions, git hash, data hash.
     """
 
     bins: Mapping[str, Mapping[str, Mapping[str, Mapping[str, BinnedCurve]]]] = field(default_factory=dict)
     lags: Mapping[str, Mapping[str, Lag]] = field(default_factory=dict)
     horizon: Mapping[str, Mapping[str, Mapping[str, HorizonCurve]]] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """The content of analysis.json."""
@@ -141,6 +143,7 @@ class Analysis:
             "bins": _tree(self.bins, BinnedCurve.to_json, 4),
             "lags": _tree(self.lags, Lag.to_json, 2),
             "horizon": _tree(self.horizon, HorizonCurve.to_json, 3),
+            "provenance": dict(self.provenance),
         }
 
     @staticmethod
@@ -158,6 +161,7 @@ class Analysis:
                 bins=_tree(data["bins"], BinnedCurve.from_json, 4),
                 lags=_tree(data["lags"], Lag.from_json, 2),
                 horizon=_tree(data["horizon"], HorizonCurve.from_json, 3),
+                provenance=dict(data.get("provenance", {})),
             )
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise DataError("an analysis of a gap is broken", got=f"{type(error).__name__}: {error}") from error

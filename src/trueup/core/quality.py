@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -37,9 +37,15 @@ class EpisodeQuality:
 
 @dataclass(frozen=True)
 class Quality:
-    """The content of quality.json: episode id -> what was found, for all episodes that were checked."""
+    """The content of quality.json.
+
+    Attributes:
+        episodes: episode id -> what was found, for all episodes that were checked.
+        provenance: versions, git hash, data hash.
+    """
 
     episodes: Mapping[str, EpisodeQuality]
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """The content of quality.json."""
@@ -47,7 +53,7 @@ class Quality:
             name: {"split": item.split, "dropped": item.dropped, "flags": [flag.to_json() for flag in item.flags]}
             for name, item in self.episodes.items()
         }
-        return {"schema": QUALITY_SCHEMA, "episodes": episodes}
+        return {"schema": QUALITY_SCHEMA, "episodes": episodes, "provenance": dict(self.provenance)}
 
     @staticmethod
     def from_json(data: Any) -> Quality:
@@ -60,7 +66,9 @@ class Quality:
         if not isinstance(data, Mapping) or data.get("schema") != QUALITY_SCHEMA:
             raise FormatError("this file holds no quality flags, or another version", expected=QUALITY_SCHEMA)
         try:
-            return build(Quality, {"episodes": data.get("episodes")}, "quality")
+            return build(
+                Quality, {"episodes": data.get("episodes"), "provenance": data.get("provenance", {})}, "quality"
+            )
         except ConfigError as error:
             raise DataError("a list of quality flags is broken", got=error) from error
 

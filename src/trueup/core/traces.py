@@ -164,6 +164,7 @@ class TraceSet:
             raise ConfigError("max_points is too small for a curve", got=max_points, expected="at least 100")
         self.max_points = max_points
         self.episodes: dict[str, EpisodeTraces] = {}
+        self.provenance: Mapping[str, Any] = {}
 
     def add(
         self,
@@ -215,7 +216,15 @@ class TraceSet:
         with replacing(folder / "traces.npz") as temporary, temporary.open("wb") as file:
             np.savez(file, **arrays)  # type: ignore[arg-type]  # the keys never collide with allow_pickle
         index = [{"array": name, **item} for name, (_, item) in zip(arrays, packed, strict=True)]
-        write_json(folder / "traces.json", {"schema": TRACES_SCHEMA, "max_points": self.max_points, "episodes": index})
+        write_json(
+            folder / "traces.json",
+            {
+                "schema": TRACES_SCHEMA,
+                "max_points": self.max_points,
+                "episodes": index,
+                "provenance": dict(self.provenance),
+            },
+        )
 
     @staticmethod
     def load(folder: Path) -> TraceSet:

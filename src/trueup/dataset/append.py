@@ -17,11 +17,12 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from trueup.core.atomic import make_folder
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset.columns import Layout, content_hash, layout_of, parse_layout, to_table
 from trueup.dataset.index import StoreSpec, read_index, write_index
 from trueup.dataset.journal import Journal, JournalReader, Row, pack, unpack
-from trueup.dataset.lock import FolderLock, make_folder
+from trueup.dataset.lock import FolderLock
 from trueup.dataset.shards import MAX_BYTES, ShardReader, capacity, shard_name, write_shard
 from trueup.errors import DataError
 

@@ -1,4 +1,4 @@
-"""The folder that a writer works in, and the lock that keeps a second one out."""
+"""The lock that keeps a second writer out of a folder."""
 
 from __future__ import annotations
 
@@ -9,18 +9,6 @@ from pathlib import Path
 from trueup.errors import DataError
 
 LOCK_NAME = ".lock"
-
-
-def make_folder(path: Path) -> None:
-    """Make a folder and its parents, if they are not there.
-
-    Raises:
-        DataError: it cannot be made.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"cannot make the folder {path}", got=error.strerror) from error
 
 
 class FolderLock:

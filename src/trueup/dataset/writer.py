@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from trueup.core.atomic import read_json, write_json
+from trueup.core.atomic import make_folder, read_json, write_json
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset.append import StoreWriter
 from trueup.dataset.index import StoreSpec
 from trueup.dataset.info import DatasetInfo, is_dataset
-from trueup.dataset.lock import LOCK_NAME, FolderLock, make_folder
+from trueup.dataset.lock import LOCK_NAME, FolderLock
 from trueup.dataset.store import StoreReader
 from trueup.errors import ConfigError, DataError, FormatError, MissingSignal, NameMismatch, OutputExists, TrueupError
 
@@ -280,6 +280,14 @@ class RunWriter(_Closing):
         if episode_id not in self._known:
             raise MissingSignal(f"{self._dataset} has no episode {episode_id!r}", available=sorted(self._known))
         self._store.append({"id": episode_id}, {"simulated": series})
+
+    def update_info(self, run_info: Mapping[str, Any]) -> None:
+        """Replace what run.json says about the run.
+
+        Raises:
+            ConfigError: it is not JSON.
+        """
+        _save_run(run_spec(self._dataset, self.label), self.label, run_info)
 
     def close(self) -> None:
         """Move everything into shards and let the next writer in."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -96,6 +97,13 @@ class MujocoSimulator:
     def clone(self, *, threads: int = 1) -> MujocoSimulator:
         """Another simulator on the same compiled model, for another thread."""
         return MujocoSimulator(self.model, self.robot, self.channels, threads=threads)
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of the compiled model, included files, controller and options with it, and of MuJoCo's version."""
+        buffer = np.empty(mujoco.mj_sizeModel(self.model), dtype=np.uint8)
+        mujoco.mj_saveModel(self.model, None, buffer)
+        return hashlib.sha256(mujoco.__version__.encode() + buffer.tobytes()).hexdigest()
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ from trueup.stages.closing import Closed as Closed
 from trueup.stages.closing import close as close
 from trueup.stages.demonstrating import demo as demo
 from trueup.stages.demonstrating import demo_dataset as demo_dataset
+from trueup.stages.exporting import export_dataset as export_dataset
 from trueup.stages.importing import ImportSummary as ImportSummary
 from trueup.stages.importing import import_logs as import_logs
 from trueup.stages.importing import plan_import as plan_import
@@ -22,6 +23,7 @@ __all__ = [
     "close",
     "demo",
     "demo_dataset",
+    "export_dataset",
     "gap",
     "import_logs",
     "plan_import",

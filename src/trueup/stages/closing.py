@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from trueup.core.atomic import make_folder
 from trueup.core.results import Ladder, Metrics, Rung
 from trueup.dataset import Dataset, is_dataset
 from trueup.dataset.importers.base import ImportOptions
-from trueup.errors import ConfigError, OutputExists
+from trueup.errors import OutputExists
 from trueup.measure import COMMAND_RUN
 from trueup.robots import RobotSpec
 from trueup.stages.importing import ImportSummary, import_logs
@@ -83,9 +85,8 @@ def close(
         TrueupError: what any step raises.
     """
     source, out = Path(source), Path(out)
-    if out.is_file():
-        raise ConfigError(f"{out} is a file", expected="a folder for the results")
-    if out.is_dir() and any(out.iterdir()) and not (overwrite or resume):
+    make_folder(out)
+    if any(out.iterdir()) and not (overwrite or resume):
         raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
     imported = None
     dataset_path = source
@@ -107,7 +108,6 @@ def close(
     replayed = _stock(dataset, robot, model=model, jobs=jobs, track=track)
     measurement = gap(dataset, runs=[STOCK], drop_flagged=drop_flagged, metrics=metrics, seed=seed, track=track)
     ladder = _ladder(measurement, replayed)
-    out.mkdir(parents=True, exist_ok=True)
     measurement.save(out)
     ladder.save(out / "ladder.json")
     return Closed(dataset, imported, replayed, measurement, ladder)
@@ -128,16 +128,18 @@ def _ladder(measurement: Measurement, replayed: ReplaySummary) -> Ladder:
         # The command is there as it is: nothing is computed.
         rungs.append(Rung("command", 0.0, runs[COMMAND_RUN]))
     rungs.append(Rung("stock", replayed.seconds, runs[STOCK]))
+    return Ladder(choose(rungs), provenance=measurement.gap.provenance)
+
+
+def choose(rungs: Sequence[Rung]) -> list[Rung]:
+    """The same rungs with the best on val marked; none is where val has no number."""
     scores = [_score(rung.splits.get("val", {})) for rung in rungs]
     known = [score for score in scores if score is not None]
-    chosen = scores.index(min(known)) if known else None
-    return Ladder(
-        [replace(rung, chosen=index == chosen) for index, rung in enumerate(rungs)],
-        provenance=measurement.gap.provenance,
-    )
+    best = scores.index(min(known)) if known else None
+    return [replace(rung, chosen=index == best) for index, rung in enumerate(rungs)]
 
 
 def _score(metrics: Metrics) -> float | None:
     signal, metric = CHOICE
     result = metrics.get(signal, {}).get(metric)
-    return None if result is None else result.total.value
+    return None if result is None or math.isnan(result.total.value) else result.total.value

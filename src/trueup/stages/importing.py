@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import json
 import shutil
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from trueup.align import JointMap, check_quality, limits_in_log
+from trueup.core.atomic import replacing
 from trueup.core.episode import Episode
 from trueup.core.provenance import provenance
 from trueup.dataset import (
+    Dataset,
     DatasetInfo,
     DatasetWriter,
     assign_splits,
@@ -22,7 +27,7 @@ from trueup.dataset import (
 )
 from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
 from trueup.dataset.importers.detect import find_importer
-from trueup.errors import ConfigError, DataError, TrueupError
+from trueup.errors import ConfigError, DataError, OutputExists, TrueupError
 from trueup.robots import RobotSpec
 from trueup.stages.progress import Track, silent
 
@@ -104,15 +109,12 @@ def import_logs(
     source, out = Path(source), Path(out)
     _refuse_nesting(source, out)
     plan = plan_import(source, format=format, options=options)
-    assigned = dict(plan.splits)
     notes = list(plan.notes)
-    if splits is not None:
-        assigned, unmatched = _assigned(splits, [item.id for item in plan.episodes], seed)
-        notes += unmatched
+    config = {"format": plan.format, "source": source.name, "options": _plain(options), **plan.details}
     info = DatasetInfo(
         robot=robot.name if robot else plan.robot,
         licence=plan.licence,
-        provenance=provenance(config={"format": plan.format, "source": source.name, **plan.details}, seed=seed),
+        provenance=provenance(config=config, seed=seed),
         notes=tuple(notes),
     )
     if not resume:
@@ -120,11 +122,18 @@ def import_logs(
     refused: dict[str, TrueupError] = {}
     flagged: dict[str, tuple[str, ...]] = {}
     with contextlib.ExitStack() as stack:
-        writer = stack.enter_context(DatasetWriter.resume(out, info)) if resume and is_dataset(out) else None
+        writer = None
+        if resume and is_dataset(out):
+            _refuse_other_options(DatasetInfo.load(out), info, out)
+            writer = stack.enter_context(DatasetWriter.resume(out, info))
+            if plan.model_dir is not None and not writer.info.model:
+                writer.info = _copy_model(plan.model_dir, out, writer.info)
         there = frozenset(writer.ids if writer else ())
         missing = [item for item in plan.episodes if item.id not in there]
         for item in track(missing, "import", len(missing)):
-            episode = _load(item, assigned.get(item.id, ""), robot, refused)
+            # Splits of the user's own are assigned at the end, when all sources are known.
+            split = plan.splits.get(item.id, "") if splits is None else None
+            episode = _load(item, split, robot, refused)
             if episode is None:
                 continue
             if writer is None:  # only now, so that an import of which nothing can be read leaves nothing behind
@@ -141,17 +150,21 @@ def import_logs(
         if len(refused) == 1:
             raise first
         raise DataError(f"none of the {len(refused)} episodes in {source} could be read, the first because", got=first)
+    if splits is not None:
+        notes += _assign(Dataset(out), splits, seed)
     kept = len(plan.episodes) - len(missing)
     return ImportSummary(out, plan.format, imported, kept, refused, flagged, tuple(notes))
 
 
-def _load(item: EpisodeSource, split: str, robot: RobotSpec | None, refused: dict[str, TrueupError]) -> Episode | None:
+def _load(
+    item: EpisodeSource, split: str | None, robot: RobotSpec | None, refused: dict[str, TrueupError]
+) -> Episode | None:
     try:
         episode = checked(item.load(), robot)
     except TrueupError as error:
         refused[item.id] = error
         return None
-    return replace(episode, meta=replace(episode.meta, split=split or episode.meta.split))
+    return replace(episode, meta=replace(episode.meta, split="" if split is None else split or episode.meta.split))
 
 
 def checked(episode: Episode, robot: RobotSpec | None = None) -> Episode:
@@ -170,12 +183,38 @@ def checked(episode: Episode, robot: RobotSpec | None = None) -> Episode:
     return episode.with_flags(check_quality(episode, limits=positions, torque_limits=torques))
 
 
-def _assigned(splits: Path | Mapping[str, float], ids: Iterable[str], seed: int) -> tuple[dict[str, str], list[str]]:
-    names = list(ids)
+def _assign(dataset: Dataset, splits: Path | Mapping[str, float], seed: int) -> tuple[str, ...]:
+    """Give the episodes the splits that the user asked for, and no others; returns notes."""
     if isinstance(splits, Mapping):
-        return assign_splits(names, splits, seed=seed), []
-    match = match_splits(read_split(splits), names)
-    return dict(match.splits), list(match.notes)
+        dataset.set_splits(assign_splits(dataset.ids, splits, seed=seed))
+        return ()
+    match = match_splits(read_split(splits), dataset.ids, sources={meta.id: meta.source for meta in dataset.metas})
+    dataset.set_splits({name: match.splits.get(name, "") for name in dataset.ids})
+    return match.notes
+
+
+def _plain(options: ImportOptions | None) -> dict[str, Any]:
+    """Options as JSON; a mapping file by its content, which decides, not its place."""
+    options = options or ImportOptions()
+    tree = asdict(options)
+    mapping = options.mapping
+    if mapping is not None:
+        content = hashlib.sha256(mapping.read_bytes()).hexdigest() if mapping.is_file() else str(mapping)
+        tree["mapping"] = content
+    return tree
+
+
+def _refuse_other_options(stored: DatasetInfo, info: DatasetInfo, out: Path) -> None:
+    before, now = (item.provenance.get("config", {}) for item in (stored, info))
+    plain = json.loads(json.dumps(now))  # as dataset.json keeps it
+    changed = sorted(key for key in ("format", "options") if before.get(key) != plain.get(key))
+    if changed:
+        raise OutputExists(
+            f"{out} was imported with other settings ({', '.join(changed)})",
+            got=plain[changed[0]],
+            expected=before.get(changed[0]),
+            hint="Resume with the settings of the first call, or start again with --overwrite.",
+        )
 
 
 def _refuse_nesting(source: Path, out: Path) -> None:
@@ -190,9 +229,8 @@ def _copy_model(folder: Path, out: Path, info: DatasetInfo) -> DatasetInfo:
     if sum(path.stat().st_size for path in files) > _MAX_MODEL_BYTES:
         return info
     for path in files:
-        target = out / "model" / path.relative_to(folder)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(path, target)
+        with replacing(out / "model" / path.relative_to(folder)) as temporary:
+            shutil.copyfile(path, temporary)
     info = replace(info, model="model")
     info.save(out)
     return info

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from trueup.align import JointMap, position_mse, resample, robust_threshold
+from trueup.align import JointMap, cut_rest, position_mse, resample, robust_threshold
 from trueup.core.analysis import Analysis
 from trueup.core.episode import Episode, Flag
+from trueup.core.hold import SAME_INSTANT_S
 from trueup.core.provenance import provenance
 from trueup.core.quality import EpisodeQuality, Quality
 from trueup.core.results import GapResult
@@ -26,6 +27,9 @@ from trueup.stages.progress import Track, silent
 from trueup.stages.replaying import in_robot_names
 
 _FEWEST_FOR_A_THRESHOLD = 5
+
+# Motions whose curves are kept for the report, those with the largest errors; memory must not grow with the dataset.
+_MOST_TRACED = 300
 
 
 @dataclass(frozen=True)
@@ -56,9 +60,13 @@ class Measurement:
 
 @dataclass(frozen=True)
 class _Frame:
-    """What the runs that are compared have in common."""
+    """What the runs that are compared have in common.
+
+    `foreign` runs came with the logs: they speak the log's language and have clocks of their own.
+    """
 
     joint_map: JointMap | None
+    foreign: frozenset[str]
     scored: tuple[str, ...] | None
     torque_limits: dict[str, float] | None
     window_s: float | None
@@ -73,6 +81,7 @@ def gap(
     robot: RobotSpec | None = None,
     split: str | None = None,
     drop_flagged: bool = False,
+    cut_resting: bool = False,
     signals: Sequence[str] | None = None,
     metrics: Sequence[str] | None = None,
     tau_rad: float = 0.5,
@@ -89,6 +98,7 @@ def gap(
         robot: for a dataset without runs, and to override which joints are scored.
         split: measure only this one.
         drop_flagged: leave out episodes with a quality flag of severity `warning`.
+        cut_resting: leave out the resting ends of each motion, half a second of rest excepted.
         signals: those to compare; all that both sides have if None.
         metrics: names; a sensible set per signal if None.
         tau_rad: threshold of the large-gap ratio [rad].
@@ -120,21 +130,30 @@ def gap(
     def comparisons() -> Iterator[Comparison]:
         for name in track(kept, "gap", len(kept)):
             episode = dataset.episode(name, runs=[label for label in labels if name in dataset.run_ids(label)])
-            comparison = _comparison(episode, frame)
+            comparison = _comparison(cut_rest(episode) if cut_resting else episode, frame)
             traces.add(name, episode.meta.split, comparison.measured, comparison.command, dict(comparison.simulated))
             # A robot that is driven by torque may log a wish for its position, but that is not what it was told.
             scored = comparison if frame.follows_motion else replace(comparison, command=None)
             builder.add(scored)
             signs.add(comparison)
+            if len(traces.episodes) > _MOST_TRACED:
+                traces.episodes.pop(min(traces.episodes, key=lambda key: errors.get(key, np.inf)))
             if labels and labels[0] in comparison.simulated and "position" in comparison.measured:
                 motion = Episode(comparison.meta, comparison.measured, simulated=comparison.simulated)
                 errors[name] = position_mse(motion, run=labels[0])
             yield scored
 
     config: dict[str, Any] = {
-        "runs": {label: dataset.run_info(label) for label in labels},
+        # How long a run took is no configuration.
+        "runs": {
+            label: {key: value for key, value in dataset.run_info(label).items() if key != "seconds"}
+            for label in labels
+        },
         "split": split,
         "drop_flagged": drop_flagged,
+        "signals": None if signals is None else list(signals),
+        "metrics": None if metrics is None else list(metrics),
+        "cut_rest": cut_resting,
     }
     result = measure_gap(
         comparisons(),
@@ -157,16 +176,20 @@ def gap(
     names = {"robot": frame.robot or dataset.info.robot, "dataset": dataset.path.resolve().name}
     warnings = {"warnings": signs.warnings()}
     result = replace(result, settings={**result.settings, **names, **warnings})
-    return Measurement(
-        result, builder.result(lags_of(result)), traces, _quality(dataset, set(kept), frame.joint_map, _failed(errors))
-    )
+    origin = result.provenance
+    traces.provenance = origin
+    analysis = replace(builder.result(lags_of(result)), provenance=origin)
+    quality = _quality(dataset, set(kept), frame.joint_map, _failed(errors), split=split)
+    return Measurement(result, analysis, traces, replace(quality, provenance=origin))
 
 
 def _frame(dataset: Dataset, labels: Sequence[str], robot: RobotSpec | None) -> _Frame:
     infos = {label: dataset.run_info(label) for label in labels}
     maps = {label: info["joint_map"] for label, info in infos.items() if "joint_map" in info}
-    windows = {label: info.get("settings", {}).get("window_s") for label, info in infos.items()}
-    for what, values in (("joint maps", maps), ("windows", windows)):
+    settings = {label: info["settings"] for label, info in infos.items() if "settings" in info}
+    windows = {label: item.get("window_s") for label, item in settings.items()}
+    starts = {label: item.get("initial_velocity") for label, item in settings.items()}
+    for what, values in (("joint maps", maps), ("windows", windows), ("initial velocities", starts)):
         first = next(iter(values.values()), None)
         other = [label for label, value in values.items() if value != first]
         if other:
@@ -182,6 +205,7 @@ def _frame(dataset: Dataset, labels: Sequence[str], robot: RobotSpec | None) -> 
     limits = {joint.name: joint.torque_limit for joint in robot.joints if joint.torque_limit} if robot else {}
     return _Frame(
         joint_map=None if rules is None else JointMap.from_dict(rules),
+        foreign=frozenset(labels) - set(maps),
         scored=scored,
         torque_limits={**base.get("torque_limits", {}), **limits} or None,
         window_s=next(iter(windows.values()), None),
@@ -192,22 +216,32 @@ def _frame(dataset: Dataset, labels: Sequence[str], robot: RobotSpec | None) -> 
 
 def _comparison(episode: Episode, frame: _Frame) -> Comparison:
     """Everything on the measured stamps that have a command."""
+    foreign = {label: series for label, series in episode.simulated.items() if label in frame.foreign}
+    own = {label: series for label, series in episode.simulated.items() if label not in foreign}
     if frame.joint_map is not None:
         episode = in_robot_names(episode, frame.joint_map)
-    measured = episode.measured
-    first = next(iter(episode.simulated.values()), None)
-    if first is not None:
-        measured = _at(measured, first.time_s)
-    elif episode.command is not None:
-        measured = measured.rows(np.flatnonzero(measured.time_s >= episode.command.time_s[0] - 1e-9))
-    command = episode.command
-    held = None if command is None else resample(command, measured.time_s, hold=True)
+        foreign = {label: frame.joint_map.for_series(item).apply(item) for label, item in foreign.items()}
+    command, measured = episode.command, episode.measured
+    begin = [item.time_s[0] for item in (*own.values(), *foreign.values(), *([command] if command else []))]
+    end = [item.time_s[-1] for item in (*own.values(), *foreign.values())]
+    inside = (measured.time_s >= max(begin, default=-np.inf) - SAME_INSTANT_S) & (
+        measured.time_s <= min(end, default=np.inf) + SAME_INSTANT_S
+    )
+    if not inside.any():
+        raise DataError(f"episode {episode.id!r}: measurement, command and simulation have no time in common")
+    measured = measured.rows(np.flatnonzero(inside))
+    clock = measured.time_s
+    simulated = {label: _at(series, clock) for label, series in own.items()}
+    for label, series in foreign.items():
+        # A hair before or after the run's own ends is its end.
+        at = resample(series, np.clip(clock, series.time_s[0], series.time_s[-1]))
+        simulated[label] = replace(at, time_s=clock)
     return Comparison(
         meta=episode.meta,
         measured=measured,
-        simulated={label: _at(series, measured.time_s) for label, series in episode.simulated.items()},
-        command=held,
-        starts=window_starts(measured.time_s, frame.window_s),
+        simulated={label: simulated[label] for label in episode.simulated},
+        command=None if command is None else resample(command, clock, hold=True),
+        starts=window_starts(clock, frame.window_s),
     )
 
 
@@ -268,18 +302,20 @@ def _failed(errors: Mapping[str, float]) -> dict[str, Flag]:
     }
 
 
-def _quality(dataset: Dataset, kept: set[str], joint_map: JointMap | None, failed: Mapping[str, Flag]) -> Quality:
+def _quality(
+    dataset: Dataset,
+    kept: set[str],
+    joint_map: JointMap | None,
+    failed: Mapping[str, Flag],
+    *,
+    split: str | None,
+) -> Quality:
+    """The flags of the episodes that were asked for; those that are not in `kept` were dropped because of them."""
     names = {rule.log: rule.joint for rule in joint_map.rules} if joint_map else {}
-    return Quality(
-        {
-            meta.id: EpisodeQuality(
-                split=meta.split,
-                flags=(
-                    *(replace(flag, joint=names.get(flag.joint, flag.joint)) for flag in meta.flags),
-                    *([failed[meta.id]] if meta.id in failed else []),
-                ),
-                dropped=meta.id not in kept,
-            )
-            for meta in dataset.metas
-        }
-    )
+    episodes = {}
+    for name in dataset.select(split=split):
+        meta = dataset.meta(name)
+        flags = [replace(flag, joint=names.get(flag.joint, flag.joint)) for flag in meta.flags]
+        flags += [failed[name]] if name in failed else []
+        episodes[name] = EpisodeQuality(split=meta.split, flags=tuple(flags), dropped=name not in kept)
+    return Quality(episodes)

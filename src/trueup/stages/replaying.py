@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from trueup.align import JointMap
 from trueup.core.episode import Episode
@@ -18,6 +17,9 @@ from trueup.dataset import Dataset, RunWriter
 from trueup.errors import DataError, MissingSignal, OutputExists, TrueupError
 from trueup.robots import RobotSpec, find_model
 from trueup.stages.progress import Track, silent
+
+if TYPE_CHECKING:
+    from trueup.sim import MujocoSimulator
 
 STOCK = "mujoco/stock"
 
@@ -31,7 +33,7 @@ class ReplaySummary:
         replayed: number of episodes simulated now.
         kept: number of episodes that the run had already.
         failed: episode id -> why it could not be replayed.
-        seconds: wall-clock time of this call [s].
+        seconds: wall-clock time that it took to make the run, earlier calls included [s].
     """
 
     label: str
@@ -102,7 +104,7 @@ def replay(
         delay_s=settings.delay_s if delay_s is None else delay_s,
     )
     simulator = MujocoSimulator.from_robot(robot, path)
-    inputs = _inputs(dataset, robot, path, asdict(settings))
+    inputs = _inputs(robot, simulator, asdict(settings))
     info = {
         "engine": "mujoco",
         "inputs": inputs,
@@ -114,9 +116,10 @@ def replay(
         "settings": asdict(settings),
         "provenance": provenance(config={"robot": robot.to_dict(), "model": path.name}, data_hash=dataset.hash),
     }
-    there = label in dataset.runs
-    if there and resume and not overwrite:
+    earlier_s = 0.0
+    if label in dataset.runs and resume and not overwrite:
         _refuse_other_inputs(dataset, label, inputs)
+        earlier_s = float(dataset.run_info(label).get("seconds", 0.0))
     joint_map = JointMap.from_dict(robot.joint_rules())
     wanted = tuple(dataset.ids if ids is None else ids)
     failed: dict[str, TrueupError] = {}
@@ -132,13 +135,16 @@ def replay(
                 failed[name] = result
             else:
                 writer.append(name, result)
+        seconds = earlier_s + (time.perf_counter() - started if missing else 0.0)
+        if missing:
+            writer.update_info({**info, "seconds": seconds})
     dataset.reload()
     done = len(missing) - len(failed)
     if failed and not done and len(missing) == len(wanted):
         raise DataError(
             f"no episode could be replayed, {next(iter(failed))!r} because", got=next(iter(failed.values()))
         )
-    return ReplaySummary(label, done, len(wanted) - len(missing), failed, time.perf_counter() - started)
+    return ReplaySummary(label, done, len(wanted) - len(missing), failed, seconds)
 
 
 def _readable(
@@ -151,14 +157,9 @@ def _readable(
             failed[name] = error
 
 
-def _inputs(dataset: Dataset, robot: RobotSpec, model: Path, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """What decides about a run: if it is the same, the run need not be made again."""
-    return {
-        "data_hash": dataset.hash,
-        "robot": robot.to_dict(),
-        "model_sha256": hashlib.sha256(model.read_bytes()).hexdigest(),
-        "settings": dict(settings),
-    }
+def _inputs(robot: RobotSpec, simulator: MujocoSimulator, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """What decides about a motion of a run: if it is the same, the motion need not be simulated again."""
+    return {"robot": robot.to_dict(), "model_sha256": simulator.fingerprint, "settings": dict(settings)}
 
 
 def _refuse_other_inputs(dataset: Dataset, label: str, inputs: Mapping[str, Any]) -> None:
