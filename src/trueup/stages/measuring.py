@@ -144,11 +144,7 @@ def gap(
             yield scored
 
     config: dict[str, Any] = {
-        # How long a run took is no configuration.
-        "runs": {
-            label: {key: value for key, value in dataset.run_info(label).items() if key != "seconds"}
-            for label in labels
-        },
+        "runs": {label: _made(dataset, label) for label in labels},
         "split": split,
         "drop_flagged": drop_flagged,
         "signals": None if signals is None else list(signals),
@@ -254,6 +250,11 @@ def _at(series: TimeSeries, time_s: np.ndarray) -> TimeSeries:
             hint="Replay it again: trueup replay DATASET --robot ROBOT --overwrite.",
         )
     return series.rows(rows)
+
+
+def _made(dataset: Dataset, label: str) -> dict[str, Any]:
+    """How a run was made; how long that took is no configuration."""
+    return {key: value for key, value in dataset.run_info(label).items() if key != "seconds"}
 
 
 class _Signs:
