@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from benchmarks.table import Row, at_most, print_table, shown
 
+from benchmarks.table import Row, at_most, shown
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
@@ -171,7 +171,3 @@ def _memory(path: Path, episodes: int = 20_000, samples: int = 100) -> list[Row]
         shown(f"iterate {size}", iterated_s, "s"),
         at_most(f"iterate {size}, peak resident memory", peak_mb, 400.0, "MB"),
     ]
-
-
-if __name__ == "__main__":
-    print_table(run(), "dataset on disk")

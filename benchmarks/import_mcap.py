@@ -11,7 +11,7 @@ import numpy as np
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from benchmarks.table import Row, at_most, print_table, shown
+from benchmarks.table import Row, at_most, shown
 from trueup.dataset.importers import rosbag
 from trueup.dataset.importers.base import ImportOptions
 
@@ -72,7 +72,3 @@ def run() -> list[Row]:
         at_most(f"import {MESSAGES} MCAP joint states (limit: rosbags, deserialized)", best[load], limit, "s"),
         shown("  rosbags, raw iteration only", best[iterate], "s"),
     ]
-
-
-if __name__ == "__main__":
-    print_table(rows())

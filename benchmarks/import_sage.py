@@ -6,7 +6,7 @@ import os
 import time
 from pathlib import Path
 
-from benchmarks.table import Row, print_table
+from benchmarks.table import Row, shown
 from trueup.dataset.importers import sage
 from trueup.dataset.importers.base import ImportOptions
 
@@ -36,9 +36,5 @@ def run() -> list[Row]:
     megabytes = sum(episode.bytes for episode in episodes) / 1e6
     return [
         Row(f"load {len(episodes)} SAGE motions, {samples} samples", best, LIMIT_S, "s", best <= LIMIT_S),
-        Row("  rate", megabytes / best, None, "MB/s", None),
+        shown("  rate", megabytes / best, "MB/s"),
     ]
-
-
-if __name__ == "__main__":
-    print_table(rows())
