@@ -240,6 +240,20 @@ def test_a_run_that_came_with_the_logs_speaks_their_language(tmp_path):
     assert runs["mujoco/stock"]["all"]["position"]["rmse"].total.value < 1e-8
 
 
+def test_a_simulation_recorded_apart_is_shifted_to_the_start_of_the_motion(demo, tmp_path):
+    """The same motion on a clock that began 0.37 s earlier, as if somebody had started two recordings by hand."""
+    with DatasetWriter.create(tmp_path / "apart", DatasetInfo(robot="demo_arm")) as writer:
+        for episode in demo:
+            late = replace(episode.measured, time_s=episode.measured.time_s + 0.37)
+            writer.append(replace(episode, simulated={"gazebo/run": late}))
+    data = Dataset(tmp_path / "apart")
+    apart, aligned = (
+        gap(data, align=choice).gap.runs["gazebo/run"]["all"]["position"]["rmse"] for choice in (False, True)
+    )
+    assert apart.total.value > 0.02
+    assert aligned.total.value < 1e-6
+
+
 def test_what_was_left_out_is_what_was_flagged(tmp_path):
     data = Dataset(demo_dataset(tmp_path / "demo"))
     replay(data, load_robot("demo_arm"))

@@ -36,6 +36,9 @@ def gap(
     tau_rad: Annotated[float, typer.Option("--tau-rad", help="Threshold of the large-gap ratio [rad].")] = 0.5,
     drop_flagged: options.DropFlagged = False,
     cut_rest: Annotated[bool, typer.Option("--cut-rest", help="Leave out the resting ends of each motion.")] = False,
+    align_starts: Annotated[
+        bool, typer.Option("--align-starts", help="Shift runs that came with the logs to the start of the motion.")
+    ] = False,
     fail_above: options.FailAbove = None,
     seed: options.Seed = 0,
     overwrite: options.Overwrite = False,
@@ -57,6 +60,7 @@ def gap(
         split=split,
         drop_flagged=drop_flagged,
         cut_resting=cut_rest,
+        align=align_starts,
         signals=_list(signals),
         metrics=_list(metrics),
         tau_rad=tau_rad,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from trueup.align import JointMap, cut_rest, position_mse, resample, robust_threshold
+from trueup.align import JointMap, align_starts, cut_rest, position_mse, resample, robust_threshold
 from trueup.core.analysis import Analysis
 from trueup.core.episode import Episode, Flag
 from trueup.core.hold import SAME_INSTANT_S
@@ -82,6 +82,7 @@ def gap(
     split: str | None = None,
     drop_flagged: bool = False,
     cut_resting: bool = False,
+    align: bool = False,
     signals: Sequence[str] | None = None,
     metrics: Sequence[str] | None = None,
     tau_rad: float = 0.5,
@@ -99,6 +100,8 @@ def gap(
         split: measure only this one.
         drop_flagged: leave out episodes with a quality flag of severity `warning`.
         cut_resting: leave out the resting ends of each motion, half a second of rest excepted.
+        align: shift runs that came with the logs so that their motion starts with the measured one (mean shift,
+            LSTM thesis, Algorithm 2); for robot and simulator that were recorded apart, each on its own clock.
         signals: those to compare; all that both sides have if None.
         metrics: names; a sensible set per signal if None.
         tau_rad: threshold of the large-gap ratio [rad].
@@ -130,7 +133,7 @@ def gap(
     def comparisons() -> Iterator[Comparison]:
         for name in track(kept, "gap", len(kept)):
             episode = dataset.episode(name, runs=[label for label in labels if name in dataset.run_ids(label)])
-            comparison = _comparison(cut_rest(episode) if cut_resting else episode, frame)
+            comparison = _comparison(cut_rest(episode) if cut_resting else episode, frame, align=align)
             traces.add(name, episode.meta.split, comparison.measured, comparison.command, dict(comparison.simulated))
             # A robot that is driven by torque may log a wish for its position, but that is not what it was told.
             scored = comparison if frame.follows_motion else replace(comparison, command=None)
@@ -150,6 +153,7 @@ def gap(
         "signals": None if signals is None else list(signals),
         "metrics": None if metrics is None else list(metrics),
         "cut_rest": cut_resting,
+        "align_starts": align,
     }
     result = measure_gap(
         comparisons(),
@@ -210,7 +214,7 @@ def _frame(dataset: Dataset, labels: Sequence[str], robot: RobotSpec | None) -> 
     )
 
 
-def _comparison(episode: Episode, frame: _Frame) -> Comparison:
+def _comparison(episode: Episode, frame: _Frame, *, align: bool) -> Comparison:
     """Everything on the measured stamps that have a command."""
     foreign = {label: series for label, series in episode.simulated.items() if label in frame.foreign}
     own = {label: series for label, series in episode.simulated.items() if label not in foreign}
@@ -218,6 +222,10 @@ def _comparison(episode: Episode, frame: _Frame) -> Comparison:
         episode = in_robot_names(episode, frame.joint_map)
         foreign = {label: frame.joint_map.for_series(item).apply(item) for label, item in foreign.items()}
     command, measured = episode.command, episode.measured
+    if align:
+        foreign = {
+            label: replace(item, time_s=item.time_s + align_starts(measured, item)) for label, item in foreign.items()
+        }
     begin = [item.time_s[0] for item in (*own.values(), *foreign.values(), *([command] if command else []))]
     end = [item.time_s[-1] for item in (*own.values(), *foreign.values())]
     inside = (measured.time_s >= max(begin, default=-np.inf) - SAME_INSTANT_S) & (
