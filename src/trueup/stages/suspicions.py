@@ -1,0 +1,82 @@
+"""What is suspicious in a comparison, beyond what the quality checks see in a log alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from trueup.align import JointMap, robust_threshold
+from trueup.core.episode import Flag
+from trueup.core.quality import EpisodeQuality, Quality
+from trueup.dataset import Dataset
+from trueup.measure import Comparison
+
+_FEWEST_FOR_A_THRESHOLD = 5
+
+
+class Signs:
+    """Finds torques that are measured without their sign: comparing them with signed ones says little."""
+
+    def __init__(self) -> None:
+        self._lowest: dict[str, float] = {}
+        self._simulated: dict[str, float] = {}
+
+    def add(self, comparison: Comparison) -> None:
+        """Take in one episode; its first run counts."""
+        series = (
+            comparison.measured,
+            *(item.select(comparison.measured.joints) for item in comparison.simulated.values()),
+        )
+        if len(series) < 2 or not all("torque" in item for item in series):
+            return
+        for number, joint in enumerate(comparison.measured.joints):
+            for lowest, item in zip((self._lowest, self._simulated), series, strict=False):
+                lowest[joint] = min(lowest.get(joint, 0.0), float(np.nanmin(item["torque"][:, number], initial=0.0)))
+
+    def warnings(self) -> list[str]:
+        """One sentence, or none."""
+        unsigned = [joint for joint, low in self._lowest.items() if low >= 0.0 > self._simulated[joint]]
+        if not unsigned:
+            return []
+        joints = ", ".join(unsigned)
+        return [f"The measured torque of {joints} has no sign, the simulated one has: errors of torque say little."]
+
+
+def far_motions(errors: Mapping[str, float]) -> dict[str, Flag]:
+    """Motions that are much further from the simulation than the others are (LSTM thesis, 4.2)."""
+    known = {name: value for name, value in errors.items() if np.isfinite(value)}
+    if len(known) < _FEWEST_FOR_A_THRESHOLD:
+        return {}
+    threshold = robust_threshold(list(known.values()))
+    return {
+        name: Flag(
+            kind="far_from_simulation",
+            signal="position",
+            severity="note",
+            detail=f"position MSE against the simulation {value:.3g}, the other motions stay below {threshold:.3g}: "
+            "executed wrongly, or something that the model does not know",
+        )
+        for name, value in known.items()
+        if value > threshold
+    }
+
+
+def quality_of(
+    dataset: Dataset,
+    kept: set[str],
+    joint_map: JointMap | None,
+    failed: Mapping[str, Flag],
+    *,
+    split: str | None,
+) -> Quality:
+    """The flags of the episodes that were asked for; those that are not in `kept` were dropped because of them."""
+    names = {rule.log: rule.joint for rule in joint_map.rules} if joint_map else {}
+    episodes = {}
+    for name in dataset.select(split=split):
+        meta = dataset.meta(name)
+        flags = [replace(flag, joint=names.get(flag.joint, flag.joint)) for flag in meta.flags]
+        flags += [failed[name]] if name in failed else []
+        episodes[name] = EpisodeQuality(split=meta.split, flags=tuple(flags), dropped=name not in kept)
+    return Quality(episodes)
