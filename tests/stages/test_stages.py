@@ -11,7 +11,7 @@ from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
 from trueup.dataset.importers.base import ImportOptions
 from trueup.dataset.importers.npz import write_npz
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, OutputExists, TrueupError
-from trueup.robots import JointSpec, find_model, load_robot
+from trueup.robots import ControllerSpec, JointSpec, find_model, load_robot
 from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode
 from trueup.stages import close, gap, import_logs, replay
 from trueup.stages.closing import choose
@@ -344,3 +344,63 @@ def test_a_rung_without_a_number_is_not_chosen():
     ]
     assert [rung.chosen for rung in choose(rungs)] == [False, True]
     assert not any(rung.chosen for rung in choose(rungs[:1]))
+
+
+def test_a_replay_of_which_nothing_comes_leaves_the_run_that_is_there(demo):
+    """A robot whose simulation diverges must not cost the good run, nor leave one that is empty."""
+    robot = load_robot("demo_arm")
+    replay(demo, robot)
+    wild = replace(robot, controller=ControllerSpec(kind="position", kp=1e9))
+    for label, overwrite in (("mujoco/stock", True), ("mujoco/wild", False)):
+        with pytest.raises(DataError, match="diverged"):
+            replay(demo, wild, label=label, overwrite=overwrite)
+    demo.reload()
+    assert demo.runs == ("mujoco/stock",)
+    assert len(demo.run_ids("mujoco/stock")) == 12
+
+
+def test_a_run_that_is_half_done_is_said_to_be(demo):
+    replay(demo, load_robot("demo_arm"), ids=demo.ids[:5])
+    (warning,) = gap(demo).gap.settings["warnings"]
+    assert "lacks 7 of 12 motions" in warning
+    with pytest.raises(MissingSignal, match="none of the motions"):
+        gap(demo, split="test")
+
+
+def test_an_import_that_is_half_done_is_said_to_be(demo, tmp_path):
+    assert gap(demo).gap.settings["warnings"] == []
+    logs = npz_logs(tmp_path / "logs", demo)
+    import_logs(logs, tmp_path / "data")
+    data = Dataset(tmp_path / "data")
+    assert data.info.provenance["complete"]
+    replace(data.info, provenance={**data.info.provenance, "complete": False}).save(data.path)  # as kill -9 leaves it
+    assert "interrupted" in gap(Dataset(data.path)).gap.settings["warnings"][0]
+    import_logs(logs, tmp_path / "data", resume=True)
+    assert gap(Dataset(data.path)).gap.settings["warnings"] == []
+
+
+def test_a_motion_that_is_too_short_to_differ_is_left_out(tmp_path):
+    data = twin_dataset(tmp_path / "twin")
+    with DatasetWriter.resume(data.path) as writer:
+        writer.append(replace(data[0], meta=EpisodeMeta("stub"), measured=data[0].measured.rows(slice(0, 2))))
+    closed = close(data.path, load_robot("demo_arm"), tmp_path / "out")
+    assert closed.measurement.gap.runs["command"]["all"]["position"]["rmse"].episodes == 4
+    assert any("stub" in warning for warning in closed.measurement.gap.settings["warnings"])
+
+
+def test_a_command_is_not_held_against_a_simulation_that_is_restarted(demo):
+    replay(demo, load_robot("demo_arm"), window_s=0.2)
+    assert set(gap(demo).gap.runs) == {"mujoco/stock"}
+
+
+def test_a_window_without_samples_and_stamps_in_nanoseconds_are_refused(demo, tmp_path):
+    with pytest.raises(DataError, match="hardly a sample"):
+        replay(demo, load_robot("demo_arm"), window_s=0.01)
+    with pytest.raises(ConfigError, match="command"):
+        replay(demo, load_robot("demo_arm"), label="command")
+    episode = demo[0]
+    slow = {
+        name: replace(getattr(episode, name), time_s=episode.measured.time_s * 1e9) for name in ("measured", "command")
+    }
+    with pytest.raises(DataError, match=r"(?s)lasts.*seconds\?"):
+        import_logs(npz_logs(tmp_path / "logs", [replace(episode, **slow)]), tmp_path / "data")

@@ -72,13 +72,18 @@ def _plain(items: Iterable[T], what: str, total: int | None) -> Iterator[T]:
             err.print(f"{what}: {done}{f'/{total}' if total else ''}, {rate:.3g}/s{left}")
 
 
+def _plain_text(text: str) -> str:
+    """Names from logs may hold control characters; a terminal must not obey them."""
+    return "".join(character if character.isprintable() or character == "\n" else "\ufffd" for character in text)
+
+
 def problem(message: str, hint: str | None = None) -> None:
     """An error in one or two lines."""
-    err.print(Text("error: ", style="bold red") + Text(" ".join(message.split())))
+    err.print(Text("error: ", style="bold red") + Text(_plain_text(" ".join(message.split()))))
     if hint:  # lines are kept: a hint may be a file to copy
-        err.print(Text("  next: ", style="bold") + Text(hint.strip()))
+        err.print(Text("  next: ", style="bold") + Text(_plain_text(hint.strip())))
 
 
 def note(message: str) -> None:
     """A remark on stderr."""
-    err.print(Text("note: ", style="bold yellow") + Text(message))
+    err.print(Text("note: ", style="bold yellow") + Text(_plain_text(message)))

@@ -88,9 +88,11 @@ def show_import(summary: ImportSummary) -> None:
     out.print(f"{summary.imported} episodes imported ({summary.format}){kept} -> {summary.path}", markup=False)
 
 
-def show_flags(quality: Quality) -> None:
+def show_flags(quality: Quality, *, only_dropped: bool = False) -> None:
     """The episodes with quality warnings."""
     for name, item in quality.episodes.items():
+        if only_dropped and not item.dropped:
+            continue
         kinds = dict.fromkeys(flag.kind for flag in item.flags if flag.severity == "warning")
         if kinds:
             note(f"{name}: quality warning: {', '.join(kinds)}{' (dropped)' if item.dropped else ''}")

@@ -10,7 +10,9 @@ import typer
 
 from trueup.cli import options
 from trueup.cli.console import note, out, track
+from trueup.cli.convert import show_flags
 from trueup.cli.tables import gap_table, verdicts
+from trueup.core.atomic import make_folder
 from trueup.core.results import GapResult
 from trueup.errors import BarNotMet, OutputExists
 
@@ -51,6 +53,8 @@ def gap(
     from trueup.stages import gap as measure
 
     bars = [parse_bar(text) for text in fail_above or []]
+    if out_dir is not None:
+        make_folder(out_dir)
     if out_dir is not None and (out_dir / "gap.json").exists() and not overwrite:
         raise OutputExists(f"{out_dir / 'gap.json'} exists", hint="Give --overwrite, or choose another --out.")
     measurement = measure(
@@ -68,6 +72,7 @@ def gap(
         track=track,
     )
     shown = _list(metrics) or ["rmse"]
+    show_flags(measurement.quality, only_dropped=True)
     out.print(gap_table(measurement.gap, metric="rmse" if "rmse" in shown else shown[0]))
     for line in verdicts(measurement.gap):
         out.print(line, markup=False)

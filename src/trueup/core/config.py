@@ -98,4 +98,18 @@ def _scalar(hint: Any, value: Any, where: str) -> Any:
         return float(value)
     if hint is Any or (isinstance(value, hint) and not (hint is int and isinstance(value, bool))):
         return value
-    raise ConfigError(f"{where} has the wrong type", got=repr(value), expected=getattr(hint, "__name__", hint))
+    looks_like_one = hint is float and isinstance(value, str) and _reads_as_float(value)
+    raise ConfigError(
+        f"{where} has the wrong type",
+        got=repr(value),
+        expected=getattr(hint, "__name__", hint),
+        hint=f"YAML takes {value} for text; write it with a point, such as 1.0e-3." if looks_like_one else None,
+    )
+
+
+def _reads_as_float(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -11,6 +11,7 @@ from trueup.dataset.splits import read_split as read_split
 from trueup.dataset.writer import DatasetWriter as DatasetWriter
 from trueup.dataset.writer import RunWriter as RunWriter
 from trueup.dataset.writer import refuse_occupied as refuse_occupied
+from trueup.dataset.writer import refuse_run as refuse_run
 
 __all__ = [
     "SPLITS",
@@ -24,4 +25,5 @@ __all__ = [
     "match_splits",
     "read_split",
     "refuse_occupied",
+    "refuse_run",
 ]

@@ -52,6 +52,10 @@ def run_spec(dataset: Path, label: str) -> StoreSpec:
         ConfigError: the label is no label.
     """
     parts = label.split("/")
+    if label == "command":
+        raise ConfigError(
+            "the label 'command' is kept for the command taken as the motion", hint="choose another label"
+        )
     if len(parts) > 3 or not all(_LABEL_PART.fullmatch(part) and ".." not in part for part in parts):
         raise ConfigError(
             "this is no label for a run", got=repr(label), expected="ENGINE/VARIANT such as mujoco/fitted+realeasy"
@@ -256,10 +260,8 @@ class RunWriter(_Closing):
                 _save_run(spec, label, run_info)
             finally:
                 lock.release()
-        elif not resume:
-            raise OutputExists(
-                f"{dataset_path} has a run {label!r}", hint="--resume adds what is missing, --overwrite replaces it"
-            )
+        else:
+            refuse_run(dataset_path, label, allowed=resume)
         self._store = StoreWriter(spec)
 
     def __enter__(self) -> RunWriter:
@@ -292,6 +294,18 @@ class RunWriter(_Closing):
     def close(self) -> None:
         """Move everything into shards and let the next writer in."""
         self._store.close()
+
+
+def refuse_run(dataset_path: Path, label: str, *, allowed: bool) -> None:
+    """Raise OutputExists if the run is there, unless that is `allowed`.
+
+    Raises:
+        ConfigError: the label is no label.
+    """
+    if (run_spec(dataset_path, label).folder / RUN_NAME).exists() and not allowed:
+        raise OutputExists(
+            f"{dataset_path} has a run {label!r}", hint="--resume adds what is missing, --overwrite replaces it"
+        )
 
 
 def read_run_info(spec: StoreSpec) -> dict[str, Any]:

@@ -19,6 +19,9 @@ from trueup.core.windows import window_starts
 from trueup.errors import ConfigError, DataError, TrueupError
 from trueup.robots import RobotSpec
 
+_MOST_STEPS = 50_000_000  # half a day at 1 ms; beyond that the unit of the stamps is wrong
+_FEWEST_ROWS = 3
+
 
 @dataclass(frozen=True)
 class ReplaySettings:
@@ -157,7 +160,20 @@ def _request(
 ) -> RolloutRequest:
     clock, timestep = measured.time_s, simulator.timestep_s
     last = np.append(starts[1:], clock.size) - 1
-    steps = max(1, int(np.ceil(np.max(clock[last] - clock[starts]) / timestep - 1e-6)))
+    longest_s = float(np.max(clock[last] - clock[starts]))
+    if longest_s / timestep > _MOST_STEPS:
+        raise DataError(
+            f"episode {episode_id!r} lasts too long for a time step of {timestep:g} s",
+            got=f"{longest_s:.3g} s",
+            hint="Are its stamps really in seconds?",
+        )
+    if starts.size > 1 and np.median(np.diff(starts)) < _FEWEST_ROWS:
+        raise DataError(
+            f"episode {episode_id!r}: a window of {settings.window_s:g} s holds hardly a sample",
+            got=f"samples every {np.median(np.diff(clock)):.3g} s",
+            expected=f"windows of at least {_FEWEST_ROWS} samples",
+        )
+    steps = max(1, int(np.ceil(longest_s / timestep - 1e-6)))
     grid = clock[starts][:, None] + np.arange(steps) * timestep
     position = measured["position"][starts].astype(np.float64)
     velocity = np.zeros_like(position)

@@ -18,12 +18,17 @@ from trueup.measure import Comparison
 from trueup.robots import RobotSpec
 from trueup.stages.replaying import in_robot_names
 
+# A motion of fewer samples starts where it was measured and ends before it can differ: it would count as perfect.
+_FEWEST_SAMPLES = 10
+
 
 @dataclass(frozen=True)
 class Frame:
     """What the runs that are compared have in common.
 
-    `foreign` runs came with the logs: they speak the log's language and have clocks of their own.
+    `follows_motion`: whether the command may be scored as a motion; not beside a simulation that is restarted from
+    the measured state again and again. `foreign` runs came with the logs: they speak the log's language and have
+    clocks of their own.
     """
 
     joint_map: JointMap | None
@@ -57,6 +62,7 @@ def frame_of(dataset: Dataset, labels: Sequence[str], robot: RobotSpec | None) -
                 hint="Name runs that belong together with --runs, or replay them anew.",
             )
     base = next(iter(infos.values()), {})
+    window_s = next(iter(windows.values()), None)
     rules = next(iter(maps.values()), robot.joint_rules() if robot else None)
     stated = next((tuple(info["scored_joints"]) for info in infos.values() if "scored_joints" in info), None)
     scored = robot.scored_joints if robot else stated
@@ -66,8 +72,8 @@ def frame_of(dataset: Dataset, labels: Sequence[str], robot: RobotSpec | None) -
         foreign=frozenset(labels) - set(maps),
         scored=scored,
         torque_limits={**base.get("torque_limits", {}), **limits} or None,
-        window_s=next(iter(windows.values()), None),
-        follows_motion=base.get("command_signal", "position") in ("position", "velocity"),
+        window_s=window_s,
+        follows_motion=window_s is None and base.get("command_signal", "position") in ("position", "velocity"),
         robot=robot.name if robot else base.get("inputs", {}).get("robot", {}).get("name", ""),
     )
 
@@ -89,8 +95,12 @@ def comparison_of(episode: Episode, frame: Frame, *, align: bool) -> Comparison:
     inside = (measured.time_s >= max(begin, default=-np.inf) - SAME_INSTANT_S) & (
         measured.time_s <= min(end, default=np.inf) + SAME_INSTANT_S
     )
-    if not inside.any():
-        raise DataError(f"episode {episode.id!r}: measurement, command and simulation have no time in common")
+    if inside.sum() < _FEWEST_SAMPLES:
+        raise DataError(
+            f"episode {episode.id!r}: measurement, command and simulation have too little time in common",
+            got=f"{int(inside.sum())} samples",
+            expected=f"at least {_FEWEST_SAMPLES}",
+        )
     measured = measured.rows(np.flatnonzero(inside))
     clock = measured.time_s
     simulated = {label: _at(series, clock) for label, series in own.items()}

@@ -33,6 +33,7 @@ from trueup.stages.progress import Track, silent
 
 # A model folder with meshes is copied whole; beyond this size it is somebody's asset library.
 _MAX_MODEL_BYTES = 200 * 2**20
+_LONGEST_S = 30 * 86400.0
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ def import_logs(
     info = DatasetInfo(
         robot=robot.name if robot else plan.robot,
         licence=plan.licence,
-        provenance=provenance(config=config, seed=seed),
+        provenance={**provenance(config=config, seed=seed), "complete": False},
         notes=tuple(notes),
     )
     if not resume:
@@ -144,6 +145,9 @@ def import_logs(
                 warnings = (flag.kind for flag in episode.meta.flags if flag.severity == "warning")
                 flagged[item.id] = tuple(dict.fromkeys(warnings))
             writer.append(episode)
+        if writer is not None:
+            writer.info = replace(writer.info, provenance={**writer.info.provenance, "complete": True})
+            writer.info.save(out)
     imported = len(missing) - len(refused)
     if refused and not imported and not there:
         first = next(iter(refused.values()))
@@ -169,6 +173,11 @@ def _load(
 
 def checked(episode: Episode, robot: RobotSpec | None = None) -> Episode:
     """The episode with what the quality checks find; the limits that the robot's description states count, too."""
+    if episode.measured.duration_s > _LONGEST_S:
+        raise DataError(
+            f"episode {episode.id!r} lasts {episode.measured.duration_s:.3g} s",
+            hint="Are its stamps really in seconds? A mapping file states their unit.",
+        )
     if robot is None:
         return episode.with_flags(check_quality(episode))
     joint_map = JointMap.from_dict(robot.joint_rules())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,18 +12,19 @@ import numpy as np
 
 from trueup.align import cut_rest, position_mse
 from trueup.core.analysis import Analysis
+from trueup.core.atomic import make_folder
 from trueup.core.episode import Episode
 from trueup.core.provenance import provenance
 from trueup.core.quality import Quality
 from trueup.core.results import GapResult
 from trueup.core.traces import TraceSet
 from trueup.dataset import Dataset
-from trueup.errors import DataError, MissingSignal
+from trueup.errors import ConfigError, DataError, MissingSignal, TrueupError
 from trueup.measure import COMMAND_RUN, AnalysisBuilder, Comparison, lags_of, measure_gap
 from trueup.robots import RobotSpec
 from trueup.stages.comparing import comparison_of, frame_of
 from trueup.stages.progress import Track, silent
-from trueup.stages.suspicions import Signs, far_motions, quality_of
+from trueup.stages.suspicions import Signs, far_motions, incomplete, quality_of
 
 # Motions whose curves are kept for the report, those with the largest errors; memory must not grow with the dataset.
 _MOST_TRACED = 300
@@ -47,7 +49,7 @@ class Measurement:
     def save(self, folder: Path | str) -> None:
         """Write gap.json, analysis.json, quality.json, traces.json and traces.npz."""
         folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         self.traces.save(folder)
         self.analysis.save(folder / "analysis.json")
         self.quality.save(folder / "quality.json")
@@ -96,6 +98,8 @@ def gap(
     """
     # The stock model is what the others are compared with, whatever their names.
     known = sorted(dataset.runs, key=lambda label: (not label.endswith("/stock"), label))
+    if not 0 < tau_rad < np.inf:
+        raise ConfigError("tau_rad must be positive", got=tau_rad)
     labels = tuple(known if runs is None else (label for label in runs if label != COMMAND_RUN))
     frame = frame_of(dataset, labels, robot)
     kept = dataset.select(split=split, drop_flagged=drop_flagged)
@@ -108,12 +112,25 @@ def gap(
     builder = AnalysisBuilder(window_s=frame.window_s)
     traces = TraceSet()
     errors: dict[str, float] = {}
+    left_out: dict[str, TrueupError] = {}
     signs = Signs()
+    covered = {label: frozenset(dataset.run_ids(label)) for label in labels}
+    for label in labels:
+        if not covered[label] & set(kept):
+            raise MissingSignal(
+                f"the run {label!r} has none of the motions to measure",
+                available=sorted(covered[label]),
+                hint="Replay them: trueup replay DATASET --robot ROBOT --resume.",
+            )
 
     def comparisons() -> Iterator[Comparison]:
         for name in track(kept, "gap", len(kept)):
-            episode = dataset.episode(name, runs=[label for label in labels if name in dataset.run_ids(label)])
-            comparison = comparison_of(cut_rest(episode) if cut_resting else episode, frame, align=align)
+            episode = dataset.episode(name, runs=[label for label in labels if name in covered[label]])
+            try:
+                comparison = comparison_of(cut_rest(episode) if cut_resting else episode, frame, align=align)
+            except TrueupError as error:  # one bad motion must not hide the others; a damaged file is another matter
+                left_out[name] = error
+                continue
             traces.add(name, episode.meta.split, comparison.measured, comparison.command, dict(comparison.simulated))
             # A robot that is driven by torque may log a wish for its position, but that is not what it was told.
             scored = comparison if frame.follows_motion else replace(comparison, command=None)
@@ -135,8 +152,12 @@ def gap(
         "cut_rest": cut_resting,
         "align_starts": align,
     }
+    items = comparisons()
+    first = next(items, None)
+    if first is None:
+        raise next(iter(left_out.values()))
     result = measure_gap(
-        comparisons(),
+        itertools.chain([first], items),
         scored_joints=frame.scored,
         signals=signals,
         metrics=metrics,
@@ -154,7 +175,8 @@ def gap(
             hint="Make a run first: trueup replay DATASET --robot ROBOT.",
         )
     names = {"robot": frame.robot or dataset.info.robot, "dataset": dataset.path.resolve().name}
-    warnings = {"warnings": signs.warnings()}
+    told = [f"{name} was left out: {error.what}" for name, error in left_out.items()]
+    warnings = {"warnings": [*incomplete(dataset, covered, kept), *told, *signs.warnings()]}
     result = replace(result, settings={**result.settings, **names, **warnings})
     origin = result.provenance
     traces.provenance = origin

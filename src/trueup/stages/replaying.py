@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import time
@@ -13,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 from trueup.align import JointMap
 from trueup.core.episode import Episode
 from trueup.core.provenance import provenance
-from trueup.dataset import Dataset, RunWriter
-from trueup.errors import DataError, MissingSignal, OutputExists, TrueupError
+from trueup.dataset import Dataset, RunWriter, refuse_run
+from trueup.errors import DataError, OutputExists, TrueupError
 from trueup.robots import RobotSpec, find_model
 from trueup.stages.progress import Track, silent
 
@@ -116,8 +117,10 @@ def replay(
         "settings": asdict(settings),
         "provenance": provenance(config={"robot": robot.to_dict(), "model": path.name}, data_hash=dataset.hash),
     }
+    refuse_run(dataset.path, label, allowed=overwrite or resume)
     earlier_s = 0.0
-    if label in dataset.runs and resume and not overwrite:
+    keeping = label in dataset.runs and resume and not overwrite
+    if keeping:
         _refuse_other_inputs(dataset, label, inputs)
         earlier_s = float(dataset.run_info(label).get("seconds", 0.0))
     joint_map = JointMap.from_dict(robot.joint_rules())
@@ -125,18 +128,23 @@ def replay(
     failed: dict[str, TrueupError] = {}
     if wanted:  # names that do not fit concern all episodes: say it once, before anything is written
         in_robot_names(dataset.episode(wanted[0]), joint_map)
-    with RunWriter(dataset.path, label, run_info=info, overwrite=overwrite, resume=resume) as writer:
-        missing = [name for name in wanted if name not in writer.ids]
+    with contextlib.ExitStack() as stack:
+        writer = None
+        if keeping:
+            writer = stack.enter_context(RunWriter(dataset.path, label, run_info=info, resume=True))
+        missing = [name for name in wanted if writer is None or name not in writer.ids]
         results = replay_episodes(
             _readable(dataset, missing, joint_map, failed), simulator.clone, settings, jobs=jobs or os.cpu_count() or 1
         )
         for name, result in track(results, "replay", len(missing)):
             if isinstance(result, TrueupError):
                 failed[name] = result
-            else:
-                writer.append(name, result)
+                continue
+            if writer is None:  # only now, so that a replay of which nothing comes leaves the run that is there alone
+                writer = stack.enter_context(RunWriter(dataset.path, label, run_info=info, overwrite=overwrite))
+            writer.append(name, result)
         seconds = earlier_s + (time.perf_counter() - started if missing else 0.0)
-        if missing:
+        if missing and writer is not None:
             writer.update_info({**info, "seconds": seconds})
     dataset.reload()
     done = len(missing) - len(failed)
@@ -153,7 +161,7 @@ def _readable(
     for name in ids:
         try:
             yield in_robot_names(dataset.episode(name), joint_map)
-        except (DataError, MissingSignal) as error:
+        except TrueupError as error:
             failed[name] = error
 
 

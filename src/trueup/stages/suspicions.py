@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 
 import numpy as np
@@ -42,6 +42,21 @@ class Signs:
             return []
         joints = ", ".join(unsigned)
         return [f"The measured torque of {joints} has no sign, the simulated one has: errors of torque say little."]
+
+
+def incomplete(dataset: Dataset, covered: Mapping[str, Set[str]], kept: Sequence[str]) -> list[str]:
+    """Sentences about work that was begun and not finished."""
+    sentences = []
+    if dataset.info.provenance.get("complete") is False:
+        sentences.append(f"The import of {dataset.path.name} was interrupted: import --resume reads the rest.")
+    for label, ids in covered.items():
+        missing = [name for name in kept if name not in ids]
+        if missing:
+            sentences.append(
+                f"The run {label} lacks {len(missing)} of {len(kept)} motions ({', '.join(missing[:3])}"
+                f"{', …' if len(missing) > 3 else ''}): what is said of it holds for the others."
+            )
+    return sentences
 
 
 def far_motions(errors: Mapping[str, float]) -> dict[str, Flag]:

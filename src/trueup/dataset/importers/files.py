@@ -107,7 +107,7 @@ def episode_id(name: str) -> str:
     Raises:
         DataError: nothing is left, or a part of the path is `.` or `..`.
     """
-    parts = [re.sub(r"[^A-Za-z0-9_.-]+", "_", part) for part in name.split("/") if part]
+    parts = [re.sub(r"[^\w.-]+", "_", part) for part in name.split("/") if part]
     if not parts or any(set(part) <= {"."} for part in parts):
         raise DataError("no episode id can be made of this name", got=repr(name))
     return "/".join(parts)
