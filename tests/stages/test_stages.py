@@ -404,3 +404,11 @@ def test_a_window_without_samples_and_stamps_in_nanoseconds_are_refused(demo, tm
     }
     with pytest.raises(DataError, match=r"(?s)lasts.*seconds\?"):
         import_logs(npz_logs(tmp_path / "logs", [replace(episode, **slow)]), tmp_path / "data")
+
+
+def test_a_joint_map_that_is_not_applied_is_said_to_be(demo):
+    robot = load_robot("demo_arm")
+    joints = (JointSpec("yaw", log="J1", sign=-1), JointSpec("shoulder", log="J2"), JointSpec("elbow", log="J3"))
+    replay(demo, replace(robot, joints=joints))
+    (warning,) = gap(demo).gap.settings["warnings"]
+    assert "sign, scale and offset of yaw were not applied" in warning

@@ -24,7 +24,7 @@ from trueup.measure import COMMAND_RUN, AnalysisBuilder, Comparison, lags_of, me
 from trueup.robots import RobotSpec
 from trueup.stages.comparing import comparison_of, frame_of
 from trueup.stages.progress import Track, silent
-from trueup.stages.suspicions import Signs, far_motions, incomplete, quality_of
+from trueup.stages.suspicions import Signs, far_motions, incomplete, quality_of, unapplied
 
 # Motions whose curves are kept for the report, those with the largest errors; memory must not grow with the dataset.
 _MOST_TRACED = 300
@@ -176,7 +176,14 @@ def gap(
         )
     names = {"robot": frame.robot or dataset.info.robot, "dataset": dataset.path.resolve().name}
     told = [f"{name} was left out: {error.what}" for name, error in left_out.items()]
-    warnings = {"warnings": [*incomplete(dataset, covered, kept), *told, *signs.warnings()]}
+    warnings = {
+        "warnings": [
+            *incomplete(dataset, covered, kept),
+            *unapplied(frame.joint_map, dataset[kept[0]].measured.joints),
+            *told,
+            *signs.warnings(),
+        ]
+    }
     result = replace(result, settings={**result.settings, **names, **warnings})
     origin = result.provenance
     traces.provenance = origin

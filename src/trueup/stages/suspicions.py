@@ -59,6 +59,22 @@ def incomplete(dataset: Dataset, covered: Mapping[str, Set[str]], kept: Sequence
     return sentences
 
 
+def unapplied(joint_map: JointMap | None, log_joints: Sequence[str]) -> list[str]:
+    """A sentence if signs, scales or offsets stay unused because the log is in the robot's names already."""
+    if joint_map is None or set(joint_map.log_joints) == set(log_joints) or set(joint_map.joints) != set(log_joints):
+        return []
+    plain = JointMap.identity(joint_map.joints)
+    unused = [
+        rule.joint
+        for rule, other in zip(joint_map.rules, plain.rules, strict=True)
+        if replace(rule, log=rule.joint) != other
+    ]
+    if not unused:
+        return []
+    what = f"sign, scale and offset of {', '.join(unused)} were not applied"
+    return [f"The log has the robot's joint names already: {what}; name the log's in robot.yaml if they should be."]
+
+
 def far_motions(errors: Mapping[str, float]) -> dict[str, Flag]:
     """Motions that are much further from the simulation than the others are (LSTM thesis, 4.2)."""
     known = {name: value for name, value in errors.items() if np.isfinite(value)}
