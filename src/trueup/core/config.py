@@ -23,16 +23,31 @@ def read_yaml(path: Path) -> dict[str, Any]:
         ConfigError: missing, not UTF-8, not YAML, a tag that would build objects, or no mapping at the top.
     """
     try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise ConfigError(f"{path} does not exist") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} cannot be read", got=error) from error
-    except (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        raise ConfigError(f"{path} is not plain YAML", got=" ".join(str(error).split())) from error
+    tree = parse_yaml(text, str(path))
     if not isinstance(tree, dict):
         raise ConfigError(f"{path} must hold a mapping", got=type(tree).__name__)
     return tree
+
+
+def parse_yaml(text: str, where: str) -> Any:
+    """What `yaml.safe_load` makes of a text.
+
+    Raises:
+        ConfigError: not YAML, or a tag that would build objects.
+    """
+    try:
+        return yaml.safe_load(text)
+    # PyYAML lets errors of its constructors through, e.g. for `!!int x` or a date that does not exist.
+    except (
+        *(yaml.YAMLError, ValueError, TypeError, LookupError),
+        *(AttributeError, ArithmeticError, RecursionError),
+    ) as error:
+        raise ConfigError(f"{where} is not plain YAML", got=" ".join(str(error).split())[:200]) from error
 
 
 def build(cls: type[T], data: Any, where: str) -> T:

@@ -6,6 +6,7 @@ import contextlib
 import json
 import re
 import shutil
+from abc import ABC, abstractmethod
 from collections.abc import KeysView, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -99,11 +100,11 @@ def _plain(value: object) -> Any:
     raise TypeError(f"{type(value).__name__} {value!r}")
 
 
-class _Closing:
+class _Closing(ABC):
     """`with` for a writer: what was appended is kept, also when the block ends with an error."""
 
-    def close(self) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def close(self) -> None: ...
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

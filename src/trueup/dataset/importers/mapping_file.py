@@ -9,8 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
-
+from trueup.core.config import parse_yaml
 from trueup.dataset.importers.files import read_text
 from trueup.dataset.importers.mapping import ClockColumn, CsvMapping, SeriesColumns, SignalColumns
 from trueup.errors import ConfigError
@@ -55,19 +54,7 @@ def parse_mapping(text: str, *, name: str) -> CsvMapping:
     """
     if len(text) > _LARGEST:
         raise ConfigError(f"{name} is too large for a mapping", got=f"{len(text)} characters", expected=_LARGEST)
-    try:
-        data = yaml.safe_load(text)
-    # PyYAML lets errors of its constructors through, e.g. for `!!int x` or a date that does not exist.
-    except (
-        yaml.YAMLError,
-        ValueError,
-        TypeError,
-        LookupError,
-        AttributeError,
-        ArithmeticError,
-        RecursionError,
-    ) as error:
-        raise ConfigError(f"{name} is not plain YAML", got=" ".join(str(error).split())[:200]) from error
+    data = parse_yaml(text, name)
     readers: dict[str, Callable[[object, str], object]] = {
         "joints": _texts,
         "series": partial(_each, _series),

@@ -21,8 +21,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from trueup.core.config import parse_yaml
 from trueup.core.timeseries import TimeSeries
 from trueup.core.units import SI_UNIT, UNITS
 from trueup.dataset.importers.base import ImportOptions
@@ -122,20 +121,10 @@ def with_units(series: TimeSeries, units: Mapping[str, str], joints: Collection[
 
 def _read_yaml(path: Path) -> dict[Any, Any]:
     try:
-        content = yaml.safe_load(read_text(path))
-    # PyYAML lets errors of its constructors through, e.g. for `!!int x` or a date that does not exist.
-    except (
-        yaml.YAMLError,
-        ValueError,
-        TypeError,
-        LookupError,
-        AttributeError,
-        ArithmeticError,
-        RecursionError,
-    ) as error:
-        raise ConfigError(f"{path} is not plain YAML", got=" ".join(str(error).split())[:200]) from error
+        text = read_text(path)
     except DataError as error:
         raise ConfigError(str(error)) from error
+    content = parse_yaml(text, str(path))
     if not isinstance(content, dict):
         raise ConfigError(f"{path} is no YAML mapping", got=type(content).__name__, expected="keys such as `joints:`")
     return content
