@@ -174,7 +174,8 @@ def gap(
             available=labels,
             hint="Make a run first: trueup replay DATASET --robot ROBOT.",
         )
-    names = {"robot": frame.robot or dataset.info.robot, "dataset": dataset.path.resolve().name}
+    source = dataset.info.provenance.get("config", {}).get("source")
+    names = {"robot": frame.robot or dataset.info.robot, "dataset": source or dataset.path.resolve().name}
     told = [f"{name} was left out: {error.what}" for name, error in left_out.items()]
     warnings = {
         "warnings": [
