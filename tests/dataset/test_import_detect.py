@@ -1,3 +1,4 @@
+import os
 import subprocess
 import sys
 
@@ -7,7 +8,7 @@ import pytest
 from trueup.dataset.importers import detect
 from trueup.dataset.importers.clock import common_origin, seconds, usable_clock
 from trueup.dataset.importers.detect import IMPORTERS, find_importer
-from trueup.dataset.importers.files import episode_id
+from trueup.dataset.importers.files import episode_id, read_bytes
 from trueup.errors import ConfigError, DataError, FormatError, MissingDependency
 
 
@@ -125,3 +126,9 @@ def test_names_become_ids(name, id):
 def test_names_that_cannot_be_ids(name):
     with pytest.raises(DataError):
         episode_id(name)
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(DataError, match="no regular file"):
+        read_bytes(tmp_path / "pipe")

@@ -60,6 +60,8 @@ def read_bytes(path: Path) -> bytes:
     Raises:
         DataError: it is missing, a folder, or not readable.
     """
+    if path.exists() and not path.is_file():  # a pipe would be waited for, forever
+        raise DataError(f"cannot read {path}", got="a folder" if path.is_dir() else "no regular file")
     try:
         return path.read_bytes()
     except OSError as error:
