@@ -45,7 +45,8 @@ const Report = (() => {
       trace.error_x ? { ...trace, error_x: { ...trace.error_x, color: trace.error_x.color || colors.ink } } : trace);
     element.style.minHeight = `${layout.height}px`;
     return Plotly.react(element, data, layout, {
-      displaylogo: false, responsive: true, displayModeBar: interactive && !coarse ? "hover" : false,
+      displaylogo: false, responsive: true,
+      displayModeBar: interactive && !coarse && window.innerWidth > 640 ? "hover" : false, // it would cover the legend
       modeBarButtons: [["toImage"], ["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"]], doubleClick: "reset",
       showSendToCloud: false, plotlyServerURL: "",
     });
