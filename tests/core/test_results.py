@@ -86,3 +86,11 @@ def test_what_is_not_json_is_refused(tmp_path, content):
     (tmp_path / "gap.json").write_bytes(content)
     with pytest.raises(DataError, match=r"gap\.json"):
         GapResult.load(tmp_path / "gap.json")
+
+
+@pytest.mark.parametrize("tree", [{}, {"runs": 3}, {"runs": {"a": {}}, "joints": []}, {"rungs": [{"name": "stock"}]}])
+def test_a_broken_result_is_a_broken_file_and_no_bug(tmp_path, tree):
+    for kind, schema in ((GapResult, "trueup.gap/1"), (Ladder, "trueup.ladder/1")):
+        (tmp_path / "result.json").write_text(json.dumps({"schema": schema, **tree}))
+        with pytest.raises(DataError, match="is broken"):
+            kind.load(tmp_path / "result.json")

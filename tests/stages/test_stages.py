@@ -412,3 +412,19 @@ def test_a_joint_map_that_is_not_applied_is_said_to_be(demo):
     replay(demo, replace(robot, joints=joints))
     (warning,) = gap(demo).gap.settings["warnings"]
     assert "sign, scale and offset of yaw were not applied" in warning
+
+
+def test_a_foreign_run_decides_nothing_about_the_robot(demo, tmp_path):
+    """A torque-driven robot stays one beside a run of another simulator, whatever their labels."""
+    with DatasetWriter.create(tmp_path / "both", DatasetInfo(robot="demo_arm")) as writer:
+        for episode in demo:
+            signals = {**episode.commanded().signals, "torque": np.zeros_like(episode.commanded()["position"])}
+            units = {**episode.commanded().units, "torque": ("Nm",) * 3}
+            told = replace(episode.commanded(), signals=signals, units=units)
+            writer.append(replace(episode, command=told, simulated={"another/run": episode.measured}))
+    data = Dataset(tmp_path / "both")
+    robot = load_robot("demo_arm")
+    replay(data, replace(robot, controller=ControllerSpec(kind="torque")), label="mujoco/torque")
+    measured = gap(data).gap
+    assert set(measured.runs) == {"another/run", "mujoco/torque"}
+    assert measured.settings["robot"] == "demo_arm"

@@ -9,6 +9,7 @@ import typer
 
 from trueup.cli import options
 from trueup.cli.console import note, out, problem, track
+from trueup.core.episode import warning_kinds
 from trueup.core.quality import Quality
 from trueup.dataset.importers.base import ImportOptions
 
@@ -93,7 +94,7 @@ def show_flags(quality: Quality, *, only_dropped: bool = False) -> None:
     for name, item in quality.episodes.items():
         if only_dropped and not item.dropped:
             continue
-        kinds = dict.fromkeys(flag.kind for flag in item.flags if flag.severity == "warning")
+        kinds = warning_kinds(item.flags)
         if kinds:
             note(f"{name}: quality warning: {', '.join(kinds)}{' (dropped)' if item.dropped else ''}")
 

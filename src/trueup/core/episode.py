@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -39,6 +39,11 @@ class Flag:
         return asdict(self)
 
 
+def warning_kinds(flags: Iterable[Flag]) -> tuple[str, ...]:
+    """The kinds of the flags of severity `warning`, each once."""
+    return tuple(dict.fromkeys(flag.kind for flag in flags if flag.severity == "warning"))
+
+
 @dataclass(frozen=True)
 class EpisodeMeta:
     """What is known about an episode apart from its samples.
@@ -68,7 +73,7 @@ class EpisodeMeta:
     @property
     def warned(self) -> bool:
         """Whether a quality flag of severity `warning` is set (what `--drop-flagged` drops)."""
-        return any(flag.severity == "warning" for flag in self.flags)
+        return bool(warning_kinds(self.flags))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from typing import Any
 
 from trueup.core.atomic import read_json, write_json
 from trueup.core.config import build
-from trueup.core.episode import Flag
+from trueup.core.episode import Flag, warning_kinds
 from trueup.errors import ConfigError, DataError, FormatError
 
 QUALITY_SCHEMA = "trueup.quality/1"
@@ -32,7 +32,7 @@ class EpisodeQuality:
     @property
     def warned(self) -> bool:
         """Whether a flag of severity `warning` is set."""
-        return any(flag.severity == "warning" for flag in self.flags)
+        return bool(warning_kinds(self.flags))
 
 
 @dataclass(frozen=True)

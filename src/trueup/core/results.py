@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from trueup.core.atomic import read_json, write_json
-from trueup.errors import FormatError
+from trueup.errors import DataError, FormatError
 
 GAP_SCHEMA = "trueup.gap/1"
 LADDER_SCHEMA = "trueup.ladder/1"
@@ -176,8 +177,14 @@ class GapResult:
 
         Raises:
             FormatError: not a gap result, or of another version.
+            DataError: a gap result, but broken.
         """
         _check_schema(data, GAP_SCHEMA)
+        with _broken("a gap result"):
+            return GapResult._read(data)
+
+    @staticmethod
+    def _read(data: Mapping[str, Any]) -> GapResult:
         return GapResult(
             runs={
                 label: {split: metrics_from_json(item) for split, item in run["splits"].items()}
@@ -253,8 +260,14 @@ class Ladder:
 
         Raises:
             FormatError: not a ladder, or of another version.
+            DataError: a ladder, but broken.
         """
         _check_schema(data, LADDER_SCHEMA)
+        with _broken("a ladder"):
+            return Ladder._read(data)
+
+    @staticmethod
+    def _read(data: Mapping[str, Any]) -> Ladder:
         rungs = [
             Rung(
                 name=item["name"],
@@ -287,6 +300,15 @@ def metrics_from_json(data: Mapping[str, Any]) -> dict[str, dict[str, MetricResu
         signal: {name: MetricResult.from_json(item) for name, item in results.items()}
         for signal, results in data.items()
     }
+
+
+@contextlib.contextmanager
+def _broken(what: str) -> Iterator[None]:
+    """A missing key or a value of another kind is a broken file, not a bug."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DataError(f"{what} is broken", got=f"{type(error).__name__}: {error}") from error
 
 
 def _number(value: float | None) -> float | None:

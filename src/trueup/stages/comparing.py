@@ -61,7 +61,7 @@ def frame_of(dataset: Dataset, labels: Sequence[str], robot: RobotSpec | None) -
                 got=f"{other} differ from {next(iter(values))!r}",
                 hint="Name runs that belong together with --runs, or replay them anew.",
             )
-    base = next(iter(infos.values()), {})
+    base = next((info for info in infos.values() if "inputs" in info), {})  # a foreign run says nothing of the robot
     window_s = next(iter(windows.values()), None)
     rules = next(iter(maps.values()), robot.joint_rules() if robot else None)
     stated = next((tuple(info["scored_joints"]) for info in infos.values() if "scored_joints" in info), None)
@@ -119,8 +119,8 @@ def comparison_of(episode: Episode, frame: Frame, *, align: bool) -> Comparison:
 
 def _at(series: TimeSeries, time_s: np.ndarray) -> TimeSeries:
     """The samples at stamps that the series has."""
-    rows = np.clip(np.searchsorted(series.time_s, time_s - 1e-9), 0, len(series) - 1)
-    if not np.allclose(series.time_s[rows], time_s, rtol=0.0, atol=1e-9):
+    rows = np.clip(np.searchsorted(series.time_s, time_s - SAME_INSTANT_S), 0, len(series) - 1)
+    if not np.allclose(series.time_s[rows], time_s, rtol=0.0, atol=SAME_INSTANT_S):
         raise DataError(
             "a run was made from other stamps than those measured now",
             hint="Replay it again: trueup replay DATASET --robot ROBOT --overwrite.",

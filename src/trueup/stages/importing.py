@@ -13,7 +13,7 @@ from typing import Any
 
 from trueup.align import JointMap, check_quality, limits_in_log
 from trueup.core.atomic import replacing
-from trueup.core.episode import Episode
+from trueup.core.episode import Episode, warning_kinds
 from trueup.core.provenance import provenance
 from trueup.dataset import (
     Dataset,
@@ -142,8 +142,7 @@ def import_logs(
                 if plan.model_dir is not None:
                     writer.info = _copy_model(plan.model_dir, out, writer.info)
             if episode.meta.warned:
-                warnings = (flag.kind for flag in episode.meta.flags if flag.severity == "warning")
-                flagged[item.id] = tuple(dict.fromkeys(warnings))
+                flagged[item.id] = warning_kinds(episode.meta.flags)
             writer.append(episode)
         if writer is not None:
             writer.info = replace(writer.info, provenance={**writer.info.provenance, "complete": True})
