@@ -23,9 +23,10 @@ ARROWS = {
     "robots": set(),
     "sim": {"robots"},
     "lab": {"sim", "robots"},
+    "identify": {"align", "measure", "robots", "sim"},
     "report": set(),
-    "stages": {"dataset", "align", "measure", "robots", "sim", "lab"},
-    "cli": {"dataset", "align", "measure", "robots", "sim", "lab", "report", "stages"},
+    "stages": {"dataset", "align", "measure", "robots", "sim", "lab", "identify"},
+    "cli": {"dataset", "align", "measure", "robots", "sim", "lab", "identify", "report", "stages"},
 }
 MODULES = sorted(PACKAGE.rglob("*.py"))
 

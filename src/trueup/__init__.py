@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from trueup.robots import load_robot as load_robot
     from trueup.stages import close as close
     from trueup.stages import demo_dataset as demo_dataset
+    from trueup.stages import fit as fit
     from trueup.stages import gap as gap
     from trueup.stages import import_logs as import_logs
     from trueup.stages import replay as replay
@@ -25,6 +26,7 @@ _WHERE = {
     "Dataset": "trueup.dataset",
     "close": "trueup.stages",
     "demo_dataset": "trueup.stages",
+    "fit": "trueup.stages",
     "gap": "trueup.stages",
     "import_logs": "trueup.stages",
     "load_robot": "trueup.robots",
@@ -36,6 +38,7 @@ __all__ = [
     "Dataset",
     "close",
     "demo_dataset",
+    "fit",
     "gap",
     "import_logs",
     "load_robot",

@@ -8,7 +8,8 @@ from trueup.core.timeseries import TimeSeries
 from trueup.core.windows import window_starts
 from trueup.errors import ConfigError, DataError
 from trueup.robots import ControllerSpec
-from trueup.sim import ReplaySettings, hold, replay, replay_episode
+from trueup.sim import ReplaySettings, replay, replay_episode
+from trueup.sim.replay_plan import held_commands
 
 SERVO = ControllerSpec(kind="position", kp=40.0, kv=2.0)
 
@@ -78,11 +79,21 @@ def test_a_delay_is_the_command_shifted(tmp_path_factory, delay):
     np.testing.assert_allclose(delayed["position"], late["position"], atol=1e-9)
 
 
-def test_hold_takes_the_latest_command_and_never_a_later_one():
-    command = series([0.0, 0.1, 0.2], position=[[0, 0], [1, 1], [2, 2]])
-    held = hold(command, "position", np.array([-1.0, 0.0, 0.09, 0.1, 0.15, 0.2, 9.0]))
-    np.testing.assert_array_equal(held[:, 0], [0, 0, 0, 1, 1, 2, 2])
-    np.testing.assert_array_equal(hold(command, "position", np.array([0.1, 0.15]), delay_s=0.06)[:, 0], [0, 0])
+def test_the_latest_command_acts_and_never_a_later_one():
+    stamps, values = np.array([0.0, 0.1, 0.2]), np.array([0.0, 1.0, 2.0])
+    grid = np.array([[-1.0, 0.0, 0.09, 0.1, 0.15, 0.2, 9.0]])
+    held = held_commands(stamps, values, grid, step_s=0.01, delay_s=0.0)
+    np.testing.assert_array_equal(held[0], [0, 0, 0, 1, 1, 2, 2])
+    late = held_commands(stamps, values, grid, step_s=0.01, delay_s=0.06)
+    np.testing.assert_array_equal(late[0], [0, 0, 0, 0, 0, 1, 2])
+
+
+def test_a_delay_of_half_a_step_lies_between_two_steps():
+    stamps, values = np.array([0.0, 0.1]), np.array([0.0, 1.0])
+    grid = np.arange(20)[None] * 0.01
+    steps = [held_commands(stamps, values, grid, step_s=0.01, delay_s=delay) for delay in (0.02, 0.025, 0.03)]
+    np.testing.assert_allclose(steps[1], (steps[0] + steps[2]) / 2)
+    assert steps[1][0, 12] == pytest.approx(0.5)
 
 
 def test_only_stamps_with_a_command_are_replayed(tmp_path):

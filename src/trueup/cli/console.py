@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Iterable, Iterator
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from rich.console import Console
 from rich.progress import (
@@ -18,6 +19,10 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.text import Text
+
+if TYPE_CHECKING:
+    from trueup.identify import OnModel
+    from trueup.identify import Progress as SearchProgress
 
 T = TypeVar("T")
 
@@ -70,6 +75,33 @@ def _plain(items: Iterable[T], what: str, total: int | None) -> Iterator[T]:
             rate = done / (now - started)
             left = f", {(total - done) / rate:.0f} s left" if total else ""
             err.print(f"{what}: {done}{f'/{total}' if total else ''}, {rate:.3g}/s{left}")
+
+
+@contextlib.contextmanager
+def iterations() -> Iterator[OnModel]:
+    """Shows where a search stands: a line that is rewritten on a terminal, a line now and then elsewhere."""
+    last = -_PLAIN_EVERY_S
+
+    def text(model: str, progress: SearchProgress) -> str:
+        return (
+            f"{model}: {progress.phase} {progress.iteration}, residual {progress.rms:.4g}, "
+            f"{progress.evaluations} candidates, {progress.evaluations / max(progress.seconds, 1e-9):.3g}/s, "
+            f"{progress.seconds:.0f} s"
+        )
+
+    if err.is_terminal:
+        with err.status("looking for a start") as status:
+            yield lambda model, progress: status.update(text(model, progress))
+        return
+
+    def plain(model: str, progress: SearchProgress) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last >= _PLAIN_EVERY_S:
+            last = now
+            err.print(text(model, progress), markup=False)
+
+    yield plain
 
 
 def _plain_text(text: str) -> str:

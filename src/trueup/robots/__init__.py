@@ -1,5 +1,6 @@
 """Robot descriptions and the project's own models."""
 
+from trueup.robots.friction import JointFriction as JointFriction
 from trueup.robots.spec import ControllerSpec as ControllerSpec
 from trueup.robots.spec import JointGains as JointGains
 from trueup.robots.spec import JointSpec as JointSpec
@@ -12,6 +13,7 @@ from trueup.robots.spec import shipped_robots as shipped_robots
 
 __all__ = [
     "ControllerSpec",
+    "JointFriction",
     "JointGains",
     "JointSpec",
     "ReplaySpec",

@@ -8,13 +8,17 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from trueup.core.config import build, read_yaml
 from trueup.errors import ConfigError
+from trueup.robots.friction import JointFriction
 
 ControllerKind = Literal["model", "position", "pd", "pid", "torque", "velocity", "velocity-integrator"]
+CommandSignal = Literal["position", "velocity", "torque"]
 
 # The signal of the command series that each controller follows.
-COMMAND_SIGNAL: Mapping[str, str] = {
+COMMAND_SIGNAL: Mapping[str, CommandSignal] = {
     "position": "position",
     "pd": "position",
     "pid": "position",
@@ -62,17 +66,19 @@ _NEEDED_GAIN: Mapping[str, Literal["kp", "kv"]] = {
 
 @dataclass(frozen=True)
 class JointGains:
-    """Gains of one joint; what is not given is the controller's common gain.
+    """Gains and delay of one joint; what is not given is the controller's common value.
 
     Attributes:
         kp: position gain [Nm/rad].
         kv: velocity gain [Nm s/rad].
         ki: integral gain [Nm/(rad s)].
+        delay_s: commands of this joint act this much later [s].
     """
 
     kp: float | None = None
     kv: float | None = None
     ki: float | None = None
+    delay_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -91,7 +97,7 @@ class ControllerSpec:
         ki: integral gain [Nm/(rad s)], `pid` only.
         integral_limit: largest torque of the integral [Nm], `pid` only.
         delay_s: the command acts this much later [s], >= 0.
-        per_joint: joint name -> gains of a joint that differs.
+        per_joint: joint name -> gains and delay of a joint that differs.
 
     Raises:
         ConfigError: `model` without `command`, or another kind with a command that it does not follow.
@@ -117,13 +123,13 @@ class ControllerSpec:
         if self.kind != "model" and self.command not in ("", COMMAND_SIGNAL[self.kind]):
             raise ConfigError(f"controller kind {self.kind!r} follows {COMMAND_SIGNAL[self.kind]}", got=self.command)
 
-    def gain(self, name: Literal["kp", "kv", "ki"], joint: str) -> float:
-        """The gain of one joint."""
+    def gain(self, name: Literal["kp", "kv", "ki", "delay_s"], joint: str) -> float:
+        """The gain (or delay) of one joint."""
         own = getattr(self.per_joint[joint], name) if joint in self.per_joint else None
         return float(getattr(self, name) if own is None else own)
 
     @property
-    def signal(self) -> str:
+    def signal(self) -> CommandSignal:
         """The signal of the command series that is followed."""
         return self.command or COMMAND_SIGNAL[self.kind]
 
@@ -135,10 +141,13 @@ class SimulationSpec:
     Attributes:
         timestep_s: physics step [s]; None takes the model's.
         contacts: whether bodies collide; an arm in free space is faster and calmer without.
+        gravity_compensation: whether the weight of every body is carried by something that the model leaves out,
+            such as the robot's own controller (Franka's does so in torque control).
     """
 
     timestep_s: float | None = None
     contacts: bool = False
+    gravity_compensation: bool = False
 
 
 @dataclass(frozen=True)
@@ -170,6 +179,7 @@ class RobotSpec:
         controller: how commands become torques.
         simulation: how the engine is run.
         replay: how logs are replayed.
+        friction: joint name -> friction law beyond the model's own `damping` and `frictionloss`.
         description: for people.
         folder: where the YAML was read from.
     """
@@ -183,6 +193,7 @@ class RobotSpec:
     controller: ControllerSpec = field(default_factory=lambda: ControllerSpec(command="position"))
     simulation: SimulationSpec = field(default_factory=SimulationSpec)
     replay: ReplaySpec = field(default_factory=ReplaySpec)
+    friction: Mapping[str, JointFriction] = field(default_factory=dict)
     description: str = ""
     folder: Path | None = None
 
@@ -191,7 +202,7 @@ class RobotSpec:
         names = self.joint_names
         if not names or len(set(names)) != len(names):
             raise ConfigError(f"robot {self.name!r}: joints must be there and have different names", got=list(names))
-        strangers = [name for name in (*self.scored, *self.controller.per_joint) if name not in names]
+        strangers = [name for name in (*self.scored, *self.controller.per_joint, *self.friction) if name not in names]
         if strangers:
             raise ConfigError(f"robot {self.name!r}: {strangers} are not joints", available=names)
         needed = _NEEDED_GAIN.get(self.controller.kind)
@@ -203,8 +214,9 @@ class RobotSpec:
                     got=gains,
                     expected=f"{needed} > 0, none negative" if needed else "none negative",
                 )
-        if self.controller.delay_s < 0:
-            raise ConfigError(f"robot {self.name!r}: delay_s must be >= 0", got=self.controller.delay_s)
+        delays = np.append(self.delay_s, self.controller.delay_s)
+        if not np.all((delays >= 0) & np.isfinite(delays)):
+            raise ConfigError(f"robot {self.name!r}: delay_s must be >= 0", got=delays.tolist())
         for label, value in (("timestep_s", self.simulation.timestep_s), ("window_s", self.replay.window_s)):
             if value is not None and value <= 0:
                 raise ConfigError(f"robot {self.name!r}: {label} must be positive", got=value)
@@ -213,6 +225,11 @@ class RobotSpec:
     def joint_names(self) -> tuple[str, ...]:
         """Names of the J controlled joints, in the model's words."""
         return tuple(joint.name for joint in self.joints)
+
+    @property
+    def delay_s(self) -> tuple[float, ...]:
+        """How much later commands act, one per joint [s]."""
+        return tuple(self.controller.gain("delay_s", name) for name in self.joint_names)
 
     @property
     def scored_joints(self) -> tuple[str, ...]:

@@ -1,9 +1,21 @@
-"""Physics engines behind one protocol, controllers, and replay of logged commands."""
+"""Physics engines behind one protocol, controllers, friction laws, and replay of logged commands."""
 
+from trueup.sim.friction import friction_of as friction_of
+from trueup.sim.friction import install as install_friction
+from trueup.sim.friction import set_friction as set_friction
 from trueup.sim.mujoco_engine import MujocoSimulator as MujocoSimulator
-from trueup.sim.replay import ReplaySettings as ReplaySettings
-from trueup.sim.replay import hold as hold
 from trueup.sim.replay import replay as replay
 from trueup.sim.replay import replay_episode as replay_episode
+from trueup.sim.replay_plan import ReplayPlan as ReplayPlan
+from trueup.sim.replay_settings import ReplaySettings as ReplaySettings
 
-__all__ = ["MujocoSimulator", "ReplaySettings", "hold", "replay", "replay_episode"]
+__all__ = [
+    "MujocoSimulator",
+    "ReplayPlan",
+    "ReplaySettings",
+    "friction_of",
+    "install_friction",
+    "replay",
+    "replay_episode",
+    "set_friction",
+]

@@ -56,7 +56,7 @@ def attach_controller(
             known[joint.name].actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
             known[joint.name].actfrcrange = [-joint.torque_limit, joint.torque_limit]
     if controller.kind == "model":
-        return tuple(_own_channel(spec, joint.name, controller.signal) for joint in joints)
+        return tuple(channel for joint in joints for channel in _own_channels(spec, joint.name, controller.signal))
     for actuator in list(spec.actuators):
         spec.delete(actuator)
     channels = {joint: _add(spec, controller, joint.name) for joint in joints}
@@ -70,19 +70,23 @@ def attach_controller(
     return tuple(channel for own in channels.values() for channel in own)
 
 
-def _own_channel(spec: mujoco.MjSpec, joint: str, signal: str) -> Channel:
+def _own_channels(spec: mujoco.MjSpec, joint: str, signal: str) -> list[Channel]:
     names = [
         actuator.name
         for actuator in spec.actuators
         if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT and actuator.target == joint
     ]
+    # Two actuators are told apart by the names that `_add` gives them.
+    pair = [f"{joint}.position", f"{joint}.velocity"]
+    if sorted(names) == pair:
+        return [Channel(actuator=name, joint=joint, signal=name.rpartition(".")[2]) for name in pair]
     if len(names) != 1 or not names[0]:
         raise ConfigError(
             f"joint {joint!r} needs exactly one named actuator in the model",
             got=names or "none",
             hint="Name a controller in robot.yaml (controller: {kind: position, kp: …, kv: …}) to replace the model's.",
         )
-    return Channel(actuator=names[0], joint=joint, signal=signal)
+    return [Channel(actuator=names[0], joint=joint, signal=signal)]
 
 
 def _add(spec: mujoco.MjSpec, controller: ControllerSpec, joint: str) -> list[Channel]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,8 +15,9 @@ from mujoco import batch, rollout
 
 from trueup.core.protocols import RolloutRequest, RolloutResult
 from trueup.errors import ConfigError, DataError, MissingSignal
-from trueup.robots import RobotSpec
+from trueup.robots import RobotSpec, SimulationSpec
 from trueup.sim.controllers import Channel, attach_controller
+from trueup.sim.friction import has_friction, install, set_friction
 from trueup.sim.model import compile_spec, load_spec
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
@@ -58,6 +59,8 @@ class MujocoSimulator:
         self.channels = channels
         self.threads = threads
         self._layout = _layout(model, robot.joint_names, channels)
+        if has_friction(model):
+            install()
         self._data = [mujoco.MjData(model) for _ in range(threads)]
         self._batch: batch.Batch | None = None
 
@@ -73,7 +76,10 @@ class MujocoSimulator:
 
     @staticmethod
     def from_spec(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path, threads: int = 1) -> MujocoSimulator:
-        """The simulator of a model that is still editable; `origin` is named in messages."""
+        """The simulator of a model that is still editable; `origin` is named in messages.
+
+        The spec is completed in place: controller, torque sensors, friction laws and options of the robot.
+        """
         channels = attach_controller(spec, robot.controller, robot.joints)
         for name in robot.joint_names:
             kind = spec.joint(name).type
@@ -85,14 +91,10 @@ class MujocoSimulator:
                 objtype=mujoco.mjtObj.mjOBJ_JOINT,
                 objname=name,
             )
-        model = compile_spec(spec, origin)
-        if robot.simulation.timestep_s is not None:
-            model.opt.timestep = robot.simulation.timestep_s
-        if not robot.simulation.contacts:
-            model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-        # A diverged motion must stay visibly diverged instead of starting again from the reset state.
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        return MujocoSimulator(model, robot, channels, threads=threads)
+        for name, friction in robot.friction.items():
+            set_friction(spec, name, friction)
+        _set_options(spec, robot.simulation)
+        return MujocoSimulator(compile_spec(spec, origin), robot, channels, threads=threads)
 
     def clone(self, *, threads: int = 1) -> MujocoSimulator:
         """Another simulator on the same compiled model, for another thread."""
@@ -159,12 +161,34 @@ class MujocoSimulator:
             MissingSignal: the controller needs a signal that the command lacks.
             DataError: a motion diverged; the message says which and when.
         """
+        result = self._run(request, self.model)
+        self._refuse_divergence(np.maximum(np.abs(result.position), np.abs(result.velocity)))
+        return result
+
+    def rollout_candidates(self, request: RolloutRequest, models: Sequence[mujoco.MjModel]) -> RolloutResult:
+        """Simulate B motions, each on a model of its own: candidates of a fit.
+
+        Args:
+            request: as for `rollout`.
+            models: B models of the same structure as this simulator's; may repeat.
+
+        Returns:
+            As `rollout`; a motion that diverged is NaN from its first row on, and the others stand.
+        """
+        result = self._run(request, list(models))
+        size = np.maximum(np.abs(result.position), np.abs(result.velocity)).max(axis=(1, 2))
+        lost = ~(size <= _ABSURD)
+        for values in (result.position, result.velocity, result.torque):
+            values[lost] = np.nan
+        return result
+
+    def _run(self, request: RolloutRequest, model: mujoco.MjModel | list[mujoco.MjModel]) -> RolloutResult:
         layout = self._layout
         count = request.position.shape[0]
         control = self._controls(request.command)
         steps = control.shape[1]
         state, sensors = rollout.rollout(
-            self.model, self._data[: max(1, min(self.threads, count))], self._states(request), control
+            model, self._data[: max(1, min(self.threads, count))], self._states(request), control
         )
         position = np.empty((count, steps + 1, len(layout.joints)))
         velocity, torque = np.empty_like(position), np.empty_like(position)
@@ -174,7 +198,6 @@ class MujocoSimulator:
         velocity[:, 1:] = state[:, :, 1 + self.model.nq + layout.qvel]
         torque[:, :-1] = sensors[:, :, layout.torque]
         torque[:, -1] = torque[:, -2]
-        self._refuse_divergence(np.maximum(np.abs(position), np.abs(velocity)))
         return RolloutResult(position=position, velocity=velocity, torque=torque)
 
     def reset(self, position: Float[np.ndarray, "B J"], velocity: Float[np.ndarray, "B J"]) -> None:
@@ -248,6 +271,18 @@ class MujocoSimulator:
             got=f"{row * self.timestep_s:.3f} s after its start, at a time step of {self.timestep_s} s",
             hint="Take a smaller simulation.timestep_s in robot.yaml, or lower gains.",
         )
+
+
+def _set_options(spec: mujoco.MjSpec, simulation: SimulationSpec) -> None:
+    if simulation.timestep_s is not None:
+        spec.option.timestep = simulation.timestep_s
+    if not simulation.contacts:
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    # A diverged motion must stay visibly diverged instead of starting again from the reset state.
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    if simulation.gravity_compensation:
+        for body in spec.bodies:
+            body.gravcomp = 1.0
 
 
 def _torque_sensor(joint: str) -> str:

@@ -5,6 +5,9 @@ from trueup.stages.closing import close as close
 from trueup.stages.demonstrating import demo as demo
 from trueup.stages.demonstrating import demo_dataset as demo_dataset
 from trueup.stages.exporting import export_dataset as export_dataset
+from trueup.stages.identifying import FITTED as FITTED
+from trueup.stages.identifying import Identified as Identified
+from trueup.stages.identifying import fit as fit
 from trueup.stages.importing import ImportSummary as ImportSummary
 from trueup.stages.importing import import_logs as import_logs
 from trueup.stages.importing import plan_import as plan_import
@@ -15,8 +18,10 @@ from trueup.stages.replaying import ReplaySummary as ReplaySummary
 from trueup.stages.replaying import replay as replay
 
 __all__ = [
+    "FITTED",
     "STOCK",
     "Closed",
+    "Identified",
     "ImportSummary",
     "Measurement",
     "ReplaySummary",
@@ -24,6 +29,7 @@ __all__ = [
     "demo",
     "demo_dataset",
     "export_dataset",
+    "fit",
     "gap",
     "import_logs",
     "plan_import",

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from trueup.core.atomic import make_folder
-from trueup.core.results import Ladder, Metrics, Rung
+from trueup.core.results import Ladder
 from trueup.dataset import Dataset, is_dataset
 from trueup.dataset.importers.base import ImportOptions
 from trueup.errors import OutputExists
-from trueup.measure import COMMAND_RUN
 from trueup.robots import RobotSpec
 from trueup.stages.importing import ImportSummary, import_logs
+from trueup.stages.ladder import ladder_of
 from trueup.stages.measuring import Measurement, gap
 from trueup.stages.progress import Track, silent
-from trueup.stages.replaying import STOCK, ReplaySummary, replay
-
-# The signal and metric by which the best rung is chosen on val.
-CHOICE = ("position", "rmse")
+from trueup.stages.replaying import STOCK, ReplaySummary, replay_unless_same
 
 
 @dataclass(frozen=True)
@@ -105,41 +101,9 @@ def close(
             track=track,
         )
     dataset = Dataset(dataset_path)
-    replayed = _stock(dataset, robot, model=model, jobs=jobs, track=track)
+    replayed = replay_unless_same(dataset, robot, model=model, label=STOCK, jobs=jobs, track=track)
     measurement = gap(dataset, runs=[STOCK], drop_flagged=drop_flagged, metrics=metrics, seed=seed, track=track)
-    ladder = _ladder(measurement, replayed)
+    ladder = ladder_of(measurement, {"stock": (STOCK, replayed.seconds)})
     measurement.save(out)
     ladder.save(out / "ladder.json")
     return Closed(dataset, imported, replayed, measurement, ladder)
-
-
-def _stock(dataset: Dataset, robot: RobotSpec, *, model: Path | None, jobs: int | None, track: Track) -> ReplaySummary:
-    """The run of the model as it came, kept if nothing that it was made from has changed."""
-    try:
-        return replay(dataset, robot, model=model, label=STOCK, jobs=jobs, resume=True, track=track)
-    except OutputExists:
-        return replay(dataset, robot, model=model, label=STOCK, jobs=jobs, overwrite=True, track=track)
-
-
-def _ladder(measurement: Measurement, replayed: ReplaySummary) -> Ladder:
-    runs = measurement.gap.runs
-    rungs = []
-    if COMMAND_RUN in runs:
-        # The command is there as it is: nothing is computed.
-        rungs.append(Rung("command", 0.0, runs[COMMAND_RUN]))
-    rungs.append(Rung("stock", replayed.seconds, runs[STOCK]))
-    return Ladder(choose(rungs), provenance=measurement.gap.provenance)
-
-
-def choose(rungs: Sequence[Rung]) -> list[Rung]:
-    """The same rungs with the best on val marked; none is where val has no number."""
-    scores = [_score(rung.splits.get("val", {})) for rung in rungs]
-    known = [score for score in scores if score is not None]
-    best = scores.index(min(known)) if known else None
-    return [replace(rung, chosen=index == best) for index, rung in enumerate(rungs)]
-
-
-def _score(metrics: Metrics) -> float | None:
-    signal, metric = CHOICE
-    result = metrics.get(signal, {}).get(metric)
-    return None if result is None or math.isnan(result.total.value) else result.total.value

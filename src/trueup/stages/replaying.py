@@ -155,6 +155,22 @@ def replay(
     return ReplaySummary(label, done, len(wanted) - len(missing), failed, seconds)
 
 
+def replay_unless_same(
+    dataset: Dataset,
+    robot: RobotSpec,
+    *,
+    model: Path | None,
+    label: str,
+    jobs: int | None,
+    track: Track = silent,
+) -> ReplaySummary:
+    """The run of this label, kept if nothing that it was made from has changed, and made again otherwise."""
+    try:
+        return replay(dataset, robot, model=model, label=label, jobs=jobs, resume=True, track=track)
+    except OutputExists:
+        return replay(dataset, robot, model=model, label=label, jobs=jobs, overwrite=True, track=track)
+
+
 def _readable(
     dataset: Dataset, ids: Sequence[str], joint_map: JointMap, failed: dict[str, TrueupError]
 ) -> Iterator[Episode]:

@@ -1,0 +1,68 @@
+"""A fit as tables for the terminal."""
+
+from __future__ import annotations
+
+from rich.table import Table
+
+from trueup.cli.tables import number
+from trueup.core.fit_result import FitResult, FittedParameter
+
+_STYLE = {"yes": "", "weakly": "yellow", "no": "red"}
+_HINT = {
+    "not-identifiable": "Record motions that show these parameters (see the remarks in the table), or freeze them.",
+    "at-bound": "Widen the bound in the configuration, or doubt the structure of the model.",
+    "not-converged": "Run again with --resume, or raise solver.max_iterations in the configuration.",
+    "no-better": "Check that robot, model and logs belong together: joint map, units, delays, payload.",
+}
+
+
+def parameter_table(fit: FitResult) -> Table:
+    """One row per fitted parameter; what is not determined is red."""
+    table = Table(title="fitted parameters [95 % interval]", title_justify="left")
+    for name, side in (("parameter", "left"), ("model said", "right"), ("fitted", "right"), ("interval", "right")):
+        table.add_column(name, justify="right" if side == "right" else "left")
+    table.add_column("unit")
+    table.add_column("how sure", overflow="fold")
+    for item in fit.parameters:
+        if not item.frozen:
+            low, high = item.interval
+            style = "red" if item.at_bound and item.low != item.value != 0.0 else _STYLE[item.identified]
+            table.add_row(
+                item.name,
+                f"{item.nominal:.4g}",
+                f"{item.value:.4g}",
+                f"[{low:.3g}, {high:.3g}]".replace("[", r"\["),
+                item.unit,
+                _remark(item),
+                style=style,
+            )
+    return table
+
+
+def model_table(fit: FitResult) -> Table:
+    """One row per model that was tried."""
+    splits = [split for split in ("train", "val", "test") if any(split in row.splits for row in fit.models)]
+    table = Table(
+        title="models that were tried: position RMSE, mean over motions [95 % interval]", title_justify="left"
+    )
+    table.add_column("model")
+    table.add_column("parameters", justify="right")
+    for split in splits:
+        table.add_column(split, justify="right")
+    table.add_column("seconds", justify="right")
+    for row in fit.models:
+        cells = [number(row.splits[split]).replace("[", r"\[") if split in row.splits else "" for split in splits]
+        table.add_row(row.name + (" *" if row.chosen else ""), str(row.parameters), *cells, f"{row.seconds:.1f}")
+    return table
+
+
+def status_line(fit: FitResult) -> tuple[str, str | None]:
+    """The status as a sentence, and what to do about it."""
+    free = [item for item in fit.parameters if not item.frozen]
+    sure = sum(item.identified == "yes" for item in free)
+    text = f"status: {fit.status}; {sure} of {len(free)} parameters are determined by the data"
+    return text, _HINT.get(fit.status)
+
+
+def _remark(item: FittedParameter) -> str:
+    return item.sentence.split(":")[0] if item.identified == "yes" else item.sentence

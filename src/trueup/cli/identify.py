@@ -1,0 +1,101 @@
+"""`trueup identify`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from trueup.cli import options
+from trueup.cli.console import iterations, note, out, problem, track
+from trueup.cli.fit_tables import model_table, parameter_table, status_line
+from trueup.cli.tables import ladder_table, verdicts
+
+if TYPE_CHECKING:
+    from trueup.stages import Identified
+
+# A fit with one of these is no result to build on; everything else is loud but usable.
+_UNUSABLE = ("no-better", "not-converged")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("identify")(identify)
+
+
+def identify(
+    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
+    robot: options.Robot,
+    out_dir: Annotated[Path, typer.Option("--out", help="Folder for the results.")],
+    config: Annotated[
+        Path | None, typer.Option("--config", help="YAML that says what to fit; see docs/identification.md.")
+    ] = None,
+    solver: Annotated[
+        str | None, typer.Option("--solver", help="auto, gauss-newton, cma-es or evolution; over the configuration.")
+    ] = None,
+    model: options.Model = None,
+    seed: options.Seed = 0,
+    jobs: options.Jobs = None,
+    overwrite: options.Overwrite = False,
+    resume: options.Resume = False,
+) -> int:
+    """Find what the simulator has wrong, and say how sure; write a fitted model, robot.yaml and report.
+
+    Exit code 3 if the search did not converge, or the fitted model is no better on motions that it was not fitted to.
+    """
+    from dataclasses import replace
+
+    from trueup.core.config import build
+    from trueup.dataset import Dataset
+    from trueup.identify import IdentifyConfig
+    from trueup.identify.config import SolverChoice
+    from trueup.robots import load_robot
+    from trueup.stages import fit as run
+
+    chosen = IdentifyConfig.load(config) if config else IdentifyConfig()
+    if solver is not None:
+        name = build(SolverChoice, {"name": solver}, "--solver").name
+        chosen = replace(chosen, solver=replace(chosen.solver, name=name))
+    with iterations() as on_progress:
+        identified = run(
+            Dataset(dataset),
+            load_robot(robot),
+            out_dir,
+            model=model,
+            config=chosen,
+            seed=seed,
+            jobs=jobs,
+            overwrite=overwrite,
+            resume=resume,
+            track=track,
+            on_progress=on_progress,
+        )
+    show(identified, out_dir)
+    return 3 if identified.fit.status in _UNUSABLE else 0
+
+
+def show(identified: Identified, out_dir: Path) -> None:
+    """Parameters, models, ladder, what must be said, and where everything is."""
+    from trueup.report import write_report
+
+    fit = identified.fit
+    for name, why in {**fit.data["flagged"], **fit.data["refused"]}.items():
+        note(f"{name} was left out of the fit: {why}")
+    out.print(parameter_table(fit))
+    if len(fit.models) > 1:
+        out.print(model_table(fit))
+        out.print("* chosen on val", markup=False)
+    out.print(ladder_table(identified.ladder))
+    for line in verdicts(identified.measurement.gap):
+        out.print(line, markup=False)
+    for line in fit.statements:
+        note(line)
+    text, hint = status_line(fit)
+    if fit.status == "ok":
+        out.print(text, markup=False)
+    else:
+        problem(text, hint)
+    out.print(f"fitted model: {out_dir / 'model.fitted.xml'}", markup=False)
+    out.print(f"fitted robot: {out_dir / 'robot.fitted.yaml'}", markup=False)
+    out.print(f"report: {write_report(out_dir)}", markup=False)

@@ -1,0 +1,245 @@
+"""The result of an identification: `fit.json`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from trueup.core.atomic import read_json, write_json
+from trueup.core.results import Estimate
+from trueup.errors import DataError, FormatError
+
+FIT_SCHEMA = "trueup.fit/1"
+
+# From good to bad; the status of a fit is the worst that applies.
+FitStatus = Literal["ok", "not-identifiable", "at-bound", "not-converged", "no-better"]
+Identified = Literal["yes", "weakly", "no"]
+
+
+@dataclass(frozen=True)
+class FittedParameter:
+    """One number after a fit.
+
+    Attributes:
+        name: `QUANTITY[TARGET]`.
+        value: fitted value.
+        unit: of all numbers here.
+        nominal: what the model said before.
+        start: where the fit started.
+        low: lower bound.
+        high: upper bound.
+        interval: 95 % interval; as wide as the prior where the data say nothing.
+        at_bound: `low` or `high` if the fit ended on a bound, else empty: the interval means little then.
+        identified: whether the data determine it: `yes`, `weakly` (its interval is wide, or shared with others), `no`
+            (what stands here is the prior).
+        prior_share: variance after the fit over variance of the prior, 0 to 1; None without a prior.
+        sentence: the same in words, with what to record next.
+        cause: part of the gap that it belongs to: delay, gains, friction, gravity, inertia.
+        transform: `log` or `linear`; on which scale the interval is symmetric.
+        frozen: it was not fitted.
+    """
+
+    name: str
+    value: float
+    unit: str
+    nominal: float
+    start: float
+    low: float
+    high: float
+    interval: tuple[float, float]
+    at_bound: Literal["", "low", "high"]
+    identified: Identified
+    prior_share: float | None
+    sentence: str
+    cause: str
+    transform: Literal["linear", "log"]
+    frozen: bool = False
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A combination of parameters that the data leave open.
+
+    Attributes:
+        gain: information of the data over that of the prior along it; below 1 the data say less than the prior.
+        weights: parameter -> share, for the parameters that make it up.
+    """
+
+    gain: float
+    weights: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Whiteness:
+    """What is left of one joint after the fit.
+
+    Attributes:
+        rms: of the residual [unit of the signal].
+        correlation_s: time over which the residual is correlated with itself [s]; noise alone has none.
+        white: whether it looks like noise: nothing is left that a model could explain.
+        sentence: the same in words.
+    """
+
+    rms: float
+    correlation_s: float
+    white: bool
+    sentence: str
+
+
+@dataclass(frozen=True)
+class ModelRow:
+    """One model that was tried: which numbers it has, and how well it does on motions it was and was not fitted to.
+
+    Attributes:
+        name: e.g. `viscous+coulomb+load`.
+        quantities: what was fitted.
+        parameters: how many numbers.
+        seconds: how long its fit took.
+        splits: split -> error, with interval.
+        per_joint: split -> joint -> error.
+        chosen: whether it is the one that is reported.
+    """
+
+    name: str
+    quantities: tuple[str, ...]
+    parameters: int
+    seconds: float
+    splits: Mapping[str, Estimate]
+    per_joint: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    chosen: bool = False
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """What an identification found, and how sure that is.
+
+    Attributes:
+        status: the worst of what applies: `ok`; `not-identifiable` (the data do not determine some parameter);
+            `at-bound` (a parameter ended on a bound); `not-converged`; `no-better` (on motions that it was not
+            fitted to, the fitted model is no better than the nominal one).
+        statements: what a user must know before trusting the numbers, most important first.
+        solver: name, why it was chosen, why it stopped, iterations, evaluations, seconds, settings.
+        parameters: all parameters, also the frozen ones.
+        correlation: parameter -> parameter -> correlation after the fit, of the free ones; pairs above 0.3 only.
+        directions: combinations that the data leave open, the worst first.
+        whiteness: joint -> what is left.
+        models: the models that were tried, if more than one.
+        errors: run (`nominal`, `fitted`) -> split -> error of the fitted signal, with interval.
+        data: what it was fitted to: episodes, pieces, seconds, windows, what was left out and why.
+        provenance: versions, git hash, seed, data hash, configuration.
+    """
+
+    status: FitStatus
+    statements: tuple[str, ...]
+    solver: Mapping[str, Any]
+    parameters: tuple[FittedParameter, ...]
+    correlation: Mapping[str, Mapping[str, float]]
+    directions: tuple[Direction, ...]
+    whiteness: Mapping[str, Whiteness]
+    models: tuple[ModelRow, ...] = ()
+    errors: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
+    data: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> FittedParameter:
+        """The parameter of that name.
+
+        Raises:
+            KeyError: there is none.
+        """
+        return {parameter.name: parameter for parameter in self.parameters}[name]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameter name -> value."""
+        return {parameter.name: parameter.value for parameter in self.parameters}
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of fit.json."""
+        return {
+            "schema": FIT_SCHEMA,
+            "status": self.status,
+            "statements": list(self.statements),
+            "solver": dict(self.solver),
+            "errors": {
+                run: {split: error.to_json() for split, error in splits.items()} for run, splits in self.errors.items()
+            },
+            "parameters": [{**asdict(item), "interval": list(item.interval)} for item in self.parameters],
+            "correlation": {name: dict(row) for name, row in self.correlation.items()},
+            "directions": [{"gain": item.gain, "weights": dict(item.weights)} for item in self.directions],
+            "whiteness": {joint: asdict(item) for joint, item in self.whiteness.items()},
+            "models": [
+                {
+                    **asdict(row),
+                    "quantities": list(row.quantities),
+                    "splits": {split: error.to_json() for split, error in row.splits.items()},
+                }
+                for row in self.models
+            ],
+            "data": dict(self.data),
+            "provenance": dict(self.provenance),
+        }
+
+    @staticmethod
+    def from_json(data: Any) -> FitResult:
+        """Read back what `to_json` wrote.
+
+        Raises:
+            FormatError: not a fit, or of another version.
+            DataError: a fit, but broken.
+        """
+        schema = data.get("schema") if isinstance(data, Mapping) else None
+        if schema != FIT_SCHEMA:
+            raise FormatError("not a fit", got=schema, expected=FIT_SCHEMA)
+        try:
+            return FitResult._read(data)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise DataError("a fit result is broken", got=f"{type(error).__name__}: {error}") from error
+
+    @staticmethod
+    def _read(data: Mapping[str, Any]) -> FitResult:
+        if data["status"] not in get_args(FitStatus):
+            raise ValueError(f"status {data['status']!r}")
+        return FitResult(
+            status=data["status"],
+            statements=tuple(data["statements"]),
+            solver=data["solver"],
+            parameters=tuple(
+                FittedParameter(**{**item, "interval": tuple(item["interval"])}) for item in data["parameters"]
+            ),
+            correlation=data["correlation"],
+            directions=tuple(Direction(item["gain"], item["weights"]) for item in data["directions"]),
+            whiteness={joint: Whiteness(**item) for joint, item in data["whiteness"].items()},
+            models=tuple(
+                ModelRow(
+                    **{
+                        **row,
+                        "quantities": tuple(row["quantities"]),
+                        "splits": {split: Estimate.from_json(error) for split, error in row["splits"].items()},
+                    }
+                )
+                for row in data["models"]
+            ),
+            errors={
+                run: {split: Estimate.from_json(error) for split, error in splits.items()}
+                for run, splits in data["errors"].items()
+            },
+            data=data["data"],
+            provenance=data["provenance"],
+        )
+
+    def save(self, path: Path) -> None:
+        """Write fit.json."""
+        write_json(path, self.to_json())
+
+    @staticmethod
+    def load(path: Path) -> FitResult:
+        """Read fit.json.
+
+        Raises:
+            FormatError: not a fit, or of another version.
+            DataError: missing or broken.
+        """
+        return FitResult.from_json(read_json(path))

@@ -1,0 +1,198 @@
+"""What a fit may change: named numbers with unit, bounds, transform and prior."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float64
+
+from trueup.errors import ConfigError, NameMismatch
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number that a fit may change.
+
+    Solvers see z, not the value: z = log(value) for transform `log`, z = value / scale for `linear`, so that a step
+    of 1 is a large one for every parameter.
+
+    Attributes:
+        name: `QUANTITY[TARGET]`, e.g. `damping[joint1]`.
+        value: where the fit starts.
+        unit: of value and bounds.
+        low: lower bound, inclusive.
+        high: upper bound, inclusive.
+        transform: `log` for what is positive by nature, `linear` otherwise.
+        scale: what counts as a large change, `linear` only [unit].
+        prior_std: standard deviation of the prior around `prior_mean`, in z; None for no prior. 1.0 on a `log`
+            parameter says: within a factor of e, most likely.
+        prior_mean: centre of the prior [unit]; the start if None.
+        frozen: kept at `value`.
+
+    Raises:
+        ConfigError: bounds contradict each other, the transform, or the start.
+    """
+
+    name: str
+    value: float
+    unit: str
+    low: float
+    high: float
+    transform: Literal["linear", "log"] = "linear"
+    scale: float = 1.0
+    prior_std: float | None = None
+    prior_mean: float | None = None
+    frozen: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what no solver could work with."""
+        if not all(np.isfinite(number) for number in (self.value, self.low, self.high, self.scale)):
+            raise ConfigError(f"parameter {self.name!r} has numbers that are not finite", got=asdict(self))
+        if self.low >= self.high and not self.frozen:
+            raise ConfigError(
+                f"parameter {self.name!r}: the bounds contradict each other",
+                got=f"low {self.low:g}, high {self.high:g} {self.unit}",
+                expected="low < high",
+                hint="To keep a parameter at its value, set frozen: true.",
+            )
+        if self.transform == "log" and (self.low <= 0 or self.value <= 0):
+            raise ConfigError(
+                f"parameter {self.name!r} is positive by nature",
+                got=f"value {self.value:g}, low {self.low:g} {self.unit}",
+                expected="both above zero",
+            )
+        if not self.frozen and not self.low <= self.value <= self.high:
+            raise ConfigError(
+                f"parameter {self.name!r} starts outside its bounds",
+                got=f"{self.value:g} {self.unit}",
+                expected=f"{self.low:g} to {self.high:g}",
+            )
+        if self.scale <= 0 or (self.prior_std is not None and self.prior_std <= 0):
+            raise ConfigError(f"parameter {self.name!r}: scale and prior_std must be positive", got=asdict(self))
+
+    @property
+    def quantity(self) -> str:
+        """The part of the name before the bracket."""
+        return self.name.partition("[")[0]
+
+    @property
+    def target(self) -> str:
+        """The part of the name in brackets: a joint, a body, or empty."""
+        return self.name.partition("[")[2].removesuffix("]")
+
+    def to_z(self, value: float) -> float:
+        """The value as solvers see it."""
+        return float(np.log(value)) if self.transform == "log" else value / self.scale
+
+    def from_z(self, z: float) -> float:
+        """The value of a solver's number, kept inside the bounds in spite of rounding."""
+        value = float(np.exp(z)) if self.transform == "log" else z * self.scale
+        return min(max(value, self.low), self.high) if not self.frozen else self.value
+
+    def slope(self, value: float) -> float:
+        """Derivative of the value by z."""
+        return value if self.transform == "log" else self.scale
+
+    def to_json(self) -> dict[str, Any]:
+        """A dictionary that `Parameter(**d)` reads back."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """Parameters in a fixed order; solvers see the P that are not frozen.
+
+    Raises:
+        NameMismatch: a name occurs twice.
+    """
+
+    parameters: tuple[Parameter, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse names that stand twice."""
+        names = [parameter.name for parameter in self.parameters]
+        if len(set(names)) != len(names):
+            raise NameMismatch("a parameter occurs twice", left=names, right=sorted(set(names)))
+
+    def __iter__(self) -> Iterator[Parameter]:
+        """All parameters, frozen ones too."""
+        return iter(self.parameters)
+
+    def __len__(self) -> int:
+        """How many there are, frozen ones too."""
+        return len(self.parameters)
+
+    def __getitem__(self, name: str) -> Parameter:
+        """The parameter of that name.
+
+        Raises:
+            NameMismatch: there is none.
+        """
+        for parameter in self.parameters:
+            if parameter.name == name:
+                return parameter
+        raise NameMismatch(f"there is no parameter {name!r}", left=[name], right=self.names)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The P parameters that a solver may change."""
+        return tuple(parameter for parameter in self.parameters if not parameter.frozen)
+
+    @property
+    def start(self) -> Float64[np.ndarray, "P"]:
+        """Where the solver starts, in z."""
+        return np.array([parameter.to_z(parameter.value) for parameter in self.free])
+
+    @property
+    def bounds(self) -> tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "P"]]:
+        """Lower and upper bounds in z."""
+        low = np.array([parameter.to_z(parameter.low) for parameter in self.free])
+        return low, np.array([parameter.to_z(parameter.high) for parameter in self.free])
+
+    @property
+    def prior(self) -> tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "P"]]:
+        """Mean and standard deviation of the prior in z; infinite where there is none."""
+        mean = [
+            parameter.to_z(parameter.value if parameter.prior_mean is None else parameter.prior_mean)
+            for parameter in self.free
+        ]
+        std = [np.inf if parameter.prior_std is None else parameter.prior_std for parameter in self.free]
+        return np.array(mean), np.array(std)
+
+    def values(self, z: Float64[np.ndarray, "P"]) -> dict[str, float]:
+        """Name -> value for a solver's vector, frozen parameters included."""
+        found = dict(zip((parameter.name for parameter in self.free), map(float, z), strict=True))
+        return {
+            parameter.name: parameter.value if parameter.frozen else parameter.from_z(found[parameter.name])
+            for parameter in self.parameters
+        }
+
+    def at(self, values: Mapping[str, float]) -> ParameterSet:
+        """The same parameters started from other values; those that are not named keep theirs.
+
+        A value outside the bounds is moved onto them. The prior stays where it was.
+        """
+        moved = []
+        for parameter in self.parameters:
+            if parameter.name not in values or parameter.frozen:
+                moved.append(parameter)
+                continue
+            value = min(max(values[parameter.name], parameter.low), parameter.high)
+            mean = parameter.value if parameter.prior_mean is None else parameter.prior_mean
+            moved.append(replace(parameter, value=value, prior_mean=mean))
+        return ParameterSet(tuple(moved))
+
+    def freeze(self, names: Iterable[str]) -> ParameterSet:
+        """The same parameters with these frozen at their start."""
+        chosen = set(names)
+        return ParameterSet(
+            tuple(replace(parameter, frozen=True) if parameter.name in chosen else parameter for parameter in self)
+        )

@@ -1,0 +1,37 @@
+"""Identification: what the simulator has wrong, and how sure that is."""
+
+from trueup.identify.candidate import Candidate as Candidate
+from trueup.identify.candidate import Nominal as Nominal
+from trueup.identify.config import IdentifyConfig as IdentifyConfig
+from trueup.identify.export import save_identification as save_identification
+from trueup.identify.identification import Identification as Identification
+from trueup.identify.identification import OnModel as OnModel
+from trueup.identify.identification import identify as identify
+from trueup.identify.inertial import Inertial as Inertial
+from trueup.identify.problem import Problem as Problem
+from trueup.identify.problem import Weights as Weights
+from trueup.identify.quantities import QUANTITIES as QUANTITIES
+from trueup.identify.segments import SegmentRule as SegmentRule
+from trueup.identify.segments import make_segments as make_segments
+from trueup.identify.solution import Progress as Progress
+from trueup.identify.solution import SolveSettings as SolveSettings
+from trueup.identify.solution import solve as solve
+
+__all__ = [
+    "QUANTITIES",
+    "Candidate",
+    "Identification",
+    "IdentifyConfig",
+    "Inertial",
+    "Nominal",
+    "OnModel",
+    "Problem",
+    "Progress",
+    "SegmentRule",
+    "SolveSettings",
+    "Weights",
+    "identify",
+    "make_segments",
+    "save_identification",
+    "solve",
+]

@@ -1,0 +1,181 @@
+"""A model under construction: what parameters write into, and what a simulation needs of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from trueup.errors import ConfigError
+from trueup.identify.inertial import Inertial, apply_inertial, inertial_of
+from trueup.robots import ControllerSpec, RobotSpec
+from trueup.sim import MujocoSimulator
+from trueup.sim.friction import has_friction, install
+from trueup.sim.model import compile_spec, load_spec
+
+# Far enough for a friction constraint to be exact: MuJoCo's defaults let a joint creep at some 0.01 rad/s per Nm.
+_HARD_SOLIMP = 0.9999
+_SOLVER_ITERATIONS = 100
+
+
+@dataclass
+class Candidate:
+    """One choice of parameters, on its way to a compiled model.
+
+    Attributes:
+        spec: editable copy of the nominal model, controller included.
+        nominal: what the model said before.
+        delay_s: joint name -> how much later its commands act [s].
+        inertials: body name -> mass, centre of mass and inertia so far.
+        deformations: body name -> log-Cholesky components of its inertia.
+        payload: mass and place of what is carried, in the frame of its body.
+    """
+
+    spec: mujoco.MjSpec
+    nominal: Nominal
+    delay_s: dict[str, float]
+    inertials: dict[str, Inertial] = field(default_factory=dict)
+    deformations: dict[str, dict[str, float]] = field(default_factory=dict)
+    payload: dict[str, float] = field(default_factory=dict)
+
+    def inertial(self, body: str) -> Inertial:
+        """Mass, centre of mass and inertia of a body, as far as they have been written."""
+        return self.inertials.get(body) or self.nominal.inertial(body)
+
+    def finish(self) -> None:
+        """Write the inertials into the spec; the last thing before it is compiled."""
+        inertials = dict(self.inertials)
+        for body, theta in self.deformations.items():
+            inertials[body] = self.inertial(body).deformed(theta)
+        if self.payload:
+            body, site = self.nominal.payload_place
+            carried = Inertial.point(
+                self.payload.get("mass", 0.0),
+                np.array(site) + [self.payload.get(axis, 0.0) for axis in "xyz"],
+            )
+            inertials[body] = (inertials.get(body) or self.inertial(body)).plus(carried)
+        for body, inertial in inertials.items():
+            apply_inertial(self.spec, body, inertial)
+
+    def compile(self) -> mujoco.MjModel:
+        """The finished model.
+
+        Raises:
+            ConfigError: MuJoCo refuses it.
+        """
+        self.finish()
+        return compile_spec(self.spec, self.nominal.path)
+
+    @property
+    def delays(self) -> np.ndarray:
+        """Delays in the robot's joint order, (J,) [s]."""
+        return np.array([self.delay_s[joint] for joint in self.nominal.robot.joint_names])
+
+
+class Nominal:
+    """The model as it came, with its controller put into it, so that every number stands in one place: the model.
+
+    Args:
+        robot: its description.
+        path: MJCF or URDF.
+        hard_friction: let the constraint solver hold dry friction as if it were rigid. MuJoCo's default is soft: a
+            joint creeps under a load that it should hold, and standing errors disappear that a robot has.
+
+    Attributes:
+        robot: the description, with controller kind `model`.
+        simulator: of the nominal model.
+        spec: the model, editable; copy it before writing.
+    """
+
+    def __init__(self, robot: RobotSpec, path: Path, *, hard_friction: bool = True) -> None:
+        self.path = path
+        self.given = robot
+        self.spec = load_spec(path)
+        self.simulator = MujocoSimulator.from_spec(self.spec, robot, origin=path)
+        if hard_friction:
+            _harden(self.spec, robot.joint_names)
+            self.simulator = MujocoSimulator(compile_spec(self.spec, path), robot, self.simulator.channels)
+        self.robot = _with_model_controller(robot)
+        self._inertials: dict[str, Inertial] = {}
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The nominal model, compiled."""
+        return self.simulator.model
+
+    def candidate(self) -> Candidate:
+        """A fresh copy of the nominal model."""
+        joints = self.robot.joint_names
+        return Candidate(
+            spec=self.spec.copy(),
+            nominal=self,
+            delay_s=dict(zip(joints, self.given.delay_s, strict=True)),
+        )
+
+    def inertial(self, body: str) -> Inertial:
+        """Mass, centre of mass and inertia of a body of the nominal model."""
+        if body not in self._inertials:
+            self._inertials[body] = inertial_of(self.model, body)
+        return self._inertials[body]
+
+    def actuators(self, joint: str) -> tuple[str, ...]:
+        """Names of the actuators that follow the commands of a joint."""
+        return tuple(channel.actuator for channel in self.simulator.channels if channel.joint == joint)
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Bodies that move with a joint of the robot, in the model's order."""
+        model = self.model
+        moving = []
+        for body in range(1, model.nbody):
+            root = body
+            while root and model.body_dofnum[root] == 0:
+                root = model.body_parentid[root]
+            if root:
+                moving.append(model.body(body).name)
+        return tuple(moving)
+
+    @property
+    def payload_place(self) -> tuple[str, tuple[float, float, float]]:
+        """Body that carries the payload and where in its frame: the site `payload`, or the last body's origin."""
+        model = self.model
+        sites = [site for site in range(model.nsite) if model.site(site).name == "payload"]
+        if sites:
+            x, y, z = map(float, model.site_pos[sites[0]])
+            return model.body(int(model.site_bodyid[sites[0]])).name, (x, y, z)
+        if not self.bodies:
+            raise ConfigError(f"{self.path}: no body moves, so nothing can carry a payload")
+        return self.bodies[-1], (0.0, 0.0, 0.0)
+
+    def compiled(self, spec: mujoco.MjSpec) -> MujocoSimulator:
+        """A simulator on another version of the model."""
+        model = compile_spec(spec, self.path)
+        if has_friction(model):
+            install()
+        return MujocoSimulator(model, self.robot, self.simulator.channels)
+
+
+def _with_model_controller(robot: RobotSpec) -> RobotSpec:
+    if robot.controller.kind == "model":
+        return robot
+    delays = {name: gains for name, gains in robot.controller.per_joint.items() if gains.delay_s is not None}
+    controller = ControllerSpec(
+        kind="model",
+        command=robot.controller.signal,
+        delay_s=robot.controller.delay_s,
+        per_joint={name: replace(gains, kp=None, kv=None, ki=None) for name, gains in delays.items()},
+    )
+    return replace(robot, controller=controller, friction={})
+
+
+def _harden(spec: mujoco.MjSpec, joints: tuple[str, ...]) -> None:
+    for name in joints:
+        joint = spec.joint(name)
+        joint.solimp_friction[0] = joint.solimp_friction[1] = _HARD_SOLIMP
+        # The shortest time constant that MuJoCo takes as it is.
+        joint.solref_friction[0] = 2.0 * spec.option.timestep
+        joint.solref_friction[1] = 1.0
+    spec.option.iterations = max(int(spec.option.iterations), _SOLVER_ITERATIONS)
+    spec.option.ls_iterations = max(int(spec.option.ls_iterations), 50)

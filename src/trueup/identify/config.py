@@ -1,0 +1,190 @@
+"""What to fit, to what, and how: the YAML of `trueup identify`, and a sensible default that needs none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from trueup.core.config import build, read_yaml
+from trueup.core.parameters import Parameter, ParameterSet
+from trueup.errors import ConfigError
+from trueup.identify.candidate import Nominal
+from trueup.identify.quantities import Quantity, quantity
+from trueup.identify.solution import SolverName
+from trueup.identify.solvers.gauss_newton import GaussNewtonSettings
+
+# Closed loop: the servo holds the joint near its command, so whole motions can be compared.
+_SERVO_FIT = ("delay_s", "kp", "damping", "frictionloss", "armature", "torque_offset")
+_SERVO_MODELS = {
+    "load": ("load",),
+    "stribeck": ("stribeck", "stribeck_velocity"),
+    "gravity": ("mass",),
+}
+# Open loop: the torque is known, so masses and inertias can be told from friction.
+_TORQUE_FIT = (
+    *("delay_s", "damping", "frictionloss", "armature", "torque_offset", "joint_offset"),
+    *("mass", "com_x", "com_y", "com_z", "inertia_scale"),
+)
+_TORQUE_MODELS = {
+    "torque-gain": ("torque_gain",),
+    "stribeck": ("stribeck", "stribeck_velocity"),
+    "load": ("load",),
+}
+_CHOICE_KEYS = ("targets", "start", "low", "high", "prior_std", "frozen")
+
+
+@dataclass(frozen=True)
+class DataChoice:
+    """Which parts of the logs are used.
+
+    Attributes:
+        window_s: restart from the measured state this often [s]. If not given: none for servos, at most 0.5 s for
+            torque-driven robots (and what `replay.window_s` says if that is shorter).
+        cut_s: piece taken from each motion [s]; as long as the budget allows if not given.
+        budget_s: motion that is simulated per candidate [s]; more is slower and more certain.
+        burn_in_s: left out at the beginning of a piece [s].
+        keep_flagged: fit motions with quality warnings too (blocked, at a limit, saturated, …).
+    """
+
+    window_s: float | None = None
+    cut_s: float | None = None
+    budget_s: float = 300.0
+    burn_in_s: float = 1.0
+    keep_flagged: bool = False
+
+
+@dataclass(frozen=True)
+class SolverChoice:
+    """How to search.
+
+    Attributes:
+        name: `auto`, `gauss-newton`, `cma-es` or `evolution`.
+        max_iterations: of Gauss-Newton.
+        max_evaluations: of the derivative-free solvers.
+        max_seconds: per model that is tried [s].
+        tolerance: relative decrease at which Gauss-Newton stops.
+        loss: `linear`, or `soft_l1` where single motions are bad.
+        starts: number of starts; they must agree.
+    """
+
+    name: SolverName = "auto"
+    max_iterations: int = 40
+    max_evaluations: int = 4000
+    max_seconds: float | None = None
+    tolerance: float = 1e-3
+    loss: Literal["linear", "soft_l1"] = "linear"
+    starts: int = 1
+
+    def gauss_newton(self) -> GaussNewtonSettings:
+        """The settings of that solver."""
+        return GaussNewtonSettings(max_iterations=self.max_iterations, tolerance=self.tolerance, loss=self.loss)
+
+
+@dataclass(frozen=True)
+class IdentifyConfig:
+    """The whole of it.
+
+    Attributes:
+        fit: quantity -> `all`, a list of joints or bodies, or `{targets, start, low, high, prior_std, frozen}`;
+            the default for the robot's controller if empty.
+        models: name -> further quantities, tried one after the other on top of what has been kept so far; kept if
+            they make motions better that were not fitted (val). The default for the controller if not given.
+        signals: signal -> weight of the residual.
+        joints: joint -> weight; unnamed joints have 1, unscored ones 0.
+        data: which parts of the logs.
+        solver: how to search.
+        schema: `trueup.identify/1`.
+    """
+
+    fit: Mapping[str, Any] = field(default_factory=dict)
+    models: Mapping[str, tuple[str, ...]] | None = None
+    signals: Mapping[str, float] = field(default_factory=lambda: {"position": 1.0})
+    joints: Mapping[str, float] = field(default_factory=dict)
+    data: DataChoice = field(default_factory=DataChoice)
+    solver: SolverChoice = field(default_factory=SolverChoice)
+    schema: Literal["trueup.identify/1"] = "trueup.identify/1"
+
+    def __post_init__(self) -> None:
+        """Refuse names that do not exist."""
+        for name in self.fit:
+            quantity(name)
+        for extra in (self.models or {}).values():
+            for name in extra:
+                quantity(name)
+        if not self.signals.get("position"):
+            raise ConfigError("signals must weigh position", got=dict(self.signals), expected="position: 1.0")
+
+    @staticmethod
+    def load(path: Path) -> IdentifyConfig:
+        """Read the YAML.
+
+        Raises:
+            ConfigError: missing, not YAML, an unknown key or quantity.
+        """
+        return build(IdentifyConfig, read_yaml(path), str(path))
+
+    def resolved(self, nominal: Nominal) -> IdentifyConfig:
+        """With the defaults for this robot's controller filled in."""
+        torque = nominal.robot.controller.signal == "torque"
+        fit = self.fit or dict.fromkeys(_TORQUE_FIT if torque else _SERVO_FIT, "all")
+        models = self.models
+        if models is None:
+            models = ({} if self.fit else _TORQUE_MODELS) if torque else ({} if self.fit else _SERVO_MODELS)
+        window_s = self.data.window_s
+        if window_s is None and torque:
+            window_s = min(nominal.robot.replay.window_s or 0.5, 0.5)
+        return replace(self, fit=fit, models=models, data=replace(self.data, window_s=window_s))
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON types only."""
+        return asdict(self)
+
+
+def make_parameters(fit: Mapping[str, Any], nominal: Nominal) -> ParameterSet:
+    """The parameters that a `fit:` section asks for, started from what the model says.
+
+    Raises:
+        ConfigError: an unknown quantity, target or key, or bounds that contradict each other.
+    """
+    return ParameterSet(
+        tuple(parameter for name, choice in fit.items() for parameter in _chosen(quantity(name), choice, nominal))
+    )
+
+
+def _chosen(kind: Quantity, choice: Any, nominal: Nominal) -> list[Parameter]:
+    options = dict(choice) if isinstance(choice, Mapping) else {"targets": choice}
+    unknown = [key for key in options if key not in _CHOICE_KEYS]
+    if unknown:
+        raise ConfigError(f"fit: {kind.name} has unknown keys {unknown}", available=_CHOICE_KEYS)
+    targets = options.pop("targets", "all")
+    changed = {("value" if key == "start" else key): value for key, value in options.items()}
+    parameters = []
+    for target in _targets(kind, targets, nominal):
+        parameter = kind.parameter(nominal, target)
+        for key, value in changed.items():
+            known = next(item for item in fields(Parameter) if item.name == key)
+            if known.name != "frozen" and (isinstance(value, bool) or not isinstance(value, int | float)):
+                raise ConfigError(f"fit: {kind.name}: {key} must be a number", got=repr(value))
+        moved: dict[str, Any] = {key: value if key == "frozen" else float(value) for key, value in changed.items()}
+        if "value" not in moved:
+            low, high = moved.get("low", parameter.low), moved.get("high", parameter.high)
+            # A start that only the default put outside the user's bounds follows them.
+            moved["value"] = min(max(parameter.value, low), high) if low <= high else parameter.value
+        parameters.append(replace(parameter, **moved))
+    return parameters
+
+
+def _targets(kind: Quantity, choice: Any, nominal: Nominal) -> Sequence[str]:
+    known = kind.targets(nominal)
+    if choice in ("all", None):
+        scored = nominal.robot.scored_joints
+        return [name for name in known if kind.of != "joint" or name in scored]
+    wanted = [choice] if isinstance(choice, str) else choice
+    if not isinstance(wanted, list | tuple) or not all(isinstance(name, str) for name in wanted):
+        raise ConfigError(f"fit: {kind.name}", got=repr(choice), expected="`all`, a list of names, or a mapping")
+    strangers = [name for name in wanted if name not in known]
+    if strangers:
+        raise ConfigError(f"fit: {kind.name}: {strangers} are not a {kind.of} of the robot", available=known)
+    return list(wanted)

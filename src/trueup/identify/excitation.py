@@ -1,0 +1,101 @@
+"""What the logs cannot show, said before anything is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trueup.core.episode import Episode
+from trueup.core.parameters import ParameterSet
+from trueup.errors import NotIdentifiable
+from trueup.identify.quantities import quantity
+
+# A joint that moves less than this shows stiction and sensor noise, nothing else.
+_STILL = 2e-3
+_SATURATED = 0.05
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """What the logs show of each joint.
+
+    Attributes:
+        frozen: joints that do not move although they are commanded.
+        idle: joints that are never told to move, and do not.
+        statements: the same in words, and what else is wrong with the logs.
+    """
+
+    frozen: tuple[str, ...]
+    idle: tuple[str, ...]
+    statements: tuple[str, ...]
+
+
+def excitation_of(
+    episodes: Iterable[Episode], joints: Sequence[str], signal: str, torque_limits: dict[str, float]
+) -> Excitation:
+    """Look at how much each joint is commanded and how much it moves.
+
+    Args:
+        episodes: that the fit will see, in the robot's joint names.
+        joints: that enter the residual.
+        signal: of the command that the robot follows.
+        torque_limits: joint -> largest torque [Nm or N], where known.
+
+    Raises:
+        NotIdentifiable: no joint moves, or no command ever changes.
+    """
+    moved, commanded = dict.fromkeys(joints, 0.0), dict.fromkeys(joints, 0.0)
+    saturated = dict.fromkeys(joints, 0.0)
+    seconds = 0.0
+    for episode in episodes:
+        seconds += episode.measured.duration_s
+        command = episode.commanded()
+        for joint in joints:
+            position = episode.measured["position"][:, episode.measured.joints.index(joint)]
+            asked = command[signal][:, command.joints.index(joint)]
+            moved[joint] = max(moved[joint], _range(position))
+            commanded[joint] = max(commanded[joint], _range(asked))
+            limit = torque_limits.get(joint)
+            if signal == "torque" and limit:
+                share = float(np.mean(np.abs(asked) >= 0.999 * limit))
+                saturated[joint] += share * episode.measured.duration_s
+    still = [joint for joint in joints if moved[joint] < _STILL]
+    frozen = tuple(joint for joint in still if commanded[joint] > 0)
+    idle = tuple(joint for joint in still if commanded[joint] == 0)
+    if len(still) == len(joints):
+        raise NotIdentifiable(
+            "no joint moves in these motions",
+            got="a constant command" if not frozen else f"less than {_STILL:g} rad everywhere",
+            hint="Record motions in which every joint that matters moves and reverses.",
+        )
+    statements = [
+        *(
+            f"{joint} does not move although it is commanded: is it stalled? Nothing is fitted for it"
+            for joint in frozen
+        ),
+        *(f"{joint} is never moved: nothing is fitted for it" for joint in idle),
+        *(
+            f"{joint} is commanded beyond its torque limit {100 * share / seconds:.0f} % of the time: what the drive "
+            "really gave is not in the log"
+            for joint, share in saturated.items()
+            if share > _SATURATED * seconds
+        ),
+    ]
+    return Excitation(frozen, idle, tuple(statements))
+
+
+def freeze_still(parameters: ParameterSet, excitation: Excitation) -> ParameterSet:
+    """The same parameters, those of joints that do not move kept at their value."""
+    still = {*excitation.frozen, *excitation.idle}
+    return parameters.freeze(
+        parameter.name
+        for parameter in parameters
+        if quantity(parameter.quantity).of == "joint" and parameter.target in still
+    )
+
+
+def _range(values: np.ndarray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.ptp(finite)) if finite.size else 0.0

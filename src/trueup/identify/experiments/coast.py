@@ -1,0 +1,155 @@
+"""Friction from coasting: how a joint slows down when its torque is taken away (ES thesis 3.2).
+
+Without torque, in direction s, the deceleration is (Fc_s -+ o) / I + (d / I) |dq|: whatever the inertia is, the coast
+alone determines friction *over* inertia. The jump of the acceleration when the torque ends determines the inertia,
+and with it the friction in units of torque.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from trueup.core.episode import Episode
+from trueup.core.results import Estimate
+from trueup.errors import NotIdentifiable
+from trueup.identify.experiments.findings import ExperimentResult, Finding, said
+from trueup.identify.experiments.motion_fit import fit_motion
+from trueup.identify.experiments.recorded import JointMotions, read_motions
+from trueup.identify.experiments.slides import MotionSettings, Slide
+
+_QUIET = 0.05  # share of the largest torque below which a joint coasts
+
+
+def estimate_coast(
+    episodes: Iterable[Episode],
+    *,
+    joints: Sequence[str] | None = None,
+    inertia_kgm2: Mapping[str, float] | None = None,
+    position_slope: bool = True,
+    settings: MotionSettings | None = None,
+) -> ExperimentResult:
+    """Friction over inertia from the coasting after a torque, and friction itself where the inertia is known.
+
+    Quantities per joint, from the coasting alone: `viscous_rate_positive` and `viscous_rate_negative` (d / I in each
+    direction), `coulomb_rate_positive` and `coulomb_rate_negative` (the deceleration that is left at zero speed; a
+    torque offset o enters as -o / I and +o / I), and the means of the two directions `viscous_rate` and
+    `coulomb_rate` (free of the offset), or those of the one direction in which the joint coasted; the
+    `reference_position` at which they are stated. With the inertia,
+    stated or from the motions under torque, also `effective_inertia`, `viscous_friction` and `coulomb_friction`.
+
+    Args:
+        episodes: command with `torque` that ends while the joint moves, measured with `position` or `velocity`.
+        joints: which joints; None finds them.
+        inertia_kgm2: joint -> effective inertia where it is known.
+        position_slope: fit a linear change of the offset torque with the position. Without it intervals are much
+            narrower, and wrong where gravity is not compensated: do that on joints that gravity does not touch.
+        settings: how motions are cut and read.
+
+    Raises:
+        DataError: no episodes.
+        MissingSignal: no episode has a torque command, or the signal that `settings` asks for.
+        NotIdentifiable: no episode could be used; the message says why.
+    """
+    settings = settings or MotionSettings()
+    recorded = read_motions(tuple(episodes), joints, settings)
+    findings, notes = {}, {}
+    for joint, motions in recorded.joints.items():
+        inertia = (inertia_kgm2 or {}).get(joint)
+        findings[joint], extra = _joint(motions, inertia, position_slope=position_slope)
+        notes[joint] = (*motions.notes(), *extra)
+    return ExperimentResult(
+        experiment="coast",
+        joints=findings,
+        notes=notes,
+        runs=recorded.runs(),
+        rejected=recorded.rejected,
+        settings={
+            **settings.to_json(),
+            "position_slope": position_slope,
+            "inertia_kgm2": dict(inertia_kgm2 or {}),
+        },
+    )
+
+
+def _joint(
+    motions: JointMotions, inertia: float | None, *, position_slope: bool
+) -> tuple[dict[str, Finding], tuple[str, ...]]:
+    unit = f"{motions.length}/s^2"
+    coasting = _coasting(motions)
+    if not coasting:
+        moved = "no motion" if not motions.slides else "no coasting: the joint stopped, or the recording did"
+        sentence = f"There is {moved} after the torque ended."
+        return {"coulomb_rate": Finding(Estimate(math.nan, unit), sentence, "no_motion")}, ()
+    try:
+        fit = fit_motion(coasting, inertia=None, with_torque=False, position_slope=position_slope)
+    except NotIdentifiable as error:
+        sentence = " ".join(str(error).split())
+        return {"coulomb_rate": Finding(Estimate(math.nan, unit), sentence, "not_identifiable")}, ()
+    sides = [(name, sign) for name, sign in (("positive", "+"), ("negative", "-")) if f"beta{sign}" in fit.values]
+    findings = {}
+    for side, sign in sides:
+        rate = fit.derived(lambda theta, sign=sign: theta[f"gamma{sign}"], "1/s")  # type: ignore[misc]
+        sentence = f"Coasting in {side} direction, viscous friction over inertia is {said(rate)}."
+        findings[f"viscous_rate_{side}"] = Finding(rate, sentence)
+        rate = fit.derived(lambda theta, sign=sign: _coulomb(theta, sign), unit)  # type: ignore[misc]
+        sentence = f"Coasting in {side} direction, the joint slows down by {said(rate)} as its speed goes to zero."
+        findings[f"coulomb_rate_{side}"] = Finding(rate, sentence)
+    signs = [sign for _, sign in sides]
+    viscous = fit.derived(lambda theta: sum(theta[f"gamma{sign}"] for sign in signs) / len(signs), "1/s")
+    coulomb = fit.derived(lambda theta: sum(_coulomb(theta, sign) for sign in signs) / len(signs), unit)
+    free = "free of any torque offset" if len(signs) == 2 else "which a torque offset enters: one direction only"
+    findings["viscous_rate"] = Finding(viscous, f"Viscous friction over inertia is {said(viscous)}.")
+    findings["coulomb_rate"] = Finding(coulomb, f"Coulomb friction over inertia is {said(coulomb)}, {free}.")
+    findings["reference_position"] = Finding(
+        Estimate(fit.reference, motions.length), "The pose at which the rates are stated: the mean of the starts."
+    )
+    with_inertia, notes = _with_inertia(motions, inertia, viscous, coulomb, position_slope=position_slope)
+    return {**findings, **with_inertia}, (*motions.misfit(fit), *notes)
+
+
+def _with_inertia(
+    motions: JointMotions, known: float | None, viscous: Estimate, coulomb: Estimate, *, position_slope: bool
+) -> tuple[dict[str, Finding], tuple[str, ...]]:
+    """Friction in units of torque."""
+    try:
+        if known is not None:
+            inertia = motions.stated(known)
+        else:
+            inertia = motions.inertia(fit_motion(motions.slides, inertia=None, position_slope=position_slope))
+    except NotIdentifiable as error:
+        return {}, (f"no friction in units of torque: {' '.join(str(error).split())}",)
+    findings = {"effective_inertia": inertia}
+    for name, rate, unit in (
+        ("viscous_friction", viscous, f"{motions.effort} s/{motions.length}"),
+        ("coulomb_friction", coulomb, motions.effort),
+    ):
+        value = _product(inertia.estimate, rate, unit)
+        findings[name] = Finding(value, f"With this inertia, {name.replace('_', ' ')} is {said(value)}.")
+    return findings, ()
+
+
+def _coasting(motions: JointMotions) -> list[Slide]:
+    """The parts of the slides in which no torque acts."""
+    parts = [
+        slide.part(np.abs(slide.torque) <= _QUIET * abs(item.torque))
+        for item in motions.motions
+        for slide in item.slides
+    ]
+    return [part for part in parts if part is not None]
+
+
+def _coulomb(theta: Mapping[str, float], sign: str) -> float:
+    """Deceleration at zero speed in one direction."""
+    return -theta["beta+"] if sign == "+" else theta["beta-"]
+
+
+def _product(inertia: Estimate, rate: Estimate, unit: str) -> Estimate:
+    value = inertia.value * rate.value
+    if rate.low is None or rate.high is None:
+        return Estimate(value, unit)
+    own = 0.0 if inertia.low is None or inertia.high is None else 0.5 * (inertia.high - inertia.low) * rate.value
+    half = math.hypot(own, 0.5 * (rate.high - rate.low) * inertia.value)
+    return Estimate(value, unit, value - half, value + half)

@@ -1,0 +1,110 @@
+"""Mass, centre of mass and inertia of a body, changed only in ways that leave them physically possible."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from jaxtyping import Float
+
+COMPONENTS = ("d1", "d2", "d3", "s12", "s13", "s23")
+
+
+@dataclass(frozen=True, eq=False)
+class Inertial:
+    """A body's inertia in its own frame.
+
+    Attributes:
+        mass: [kg].
+        com: centre of mass, (3,) [m].
+        inertia: about the centre of mass, axes of the body frame, (3, 3) [kg m2].
+    """
+
+    mass: float
+    com: Float[np.ndarray, "3"]
+    inertia: Float[np.ndarray, "3 3"]
+
+    @staticmethod
+    def point(mass: float, place: Float[np.ndarray, "3"]) -> Inertial:
+        """A point mass."""
+        return Inertial(mass, np.asarray(place, dtype=np.float64), np.zeros((3, 3)))
+
+    @property
+    def second_moment(self) -> Float[np.ndarray, "3 3"]:
+        """Integral of r rᵀ dm about the centre of mass; positive definite for every real body [kg m2]."""
+        return np.asarray(0.5 * np.trace(self.inertia) * np.eye(3) - self.inertia)
+
+    @property
+    def pseudo_inertia(self) -> Float[np.ndarray, "4 4"]:
+        """The 4x4 pseudo-inertia about the frame's origin; a body is possible if and only if it is positive definite.
+
+        Source: Wensing, Kim, Slotine 2018, "Linear matrix inequalities for physically-consistent inertial parameter
+        identification", eq. 17.
+        """
+        about_origin = self.second_moment + self.mass * np.outer(self.com, self.com)
+        first = (self.mass * self.com)[:, None]
+        return np.block([[about_origin, first], [first.T, np.array([[self.mass]])]])
+
+    def with_mass(self, mass: float) -> Inertial:
+        """Another mass of the same shape: the radii of gyration stay."""
+        return replace(self, mass=mass, inertia=self.inertia * (mass / self.mass))
+
+    def with_com(self, com: Float[np.ndarray, "3"]) -> Inertial:
+        """Another centre of mass; the inertia about it stays."""
+        return replace(self, com=np.asarray(com, dtype=np.float64))
+
+    def deformed(self, theta: dict[str, float]) -> Inertial:
+        """Another distribution of the same mass about the same centre, by a log-Cholesky factor.
+
+        The second moment S = L Lᵀ becomes L T Tᵀ Lᵀ with T lower triangular, exp(d1), exp(d2), exp(d3) on its
+        diagonal and s12, s13, s23 below. Every theta gives a possible body, and theta = 0 changes nothing.
+
+        Source: Rucker, Wensing 2022, "Smooth parameterization of rigid-body inertia", for the factorization.
+        """
+        t = np.diag(np.exp([theta.get(name, 0.0) for name in ("d1", "d2", "d3")]))
+        t[1, 0], t[2, 0], t[2, 1] = (theta.get(name, 0.0) for name in ("s12", "s13", "s23"))
+        # A body on the edge of what is possible (a rod, a plate) gets the smallest thickness that Cholesky needs.
+        moment = self.second_moment
+        values, vectors = np.linalg.eigh(moment)
+        floor = max(1e-6 * float(values.max()), 1e-12)
+        factor = np.linalg.cholesky((vectors * np.maximum(values, floor)) @ vectors.T) @ t
+        moment = factor @ factor.T
+        return replace(self, inertia=np.trace(moment) * np.eye(3) - moment)
+
+    def plus(self, other: Inertial) -> Inertial:
+        """Both bodies as one."""
+        mass = self.mass + other.mass
+        if mass == 0:
+            return self
+        com = (self.mass * self.com + other.mass * other.com) / mass
+        inertia = sum(
+            (part.inertia + part.mass * _steiner(part.com - com) for part in (self, other)), start=np.zeros((3, 3))
+        )
+        return Inertial(mass, com, inertia)
+
+
+def inertial_of(model: mujoco.MjModel, body: str) -> Inertial:
+    """The inertial of a body of a compiled model."""
+    index = model.body(body).id
+    axes = np.empty(9)
+    mujoco.mju_quat2Mat(axes, model.body_iquat[index])
+    rotation = axes.reshape(3, 3)
+    inertia = rotation @ np.diag(model.body_inertia[index]) @ rotation.T
+    return Inertial(float(model.body_mass[index]), model.body_ipos[index].copy(), inertia)
+
+
+def apply_inertial(spec: mujoco.MjSpec, body: str, inertial: Inertial) -> None:
+    """Write an inertial into an editable model, in place of whatever the body's mass came from."""
+    target = spec.body(body)
+    target.explicitinertial = True
+    target.mass = inertial.mass
+    target.ipos = inertial.com
+    target.iquat = [1.0, 0.0, 0.0, 0.0]
+    target.inertia = [0.0, 0.0, 0.0]
+    i = inertial.inertia
+    target.fullinertia = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
+
+
+def _steiner(offset: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    return np.asarray(offset @ offset * np.eye(3) - np.outer(offset, offset))

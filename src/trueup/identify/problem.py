@@ -1,0 +1,208 @@
+"""The fit as a function: parameters in, residuals of many candidates out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from queue import SimpleQueue
+
+import mujoco
+import numpy as np
+from jaxtyping import Float64
+
+from trueup.core.parameters import ParameterSet
+from trueup.core.protocols import RolloutRequest
+from trueup.errors import ConfigError
+from trueup.identify.candidate import Candidate, Nominal
+from trueup.identify.quantities import quantity
+from trueup.identify.segments import Segment
+from trueup.sim import MujocoSimulator
+
+# Simulated states that one task holds at a time: some 100 MB.
+_STATES_PER_TASK = 4_000_000
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What the residual consists of.
+
+    Attributes:
+        signals: signal -> weight of one standard unit [1/rad, s/rad or 1/Nm]; position alone by default.
+        joints: joint name -> weight; joints that are not named have 1, unscored joints 0.
+    """
+
+    signals: Mapping[str, float]
+    joints: Mapping[str, float]
+
+
+class Problem:
+    """Residuals of a model against logs, for many candidates at once.
+
+    The residual of one sample is weight * (simulated - measured) / sqrt(N), with N the number of samples that
+    count, so that the sum of squares is a mean square. A candidate that diverges, or that MuJoCo refuses to
+    compile, has NaN throughout: it loses, and the others stand.
+
+    Args:
+        nominal: the model as it came.
+        parameters: what may change.
+        segments: parts of the logs.
+        weights: of signals and joints; position and the scored joints alone if None.
+        jobs: threads.
+    """
+
+    def __init__(
+        self,
+        nominal: Nominal,
+        parameters: ParameterSet,
+        segments: Sequence[Segment],
+        *,
+        weights: Weights | None = None,
+        jobs: int = 1,
+    ) -> None:
+        self.nominal = nominal
+        self.parameters = parameters
+        self.segments = tuple(segments)
+        self.jobs = jobs
+        robot = nominal.robot
+        self.weights = weights or Weights({"position": 1.0}, {})
+        scored = {name: float(name in robot.scored_joints) for name in robot.joint_names}
+        strangers = [name for name in self.weights.joints if name not in scored]
+        if strangers:
+            raise ConfigError(f"weights for {strangers}, which are not joints", available=scored)
+        self._joint_weights = np.array([self.weights.joints.get(name, scored[name]) for name in robot.joint_names])
+        self.columns = np.flatnonzero(self._joint_weights)
+        self._simulators: SimpleQueue[MujocoSimulator] = SimpleQueue()
+        for _ in range(jobs):
+            self._simulators.put(nominal.simulator.clone())
+        self._quantities = [(quantity(parameter.quantity), parameter) for parameter in parameters]
+        blocks = [
+            (signal, int(np.count_nonzero(segment.counts)))
+            for segment in self.segments
+            for signal in self.signals_of(segment)
+        ]
+        self.size = sum(count for _, count in blocks) * self.columns.size
+        self._scale = 1.0 / np.sqrt(max(1, sum(n for s, n in blocks if s == "position")) * self.columns.size)
+        self.evaluations = 0
+
+    def signals_of(self, segment: Segment) -> list[str]:
+        """The signals of a segment that enter the residual, in order."""
+        return [name for name, weight in self.weights.signals.items() if weight and name in segment.plan.measured]
+
+    def with_parameters(self, parameters: ParameterSet) -> Problem:
+        """The same logs and weights for other parameters; the count of evaluations goes on."""
+        other = Problem(self.nominal, parameters, self.segments, weights=self.weights, jobs=self.jobs)
+        other.evaluations = self.evaluations
+        return other
+
+    def candidate(self, values: Mapping[str, float]) -> Candidate:
+        """A model with these values written into it; parameters that are not named keep their start."""
+        candidate = self.nominal.candidate()
+        for kind, parameter in self._quantities:
+            kind.write(candidate, parameter.target, values.get(parameter.name, parameter.value))
+        return candidate
+
+    def residuals(self, z: Float64[np.ndarray, "C P"]) -> Float64[np.ndarray, "C N"]:
+        """Residuals of C candidates, NaN for those that fail."""
+        self.evaluations += z.shape[0]
+        candidates = [self.candidate(self.parameters.values(row)) for row in z]
+        models = [_compile(candidate) for candidate in candidates]
+        out = np.full((z.shape[0], self.size), np.nan)
+        tasks = list(self._tasks(z.shape[0], models))
+        if self.jobs == 1 or len(tasks) == 1:
+            for task in tasks:
+                self._run(task, candidates, models, out)
+        else:
+            with ThreadPoolExecutor(self.jobs) as pool:
+                for done in [pool.submit(self._run, task, candidates, models, out) for task in tasks]:
+                    done.result()
+        return out
+
+    def by_segment(self, residual: Float64[np.ndarray, "N"]) -> Iterator[tuple[Segment, str, np.ndarray]]:
+        """The residual of one candidate in its places: segment, signal and (samples, columns)."""
+        place = 0
+        for segment in self.segments:
+            rows = int(np.count_nonzero(segment.counts))
+            for signal in self.signals_of(segment):
+                size = rows * self.columns.size
+                yield segment, signal, residual[place : place + size].reshape(rows, self.columns.size)
+                place += size
+
+    def unscaled_rms(self, residual: Float64[np.ndarray, "M"], column: int) -> float:
+        """Root mean square of position residuals of one joint in the joint's unit [rad or m]."""
+        weight = self.weights.signals["position"] * float(self._joint_weights[column]) * self._scale
+        return float(np.sqrt(np.mean(residual**2)) / weight)
+
+    def _tasks(self, count: int, models: list[mujoco.MjModel | None]) -> Iterator[_Task]:
+        alive = np.array([index for index in range(count) if models[index] is not None], dtype=np.int64)
+        place = 0
+        tasks: list[_Task] = []
+        for segment in self.segments:
+            width = sum(int(np.count_nonzero(segment.counts)) * self.columns.size for _ in self.signals_of(segment))
+            states = segment.plan.steps * segment.plan.starts.size * len(self.nominal.robot.joints)
+            per_task = max(1, min(_STATES_PER_TASK // max(1, states), -(-alive.size // self.jobs)))
+            tasks += [
+                _Task(segment, alive[start : start + per_task], place, place + width)
+                for start in range(0, alive.size, per_task)
+            ]
+            place += width
+        # The longest first, so that no thread is left with the last long one.
+        tasks.sort(key=lambda task: -task.segment.plan.steps * task.segment.plan.starts.size * task.rows.size)
+        yield from tasks
+
+    def _run(
+        self,
+        task: _Task,
+        candidates: Sequence[Candidate],
+        models: Sequence[mujoco.MjModel | None],
+        out: Float64[np.ndarray, "C N"],
+    ) -> None:
+        simulator = self._simulators.get()
+        try:
+            out[task.rows, task.begin : task.end] = self._simulate(task, simulator, candidates, models)
+        finally:
+            self._simulators.put(simulator)
+
+    def _simulate(
+        self,
+        task: _Task,
+        simulator: MujocoSimulator,
+        candidates: Sequence[Candidate],
+        models: Sequence[mujoco.MjModel | None],
+    ) -> Float64[np.ndarray, "C M"]:
+        plan, counts = task.segment.plan, task.segment.counts
+        windows = plan.starts.size
+        requests = [plan.request(candidates[row].delays) for row in task.rows]
+        request = RolloutRequest(
+            position=np.concatenate([own.position for own in requests]),
+            velocity=np.concatenate([own.velocity for own in requests]),
+            command={name: np.concatenate([own.command[name] for own in requests]) for name in requests[0].command},
+        )
+        per_window = [model for row in task.rows if (model := models[row]) is not None for _ in range(windows)]
+        result = simulator.rollout_candidates(request, per_window)
+        grids = {"position": result.position, "velocity": result.velocity, "torque": result.torque}
+        blocks = []
+        for signal in self.signals_of(task.segment):
+            grid = grids[signal]
+            simulated = plan.at_stamps(grid.reshape(task.rows.size, windows, *grid.shape[1:]))
+            residual = (simulated - plan.measured[signal])[:, counts][:, :, self.columns]
+            residual *= self.weights.signals[signal] * self._joint_weights[self.columns] * self._scale
+            blocks.append(residual.reshape(task.rows.size, -1))
+        return np.concatenate(blocks, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """Some candidates on one segment, and where their residuals go."""
+
+    segment: Segment
+    rows: np.ndarray
+    begin: int
+    end: int
+
+
+def _compile(candidate: Candidate) -> mujoco.MjModel | None:
+    try:
+        return candidate.compile()
+    except ConfigError:
+        return None

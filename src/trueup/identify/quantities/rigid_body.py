@@ -1,0 +1,151 @@
+"""Mass, centre of mass and inertia of a body, and what the robot carries."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from trueup.identify.candidate import Candidate, Nominal
+from trueup.identify.inertial import COMPONENTS
+from trueup.identify.quantities.base import Quantity
+
+
+def _read_mass(nominal: Nominal, body: str) -> float:
+    return nominal.inertial(body).mass
+
+
+def _write_mass(candidate: Candidate, body: str, value: float) -> None:
+    candidate.inertials[body] = candidate.inertial(body).with_mass(value)
+
+
+def _com(axis: int) -> tuple[Callable[[Nominal, str], float], Callable[[Candidate, str, float], None]]:
+    def read(nominal: Nominal, body: str) -> float:
+        return float(nominal.inertial(body).com[axis])
+
+    def write(candidate: Candidate, body: str, value: float) -> None:
+        inertial = candidate.inertial(body)
+        com = inertial.com.copy()
+        com[axis] = value
+        candidate.inertials[body] = inertial.with_com(com)
+
+    return read, write
+
+
+def _write_inertia_scale(candidate: Candidate, body: str, value: float) -> None:
+    inertial = candidate.inertial(body)
+    candidate.inertials[body] = replace(inertial, inertia=inertial.inertia * value)
+
+
+def _component(name: str) -> Callable[[Candidate, str, float], None]:
+    def write(candidate: Candidate, body: str, value: float) -> None:
+        candidate.deformations.setdefault(body, {})[name] = value
+
+    return write
+
+
+def _carried(name: str) -> Callable[[Candidate, str, float], None]:
+    def write(candidate: Candidate, _target: str, value: float) -> None:
+        candidate.payload[name] = value
+
+    return write
+
+
+def _one(_nominal: Nominal, _target: str) -> float:
+    return 1.0
+
+
+def _zero(_nominal: Nominal, _target: str) -> float:
+    return 0.0
+
+
+_POSES = "hold and swing {target} in many poses"
+_SWING = "accelerate {target} about several axes"
+
+RIGID_BODY: tuple[Quantity, ...] = (
+    Quantity(
+        "mass",
+        "kg",
+        "body",
+        "gravity",
+        _read_mass,
+        _write_mass,
+        _POSES,
+        transform="log",
+        start=1e-4,
+        low=1e-6,
+        span=10.0,
+        prior_std=0.5,
+    ),
+    *(
+        Quantity(
+            f"com_{axis}",
+            "m",
+            "body",
+            "gravity",
+            *_com(index),
+            _POSES,
+            low=-2.0,
+            high=2.0,
+            scale=0.02,
+            prior_std=1.0,
+        )
+        for index, axis in enumerate("xyz")
+    ),
+    Quantity(
+        "inertia_scale",
+        "1",
+        "body",
+        "inertia",
+        _one,
+        _write_inertia_scale,
+        _SWING,
+        transform="log",
+        span=20.0,
+        prior_std=0.7,
+    ),
+    *(
+        Quantity(
+            f"inertia_{name}",
+            "1",
+            "body",
+            "inertia",
+            _zero,
+            _component(name),
+            _SWING,
+            low=-3.0,
+            high=3.0,
+            scale=0.3,
+            prior_std=1.0,
+        )
+        for name in COMPONENTS
+    ),
+    Quantity(
+        "payload_mass",
+        "kg",
+        "robot",
+        "gravity",
+        _zero,
+        _carried("mass"),
+        "hold and swing the payload in many poses",
+        low=0.0,
+        high=50.0,
+        scale=0.3,
+        prior_std=3.0,
+    ),
+    *(
+        Quantity(
+            f"payload_{axis}",
+            "m",
+            "robot",
+            "gravity",
+            _zero,
+            _carried(axis),
+            "turn the payload about several axes",
+            low=-0.5,
+            high=0.5,
+            scale=0.03,
+            prior_std=1.0,
+        )
+        for axis in "xyz"
+    ),
+)

@@ -1,0 +1,267 @@
+"""Gray-box regression: a linear torque model per joint that grows block by block (GapONet 3.1, A.3.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int
+
+from trueup.core.episode import Episode
+from trueup.errors import ConfigError, DataError, MissingSignal
+from trueup.identify.regression import graybox_terms as terms
+from trueup.identify.regression.covariance import Covariance, robust_covariance
+from trueup.identify.regression.graybox_result import BlockFit, Coefficient, GrayboxResult, IntervalMethod, JointFit
+from trueup.identify.regression.graybox_scores import block_scores
+from trueup.identify.regression.graybox_terms import BLOCKS, JointRows
+from trueup.identify.regression.samples import CommandVelocity, Samples, SampleSettings, gather
+from trueup.identify.regression.torque_limit import AT_LIMIT, apparent_limit
+
+_FEWEST = 50  # samples
+
+
+@dataclass(frozen=True)
+class GrayboxSettings:
+    """How the torque model is fitted.
+
+    Attributes:
+        blocks: which to add, in order; each contains those before it.
+        delay_s: the command acts this much later [s].
+        epsilon: width of the smoothed Coulomb step [rad/s or m/s]; below the noise of the velocity the term becomes
+            noise, far above it the term becomes viscous.
+        cutoff_hz: low-pass of what is differentiated [Hz].
+        command_velocity: where the commanded velocity comes from: `signal` (zero if the log has none), `derived`
+            from the commanded position, or `zero`.
+        derive_velocity: take the derivative of the position although the log has a velocity.
+        torque_limits: joint -> largest torque; samples beyond 98 % of it say nothing about gains and are left out.
+            Where no limit is given, one is looked for.
+    """
+
+    blocks: tuple[str, ...] = tuple(BLOCKS)
+    delay_s: float = 0.0
+    epsilon: float = 0.05
+    cutoff_hz: float = 15.0
+    command_velocity: CommandVelocity = "signal"
+    derive_velocity: bool = False
+    torque_limits: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be fitted."""
+        if self.blocks != tuple(BLOCKS)[: len(self.blocks)] or not self.blocks:
+            raise ConfigError(
+                "blocks grow in a fixed order", got=self.blocks, expected=f"a beginning of {list(BLOCKS)}"
+            )
+        if not 0.0 < self.epsilon < np.inf:
+            raise ConfigError("epsilon must be above 0", got=self.epsilon)
+
+
+class _Data(NamedTuple):
+    """The complete rows of one joint, and what they belong to."""
+
+    rows: JointRows
+    motion: Int[np.ndarray, "N"]
+    train: Bool[np.ndarray, "N"]
+    columns: Float64[np.ndarray, "N 10"]
+
+
+class _Fit(NamedTuple):
+    """Coefficients that were fitted, and the residual of all rows."""
+
+    values: Float64[np.ndarray, "K"]
+    covariance: Covariance
+    residual: Float64[np.ndarray, "N"]
+
+
+def fit_graybox(
+    episodes: Iterable[Episode], *, settings: GrayboxSettings | None = None, joints: Sequence[str] | None = None
+) -> GrayboxResult:
+    """Fit eq. 1 per joint in growing blocks on the train motions and score each model on every split.
+
+    Ordinary least squares; intervals allow for autocorrelated residuals (see `covariance`). A coefficient that the
+    motions cannot tell is left out with the reason, and so is a block of which nothing is left.
+
+    Args:
+        episodes: in the joint names and units of the robot, with measured position and torque and a commanded
+            position. Without any split all of them are fitted and nothing is held out.
+        settings: blocks, delay, filter and sources.
+        joints: the joints to fit; all if None.
+
+    Raises:
+        DataError: no episode, or none to fit.
+        MissingSignal: no torque, or no commanded position.
+        NameMismatch: an episode lacks a joint.
+        UnitError: a signal is not in SI.
+    """
+    settings = settings or GrayboxSettings()
+    samples = gather(
+        episodes,
+        SampleSettings(
+            delay_s=settings.delay_s,
+            cutoff_hz=settings.cutoff_hz,
+            command_velocity=settings.command_velocity,
+            derive_velocity=settings.derive_velocity,
+        ),
+        joints=joints,
+    )
+    if not np.isfinite(samples.command).any():
+        raise MissingSignal("the episodes have no commanded position", hint="For torque-driven logs, fit the dynamics.")
+    notes, splits = _splits(samples)
+    fits = {joint: _fit_joint(samples, number, splits, settings) for number, joint in enumerate(samples.joints)}
+    return GrayboxResult(joints=fits, settings={**asdict(settings), "blocks": list(settings.blocks)}, notes=notes)
+
+
+def _splits(samples: Samples) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Notes, and the split of each motion."""
+    splits = tuple(motion.split for motion in samples.motions)
+    notes = samples.notes
+    if not any(splits):
+        return (*notes, "no episode has a split: all are fitted, nothing is held out"), ("train",) * len(splits)
+    if "train" not in splits:
+        raise DataError("there is no train motion to fit", available=sorted(set(splits)))
+    if "" in splits:
+        notes = (*notes, f"{splits.count('')} episodes without a split are not used")
+    return notes, splits
+
+
+def _fit_joint(samples: Samples, number: int, splits: tuple[str, ...], settings: GrayboxSettings) -> JointFit:
+    length_unit = samples.length_units[number]
+    data, notes = _joint_data(samples, number, splits, settings)
+    fitted = data.rows.where(data.train)
+    motions = np.unique(data.motion[data.train])
+    why = terms.unusable(fitted)
+    if why:
+        nothing = tuple(_left_out(block, length_unit, {}, why) for block in settings.blocks)
+        return JointFit(nothing, "none", motions.size, int(data.train.sum()), (*notes, why))
+    loads = np.array([samples.motions[motion].payload_kg for motion in motions])
+    payload_motions = {float(load): int((loads == load).sum()) for load in np.unique(loads)}
+    reasons = terms.missing_evidence(fitted, payload_motions)
+    fits: list[BlockFit] = []
+    method: IntervalMethod = "none"
+    # Its columns have the lengths and angles of those of the rows, which is all that least squares are about.
+    triangle = np.asarray(np.linalg.qr(np.column_stack([data.columns, data.rows.torque])[data.train], mode="r"))
+    previous = data.rows.torque - data.rows.torque[data.train].mean()
+    for block in settings.blocks:
+        names = terms.term_names(settings.blocks[: settings.blocks.index(block) + 1])
+        present = tuple(name for name in names if name not in reasons)
+        reasons |= terms.dependent(triangle[:, _index(present)], present)
+        if all(name in reasons for name in BLOCKS[block]):
+            why = "; ".join(dict.fromkeys(reasons[name] for name in BLOCKS[block]))
+            fits.append(_left_out(block, length_unit, reasons, f"not identifiable: {why}"))
+            continue
+        used = tuple(name for name in names if name not in reasons)
+        fit = _least_squares(data, triangle, used)
+        method = fit.covariance.method
+        weak = terms.weak_points(triangle[:, _index(used)], used, fitted, payload_motions)
+        coefficients = _coefficients(names, used, fit, length_unit, reasons, weak)
+        by_split, by_payload = block_scores(
+            samples.motions, splits, data.motion, (previous, fit.residual), unit=terms.unit("tau_0", length_unit)
+        )
+        fits.append(BlockFit(block, "", coefficients, by_split, by_payload))
+        previous = fit.residual
+    return JointFit(tuple(fits), method, motions.size, int(data.train.sum()), tuple(notes))
+
+
+def _joint_data(
+    samples: Samples, number: int, splits: tuple[str, ...], settings: GrayboxSettings
+) -> tuple[_Data, list[str]]:
+    raw = {
+        "error": samples.command[:, number] - samples.position[:, number],
+        "velocity_error": samples.command_velocity[:, number] - samples.velocity[:, number],
+        "command": samples.command[:, number],
+        "command_velocity": samples.command_velocity[:, number],
+        "position": samples.position[:, number],
+        "velocity": samples.velocity[:, number],
+        "acceleration": samples.acceleration[:, number],
+        "payload_kg": samples.payload_kg,
+        "torque": samples.torque[:, number],
+    }
+    needs = [name for name in raw if name != "acceleration" or "coupling" in settings.blocks]
+    usable = np.all([np.isfinite(raw[name]) for name in needs], axis=0)
+    split = np.array(splits)[samples.motion]
+    usable &= split != ""
+    cut, notes = _beyond_limit(raw, usable, split == "train", settings.torque_limits.get(samples.joints[number]))
+    usable &= ~cut
+    rows = JointRows(**{name: values[usable] for name, values in raw.items()}, length_unit=samples.length_units[number])
+    table = terms.columns(rows, settings.epsilon)
+    return _Data(rows, samples.motion[usable], split[usable] == "train", table), notes
+
+
+def _beyond_limit(
+    raw: Mapping[str, Float64[np.ndarray, "N"]],
+    usable: Bool[np.ndarray, "N"],
+    train: Bool[np.ndarray, "N"],
+    limit: float | None,
+) -> tuple[Bool[np.ndarray, "N"], list[str]]:
+    """Samples whose torque is cut off, and what to say about them."""
+    size = np.abs(raw["torque"])
+    fitted = usable & train
+    origin = "the given torque limit"
+    if limit is None and fitted.sum() > _FEWEST:
+        pd = np.stack([np.ones(size.size), raw["error"], raw["velocity_error"]], axis=1)
+        limit = apparent_limit(raw["torque"][fitted], pd[fitted])
+        origin = "what looks like a torque limit"
+    if limit is None:
+        return np.zeros(size.size, bool), []
+    cut = usable & (size >= AT_LIMIT * limit)
+    share = cut.sum() / max(usable.sum(), 1)
+    told = f"{cut.sum()} samples ({share:.1%}) at {origin} of {limit:.4g} are left out"
+    return cut, [told] if cut.any() else []
+
+
+def _index(names: tuple[str, ...]) -> list[int]:
+    order = terms.term_names(tuple(BLOCKS))
+    return [order.index(name) for name in names]
+
+
+def _least_squares(data: _Data, triangle: Float64[np.ndarray, "R 11"], names: tuple[str, ...]) -> _Fit:
+    table = data.columns[:, _index(names)]
+    design, motion = table[data.train], data.motion[data.train]
+    folded = triangle[:, _index(names)]
+    scale = 1.0 / np.linalg.norm(folded, axis=0)
+    values = np.linalg.lstsq(folded * scale, triangle[:, -1], rcond=None)[0] * scale
+    residual = data.rows.torque - table @ values
+    _, cluster = np.unique(motion, return_inverse=True)
+    starts = np.flatnonzero(np.diff(cluster, prepend=-1))
+    grams = np.stack([part.T @ part for part in np.split(design, starts[1:])])
+    covariance = robust_covariance(grams, design * residual[data.train][:, None], cluster)
+    return _Fit(values, covariance, residual)
+
+
+def _coefficients(
+    names: tuple[str, ...],
+    used: tuple[str, ...],
+    fit: _Fit,
+    length_unit: str,
+    reasons: Mapping[str, str],
+    weak: Mapping[str, str],
+) -> dict[str, Coefficient]:
+    error, half = fit.covariance.standard_error, fit.covariance.half_width()
+    result = {}
+    for name in names:
+        unit = terms.unit(name, length_unit)
+        if name not in used:
+            result[name] = Coefficient(unit, status="not identifiable", note=reasons[name])
+            continue
+        k = used.index(name)
+        value = float(fit.values[k])
+        result[name] = Coefficient(
+            unit,
+            value=value,
+            low=value - float(half[k]),
+            high=value + float(half[k]),
+            standard_error=float(error[k]),
+            status="weak" if name in weak else "ok",
+            note=weak.get(name, reasons.get("K_v", "") if name == "K_d" else ""),
+        )
+    return result
+
+
+def _left_out(block: str, length_unit: str, reasons: Mapping[str, str], why: str) -> BlockFit:
+    own = BLOCKS[block]
+    coefficients = {
+        name: Coefficient(terms.unit(name, length_unit), status="not identifiable", note=reasons.get(name, why))
+        for name in own
+    }
+    return BlockFit(block, why, coefficients, {}, {})

@@ -1,0 +1,113 @@
+"""Errors of a model on whole motions, simulated as `trueup replay` does it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from trueup.core.episode import Episode
+from trueup.core.parameters import ParameterSet
+from trueup.core.results import Estimate
+from trueup.errors import DataError
+from trueup.identify.candidate import Nominal
+from trueup.identify.problem import Problem
+from trueup.identify.segments import Segment, SegmentRule, make_segments
+from trueup.measure import bootstrap_interval
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """Position RMSE of every motion and scored joint, (E, J) [rad or m].
+
+    Attributes:
+        episodes: ids of the E motions.
+        joints: names of the J scored joints.
+        rmse: NaN where a motion diverged.
+        seed: of the intervals.
+    """
+
+    episodes: tuple[str, ...]
+    joints: tuple[str, ...]
+    rmse: Float64[np.ndarray, "E J"]
+    seed: int = 0
+
+    @property
+    def mean(self) -> float:
+        """Mean over motions of the mean over scored joints; infinite if a motion diverged."""
+        return float(np.mean(self.rmse)) if np.isfinite(self.rmse).all() else float("inf")
+
+    @property
+    def per_joint(self) -> dict[str, float]:
+        """Joint -> mean over motions; joints of a motion that diverged are left out."""
+        means = np.mean(self.rmse, axis=0)
+        return {joint: float(value) for joint, value in zip(self.joints, means, strict=True) if np.isfinite(value)}
+
+    def estimate(self, unit: str) -> Estimate:
+        """The mean with its 95 % interval over motions."""
+        values = self.rmse.mean(axis=1, keepdims=True)
+        if not np.isfinite(values).all():
+            return Estimate(float("nan"), unit)
+        if values.size < 2:
+            return Estimate(self.mean, unit)
+        low, high = bootstrap_interval(values, seed=self.seed)
+        return Estimate(self.mean, unit, float(low[0]), float(high[0]))
+
+
+class Scorer:
+    """Scores models on the motions of each split.
+
+    Args:
+        nominal: the model as it came; joints, time step and commands count.
+        episodes: split -> motions in the robot's joint names.
+        jobs: threads.
+        seed: of the intervals.
+    """
+
+    def __init__(
+        self, nominal: Nominal, episodes: Mapping[str, Sequence[Episode]], *, jobs: int = 1, seed: int = 0
+    ) -> None:
+        rule = SegmentRule(window_s=nominal.robot.replay.window_s, cut_s=None, budget_s=float("inf"))
+        self._nominal, self._jobs, self._seed = nominal, jobs, seed
+        self._segments: dict[str, list[Segment]] = {}
+        self.refused: dict[str, str] = {}
+        for split, logs in episodes.items():
+            if not logs:
+                continue
+            try:
+                self._segments[split], refused = make_segments(logs, nominal.simulator, rule)
+            except DataError as error:
+                self.refused.update({log.id: str(error) for log in logs})
+                continue
+            self.refused.update({name: str(error) for name, error in refused.items()})
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """The splits that have motions."""
+        return tuple(self._segments)
+
+    @property
+    def unit(self) -> str:
+        """Unit of the errors: that of the scored joints, `mixed` if they have several."""
+        segment = next(segment for segments in self._segments.values() for segment in segments)
+        units = dict(zip(segment.plan.measured.joints, segment.plan.measured.units["position"], strict=True))
+        own = {units[joint] for joint in self._nominal.robot.scored_joints}
+        return own.pop() if len(own) == 1 else "mixed"
+
+    def score(self, parameters: ParameterSet, values: Mapping[str, float], split: str) -> Scores:
+        """Errors of one model on one split."""
+        moved = parameters.at(values)
+        problem = Problem(self._nominal, moved, self._segments[split], jobs=self._jobs)
+        residual = problem.residuals(moved.start[None])[0]
+        joints = self._nominal.robot.joint_names
+        rmse = {
+            segment.episode_id: [
+                problem.unscaled_rms(own[:, place], int(column)) for place, column in enumerate(problem.columns)
+            ]
+            for segment, _, own in problem.by_segment(residual)
+        }
+        return Scores(
+            tuple(rmse), tuple(joints[column] for column in problem.columns), np.array(list(rmse.values())), self._seed
+        )

@@ -1,0 +1,87 @@
+"""Where a fit starts: a coarse look at each kind of parameter, for all joints at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float64
+
+from trueup.core.parameters import ParameterSet
+from trueup.identify.problem import Problem
+from trueup.identify.quantities import quantity
+
+# The order matters: stiffness first, then what brakes, then what is heavy, then what is late.
+_SWEPT = ("kp", "damping", "frictionloss", "sigmoid_level", "armature", "delay_s", "torque_limit")
+_FACTORS = 4.0 ** np.arange(-4, 5)
+_DELAYS_S = np.array([0.0, 0.005, 0.01, 0.02, 0.03, 0.05, 0.08])
+# A start on a bound has a one-sided view and often stays there.
+_OFF_BOUND = 0.01
+
+
+def swept_start(problem: Problem) -> ParameterSet:
+    """Better start values, one kind of parameter after the other.
+
+    All joints move through the same factors at once and each keeps the one at which its own residual is smallest:
+    joints of an arm influence each other little enough for a first guess, and the cost is that of one Jacobian.
+    """
+    parameters = problem.parameters
+    for name in _SWEPT:
+        swept = [p for p in parameters.free if p.quantity == name and quantity(name).of == "joint"]
+        if not swept:
+            continue
+        grid = _DELAYS_S if name == "delay_s" else _FACTORS
+        rows = np.array(
+            [
+                parameters.at({p.name: float(step if name == "delay_s" else p.value * step) for p in swept}).start
+                for step in grid
+            ]
+        )
+        costs = joint_costs(problem, problem.residuals(rows))
+        for p in swept:
+            own = costs[:, problem.nominal.robot.joint_names.index(p.target)]
+            if np.isfinite(own).any():
+                step = grid[int(np.nanargmin(own))]
+                value = float(step if name == "delay_s" else p.value * step)
+                parameters = parameters.at({p.name: value})
+        problem = problem.with_parameters(parameters)
+    return off_bounds(parameters)
+
+
+def off_bounds(parameters: ParameterSet) -> ParameterSet:
+    """The same start, a hundredth of the range away from every bound."""
+    low, high = parameters.bounds
+    z = parameters.start
+    margin = np.minimum(_OFF_BOUND * (high - low), 0.25)
+    inside = np.clip(z, low + margin, high - margin)
+    moved = {
+        parameter.name: parameter.from_z(float(new))
+        for parameter, old, new in zip(parameters.free, z, inside, strict=True)
+        if new != old
+    }
+    return parameters.at(moved)
+
+
+def joint_costs(problem: Problem, residuals: Float64[np.ndarray, "C N"]) -> Float64[np.ndarray, "C J"]:
+    """Sum of squares per candidate and joint; infinite for candidates that failed, zero for uncounted joints."""
+    costs = np.zeros((residuals.shape[0], len(problem.nominal.robot.joint_names)))
+    for row, residual in enumerate(residuals):
+        if not np.isfinite(residual).all():
+            costs[row] = np.inf
+            continue
+        for _, _, values in problem.by_segment(residual):
+            costs[row, problem.columns] += np.sum(values**2, axis=0)
+    return costs
+
+
+def idle_names(
+    problem: Problem, jacobian: Float64[np.ndarray, "P N"], weight: float, *, among: Sequence[str]
+) -> list[str]:
+    """Those of the named parameters about which the data say less than the prior, even if all others were known."""
+    _, std = problem.parameters.prior
+    gain = np.sum(jacobian**2, axis=1) * np.where(np.isfinite(std), std, 1.0) ** 2 / weight
+    return [
+        parameter.name
+        for parameter, own in zip(problem.parameters.free, gain, strict=True)
+        if own < 1.0 and parameter.name in among
+    ]

@@ -1,0 +1,44 @@
+"""How a log is replayed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from trueup.errors import ConfigError
+from trueup.robots import RobotSpec
+
+
+@dataclass(frozen=True)
+class ReplaySettings:
+    """How a log is replayed.
+
+    Attributes:
+        window_s: restart from the measured state this often [s]; None replays whole motions.
+        initial_velocity: `zero`, or the `measured` one (its derivative of position where there is no channel);
+            None takes the measured one at the start of windows and zero at that of a whole motion.
+        delay_s: the command acts this much later [s], >= 0; one number for all joints, or one per joint.
+    """
+
+    window_s: float | None = None
+    initial_velocity: Literal["zero", "measured"] | None = None
+    delay_s: float | tuple[float, ...] = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be replayed."""
+        if self.window_s is not None and not 0 < self.window_s < np.inf:
+            raise ConfigError("window_s must be positive", got=self.window_s)
+        if not all(0 <= delay_s < np.inf for delay_s in np.atleast_1d(self.delay_s)):
+            raise ConfigError("delay_s must be >= 0", got=self.delay_s)
+
+    @property
+    def starts_moving(self) -> bool:
+        """Whether a simulation starts with the measured velocity."""
+        return self.initial_velocity == "measured" or (self.initial_velocity is None and self.window_s is not None)
+
+    @staticmethod
+    def of(robot: RobotSpec) -> ReplaySettings:
+        """What the robot description asks for."""
+        return ReplaySettings(robot.replay.window_s, robot.replay.initial_velocity, robot.delay_s)
