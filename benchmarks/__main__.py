@@ -5,7 +5,7 @@ from importlib import import_module
 
 from benchmarks.table import print_table
 
-NAMES = ("dataset_io", "import_sage", "import_mcap", "replay", "pipeline")
+NAMES = ("dataset_io", "import_sage", "import_mcap", "replay", "friction", "pipeline")
 
 
 def main() -> None:

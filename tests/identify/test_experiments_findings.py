@@ -8,7 +8,7 @@ import pytest
 from trueup.core.results import Estimate
 from trueup.errors import DataError, FormatError, MissingSignal
 from trueup.identify.experiments import ExperimentResult, Finding, Rejection
-from trueup.identify.experiments.findings import said
+from trueup.identify.experiments.findings import of_friction, said
 
 RESULT = ExperimentResult(
     experiment="breakaway",
@@ -80,3 +80,11 @@ def test_an_unknown_joint_or_quantity_lists_what_there_is():
 )
 def test_numbers_are_as_precise_as_their_intervals(estimate, words):
     assert said(estimate) == words
+
+
+def test_a_negative_friction_is_implausible_and_one_about_zero_is_said_to_be():
+    assert of_friction(Estimate(0.5, "Nm", 0.4, 0.6), "F.").status == "ok"
+    assert of_friction(Estimate(-0.5, "Nm", -0.6, -0.4), "F.").status == "implausible"
+    unclear = of_friction(Estimate(0.1, "Nm", -0.1, 0.3), "F.")
+    assert unclear.status == "ok"
+    assert "do not tell it from zero" in unclear.sentence

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 from rich.table import Table
 
 from trueup.cli.tables import number
+from trueup.core.attribution import UNEXPLAINED, Attribution
 from trueup.core.fit_result import FitResult, FittedParameter
 
 _STYLE = {"yes": "", "weakly": "yellow", "no": "red"}
@@ -53,6 +56,21 @@ def model_table(fit: FitResult) -> Table:
     for row in fit.models:
         cells = [number(row.splits[split]).replace("[", r"\[") if split in row.splits else "" for split in splits]
         table.add_row(row.name + (" *" if row.chosen else ""), str(row.parameters), *cells, f"{row.seconds:.1f}")
+    return table
+
+
+def attribution_table(attribution: Attribution) -> Table:
+    """One row per joint: how much of its mean square error each cause takes away."""
+    table = Table(
+        title=f"where the gap comes from: share of the mean square error on {attribution.split}", title_justify="left"
+    )
+    table.add_column("joint")
+    labels = {step.cause: step.label for step in attribution.steps}
+    for cause in (*attribution.causes, UNEXPLAINED):
+        table.add_column(labels.get(cause, cause), justify="right")
+    for joint, shares in {**attribution.shares, "all joints": attribution.shares_total}.items():
+        cells = [shares[cause] for cause in (*attribution.causes, UNEXPLAINED)]
+        table.add_row(joint, *("" if math.isnan(share) else f"{100 * share:.1f} %" for share in cells))
     return table
 
 

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from trueup.cli import options
-from trueup.cli.console import note, out, track
+from trueup.cli.console import iterations, note, out, track
 from trueup.cli.convert import show_flags
+from trueup.cli.fit_tables import attribution_table
 from trueup.cli.tables import gap_table, verdicts
 from trueup.core.atomic import make_folder
 from trueup.core.results import GapResult
-from trueup.errors import BarNotMet, OutputExists
+from trueup.errors import BarNotMet, ConfigError, OutputExists
 
 if TYPE_CHECKING:
     from trueup.measure import Bar
@@ -30,8 +31,15 @@ def gap(
     out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for gap.json and report.html.")] = None,
     runs: Annotated[str | None, typer.Option("--runs", help="Labels, comma-separated; all if not given.")] = None,
     robot: Annotated[
-        str | None, typer.Option("--robot", help="Which joints are scored, instead of what the runs say.")
+        str | None,
+        typer.Option("--robot", help="Which joints are scored, instead of what the runs say; needed by --explain."),
     ] = None,
+    explain: Annotated[
+        bool,
+        typer.Option("--explain", help="Fit cause after cause: how much is delay, gains, friction, gravity, inertia."),
+    ] = False,
+    model: options.Model = None,
+    jobs: options.Jobs = None,
     split: Annotated[str | None, typer.Option("--split", help="Measure only train, val or test.")] = None,
     signals: Annotated[str | None, typer.Option("--signals", help="Comma-separated, e.g. position,torque.")] = None,
     metrics: Annotated[str | None, typer.Option("--metrics", help="Comma-separated; see docs/metrics.md.")] = None,
@@ -50,8 +58,13 @@ def gap(
     from trueup.measure import parse_bar
     from trueup.report import write_report
     from trueup.robots import load_robot
+    from trueup.stages import explain as attribute
     from trueup.stages import gap as measure
 
+    if explain and robot is None:
+        raise ConfigError(
+            "--explain simulates, so it needs to know the robot", hint="Give --robot NAME or a robot.yaml."
+        )
     bars = [parse_bar(text) for text in fail_above or []]
     if out_dir is not None:
         make_folder(out_dir)
@@ -78,8 +91,19 @@ def gap(
         out.print(line, markup=False)
     for line in measurement.gap.settings["warnings"]:
         note(line)
+    attribution = None
+    if explain and robot is not None:
+        with iterations() as on_progress:
+            attribution = attribute(
+                Dataset(dataset), load_robot(robot), model=model, seed=seed, jobs=jobs, on_progress=on_progress
+            )
+        out.print(attribution_table(attribution))
+        for line in attribution.statements:
+            note(line)
     if out_dir is not None:
         measurement.save(out_dir)
+        if attribution is not None:
+            attribution.save(out_dir / "explain.json")
         out.print(f"report: {write_report(out_dir)}", markup=False)
     hold_bars(measurement.gap, bars)
     return 0

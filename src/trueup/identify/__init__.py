@@ -1,5 +1,6 @@
 """Identification: what the simulator has wrong, and how sure that is."""
 
+from trueup.identify.attribution import explain as explain
 from trueup.identify.candidate import Candidate as Candidate
 from trueup.identify.candidate import Nominal as Nominal
 from trueup.identify.config import IdentifyConfig as IdentifyConfig
@@ -15,7 +16,7 @@ from trueup.identify.segments import SegmentRule as SegmentRule
 from trueup.identify.segments import make_segments as make_segments
 from trueup.identify.solution import Progress as Progress
 from trueup.identify.solution import SolveSettings as SolveSettings
-from trueup.identify.solution import solve as solve
+from trueup.identify.solve import solve as solve
 
 __all__ = [
     "QUANTITIES",
@@ -30,6 +31,7 @@ __all__ = [
     "SegmentRule",
     "SolveSettings",
     "Weights",
+    "explain",
     "identify",
     "make_segments",
     "save_identification",

@@ -18,9 +18,9 @@ from trueup.identify.solvers.gauss_newton import GaussNewtonSettings
 # Closed loop: the servo holds the joint near its command, so whole motions can be compared.
 _SERVO_FIT = ("delay_s", "kp", "damping", "frictionloss", "armature", "torque_offset")
 _SERVO_MODELS = {
-    "load": ("load",),
-    "stribeck": ("stribeck", "stribeck_velocity"),
     "gravity": ("mass",),
+    "stribeck": ("stribeck", "stribeck_velocity"),
+    "load": ("load",),
 }
 # Open loop: the torque is known, so masses and inertias can be told from friction.
 _TORQUE_FIT = (
@@ -50,7 +50,7 @@ class DataChoice:
 
     window_s: float | None = None
     cut_s: float | None = None
-    budget_s: float = 300.0
+    budget_s: float = 200.0
     burn_in_s: float = 1.0
     keep_flagged: bool = False
 

@@ -22,8 +22,9 @@ from trueup.identify.excitation import excitation_of, freeze_still
 from trueup.identify.problem import Problem, Weights
 from trueup.identify.scoring import Scorer, Scores
 from trueup.identify.segments import SegmentRule, make_segments
-from trueup.identify.solution import Progress, Solution, SolveSettings, solve
-from trueup.identify.start import idle_names, off_bounds, swept_start
+from trueup.identify.solution import Progress, Solution, SolveSettings
+from trueup.identify.solve import solve
+from trueup.identify.start import idle_names, off_bounds, regressed_start, swept_start
 from trueup.identify.uncertainty import (
     Posterior,
     fitted_parameters,
@@ -109,7 +110,7 @@ def identify(
     nominal = Nominal(robot, model)
     chosen_by_user = config is not None and bool(config.fit)
     config = (config or IdentifyConfig()).resolved(nominal)
-    train, flagged = _usable(episodes.get("train", ()), keep_flagged=config.data.keep_flagged)
+    train, flagged = usable(episodes.get("train", ()), keep_flagged=config.data.keep_flagged)
     if not train:
         raise NotIdentifiable(
             "there is no motion to fit",
@@ -121,13 +122,15 @@ def identify(
     data = config.data
     rule = SegmentRule(data.window_s, data.cut_s, data.budget_s, data.burn_in_s, seed)
     segments, refused = make_segments(train, nominal.simulator, rule)
-    scored = {split: _usable(logs, keep_flagged=config.data.keep_flagged)[0] for split, logs in episodes.items()}
+    scored = {split: usable(logs, keep_flagged=config.data.keep_flagged)[0] for split, logs in episodes.items()}
     scorer = Scorer(nominal, {split: logs for split, logs in scored.items() if logs}, jobs=jobs, seed=seed)
     weights = Weights(config.signals, config.joints)
     settings = SolveSettings(
         solver=config.solver.name,
         gauss_newton=config.solver.gauss_newton(),
+        max_evaluations=config.solver.max_evaluations,
         max_seconds=config.solver.max_seconds,
+        starts=config.solver.starts,
         seed=seed,
     )
 
@@ -135,17 +138,21 @@ def identify(
         parameters = freeze_still(make_parameters(fit, nominal), seen)
         began = time.perf_counter()
         problem = Problem(nominal, parameters, segments, weights=weights, jobs=jobs)
+        own = settings
         if start is not None:
             problem = problem.with_parameters(off_bounds(parameters.at(start.values)))
+            # From a good place there may be nothing left to gain, which is no reason to search everywhere.
+            own = replace(own, solver="gauss-newton") if own.solver == "auto" else own
         else:
-            problem = problem.with_parameters(swept_start(problem))
+            begin = regressed_start(problem, train) if signal == "torque" else swept_start(problem)
+            problem = problem.with_parameters(begin)
             if not chosen_by_user:
                 problem = problem.with_parameters(_without_idle(problem))
         if not problem.parameters.free:
             raise NotIdentifiable("no parameter is left to fit", got="; ".join(seen.statements) or "all are frozen")
         solution = solve(
             problem,
-            settings,
+            own,
             checkpoint=checkpoints / f"{name}.json" if checkpoints else None,
             on_progress=None if on_progress is None else lambda progress: on_progress(name, progress),
         )
@@ -206,7 +213,7 @@ def identify(
     return Identification(result, nominal, solution.parameters, posterior)
 
 
-def _usable(logs: Sequence[Episode], *, keep_flagged: bool) -> tuple[list[Episode], dict[str, str]]:
+def usable(logs: Sequence[Episode], *, keep_flagged: bool) -> tuple[list[Episode], dict[str, str]]:
     """The motions without quality warnings, and why the others are left out."""
     flagged = (
         {} if keep_flagged else {log.id: ", ".join(warning_kinds(log.meta.flags)) for log in logs if log.meta.warned}

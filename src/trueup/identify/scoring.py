@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int
 
 from trueup.core.episode import Episode
 from trueup.core.parameters import ParameterSet
@@ -26,12 +26,14 @@ class Scores:
         episodes: ids of the E motions.
         joints: names of the J scored joints.
         rmse: NaN where a motion diverged.
+        samples: number of samples of each motion, (E,).
         seed: of the intervals.
     """
 
     episodes: tuple[str, ...]
     joints: tuple[str, ...]
     rmse: Float64[np.ndarray, "E J"]
+    samples: Int[np.ndarray, "E"]
     seed: int = 0
 
     @property
@@ -44,6 +46,13 @@ class Scores:
         """Joint -> mean over motions; joints of a motion that diverged are left out."""
         means = np.mean(self.rmse, axis=0)
         return {joint: float(value) for joint, value in zip(self.joints, means, strict=True) if np.isfinite(value)}
+
+    @property
+    def pooled(self) -> dict[str, float]:
+        """Joint -> root mean square over the samples of all motions."""
+        share = self.samples / self.samples.sum()
+        values = np.sqrt(share @ self.rmse**2)
+        return {joint: float(value) for joint, value in zip(self.joints, values, strict=True)}
 
     def estimate(self, unit: str) -> Estimate:
         """The mean with its 95 % interval over motions."""
@@ -102,12 +111,11 @@ class Scorer:
         problem = Problem(self._nominal, moved, self._segments[split], jobs=self._jobs)
         residual = problem.residuals(moved.start[None])[0]
         joints = self._nominal.robot.joint_names
-        rmse = {
-            segment.episode_id: [
+        rmse, samples = {}, {}
+        for segment, _, own in problem.by_segment(residual):
+            rmse[segment.episode_id] = [
                 problem.unscaled_rms(own[:, place], int(column)) for place, column in enumerate(problem.columns)
             ]
-            for segment, _, own in problem.by_segment(residual)
-        }
-        return Scores(
-            tuple(rmse), tuple(joints[column] for column in problem.columns), np.array(list(rmse.values())), self._seed
-        )
+            samples[segment.episode_id] = own.shape[0]
+        scored = tuple(joints[column] for column in problem.columns)
+        return Scores(tuple(rmse), scored, np.array(list(rmse.values())), np.array(list(samples.values())), self._seed)

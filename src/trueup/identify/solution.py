@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,8 +16,7 @@ from trueup.core.atomic import read_json, write_json
 from trueup.core.parameters import ParameterSet
 from trueup.errors import DataError
 from trueup.identify.problem import Problem
-from trueup.identify.solvers.gauss_newton import GaussNewton, GaussNewtonSettings, GaussNewtonState
-from trueup.identify.uncertainty import noise_of
+from trueup.identify.solvers import GaussNewtonSettings
 
 SolverName = Literal["auto", "gauss-newton", "cma-es", "evolution"]
 
@@ -52,13 +50,17 @@ class SolveSettings:
     Attributes:
         solver: `auto` chooses and says why.
         gauss_newton: its settings.
+        max_evaluations: of the derivative-free solvers.
         max_seconds: stop a search after this long [s], with the best so far; None for no limit.
-        seed: of the derivative-free solvers.
+        starts: searches from so many places; the best one counts, and whether the others agree is said.
+        seed: of the derivative-free solvers and the starts.
     """
 
     solver: SolverName = "auto"
     gauss_newton: GaussNewtonSettings = field(default_factory=GaussNewtonSettings)
+    max_evaluations: int = 4000
     max_seconds: float | None = None
+    starts: int = 1
     seed: int = 0
 
 
@@ -72,7 +74,7 @@ class Solution:
         residual: at z, (N,).
         jacobian: at z, (P, N).
         rms: root mean square of the weighted residual.
-        solver: name, why, stop, iterations, evaluations, seconds.
+        solver: name, stop (`converged`, or what ended it early), iterations, evaluations, seconds, and remarks.
     """
 
     parameters: ParameterSet
@@ -129,75 +131,3 @@ def fingerprint_of(problem: Problem, settings: SolveSettings) -> str:
     }
     digest.update(json.dumps(plain, sort_keys=True).encode())
     return digest.hexdigest()
-
-
-def solve(
-    problem: Problem,
-    settings: SolveSettings,
-    *,
-    checkpoint: Path | None = None,
-    on_progress: OnProgress | None = None,
-) -> Solution:
-    """Drive a solver to its end.
-
-    Args:
-        problem: logs, model and parameters.
-        settings: how to search.
-        checkpoint: JSON file that is written after every iteration and read at the beginning; the search goes on
-            from it if it belongs to the same problem.
-        on_progress: called after every iteration.
-
-    Raises:
-        DataError: the start cannot be simulated.
-    """
-    started = time.perf_counter()
-    store = Checkpoint(checkpoint, fingerprint_of(problem, settings))
-    kept = store.load()
-    earlier_s, earlier = float(kept.get("seconds", 0.0)), int(kept.get("evaluations", 0))
-    low, high = problem.parameters.bounds
-    mean, std = problem.parameters.prior
-    state = (
-        GaussNewtonState.from_json(kept["solver"]) if "solver" in kept else GaussNewtonState(problem.parameters.start)
-    )
-    search = GaussNewton(
-        problem.residuals,
-        low,
-        high,
-        state,
-        prior_mean=mean,
-        prior_std=std,
-        prior_weight=lambda residual: noise_of(problem, residual).weight,
-        settings=settings.gauss_newton,
-    )
-
-    def spent_s() -> float:
-        return earlier_s + time.perf_counter() - started
-
-    while not search.done:
-        search.step()
-        if settings.max_seconds is not None and spent_s() > settings.max_seconds and not search.done:
-            state.reason = "time"
-        evaluations = earlier + problem.evaluations
-        store.save({"solver": state.to_json(), "seconds": spent_s(), "evaluations": evaluations})
-        if on_progress is not None:
-            on_progress(Progress("gauss-newton", state.iteration, _rms(search), evaluations, spent_s()))
-    jacobian = search.final_jacobian()
-    assert search.residual is not None
-    return Solution(
-        parameters=problem.parameters,
-        z=state.z,
-        residual=search.residual,
-        jacobian=jacobian,
-        rms=_rms(search),
-        solver={
-            "name": "gauss-newton",
-            "stop": state.reason,
-            "iterations": state.iteration,
-            "evaluations": earlier + problem.evaluations,
-            "seconds": round(spent_s(), 3),
-        },
-    )
-
-
-def _rms(search: GaussNewton) -> float:
-    return float(np.sqrt(np.sum(search.residual**2))) if search.residual is not None else float("nan")

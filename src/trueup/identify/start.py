@@ -7,9 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float64
 
+from trueup.core.episode import Episode
 from trueup.core.parameters import ParameterSet
+from trueup.errors import TrueupError
 from trueup.identify.problem import Problem
 from trueup.identify.quantities import quantity
+from trueup.identify.regression import torque_start
 
 # The order matters: stiffness first, then what brakes, then what is heavy, then what is late.
 _SWEPT = ("kp", "damping", "frictionloss", "sigmoid_level", "armature", "delay_s", "torque_limit")
@@ -46,6 +49,30 @@ def swept_start(problem: Problem) -> ParameterSet:
                 parameters = parameters.at({p.name: value})
         problem = problem.with_parameters(parameters)
     return off_bounds(parameters)
+
+
+def regressed_start(problem: Problem, episodes: Sequence[Episode]) -> ParameterSet:
+    """Start values for torque-driven logs from a regression of the torque on the equation of motion.
+
+    Open-loop simulations from far-off parameters leave the robot so quickly that they show no way back; accelerations
+    do not. The regression's values are taken if they simulate the logs better than the model's.
+    """
+    parameters = off_bounds(problem.parameters)
+    try:
+        found = torque_start(episodes, problem.nominal.model, joints=problem.nominal.robot.joint_names)
+    except TrueupError:
+        return parameters
+    terms = {
+        "armature": found.armature,
+        "damping": found.damping,
+        "frictionloss": found.frictionloss,
+        "torque_offset": found.offset,
+    }
+    values = {f"{name}[{joint}]": value for name, own in terms.items() for joint, value in own.items()}
+    values |= {f"mass[{body}]": problem.nominal.inertial(body).mass * scale for body, scale in found.mass_scale.items()}
+    regressed = off_bounds(parameters.at({name: values[name] for name in parameters.names if name in values}))
+    costs = np.sum(problem.residuals(np.array([parameters.start, regressed.start])) ** 2, axis=1)
+    return regressed if costs[1] < costs[0] or not np.isfinite(costs[0]) else parameters
 
 
 def off_bounds(parameters: ParameterSet) -> ParameterSet:

@@ -23,7 +23,8 @@ def build_report(folder: Path | str) -> str:
     """The report of a finished run as one self-contained HTML page.
 
     The folder holds gap.json and, if they were made, ladder.json, traces.json with traces.npz, quality.json and
-    analysis.json; a section without its file is left out. Equal inputs give equal bytes.
+    analysis.json, and what an identification leaves: fit.json, explain.json, graybox.json. A section without its file
+    is left out. Equal inputs give equal bytes.
 
     Raises:
         DataError: there is no gap.json, or a file is broken.
@@ -36,7 +37,8 @@ def build_report(folder: Path | str) -> str:
         title=_title(run),
         subtitle=_subtitle(run),
         sections=sections,
-        style=_asset("style.css"),
+        style=_asset("style.css") + (_asset("identification.css") if run.identified else ""),
+        fitted=run.fit is not None,
         scripts=[_plotly(), _asset("report.js"), _asset("traces.js")],
     )
 

@@ -61,7 +61,7 @@ def bars_figure(
                 "y": [plot_text(row) for row in rows],
                 "x": [rounded(item.value) for item in estimates],
                 "error_x": whiskers(estimates),
-                "marker": _hatched(style),
+                "marker": hatched(style),
                 "text": [_bar_hint(item) for item in estimates],
                 "textposition": "none",
                 "hovertemplate": "%{y}: %{text}",
@@ -203,7 +203,8 @@ def _whisker_limit(estimates: Sequence[Estimate]) -> float | None:
     return rounded(limit) if any(item.high is not None and item.high > limit for item in finite) else None
 
 
-def _hatched(style: Style) -> dict[str, Any]:
+def hatched(style: Style) -> dict[str, Any]:
+    """Color and hatching of bars."""
     if not style.pattern:
         return {"color": style.color}
     pattern = {

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from trueup.core.analysis import Analysis
+from trueup.core.attribution import Attribution
+from trueup.core.fit_result import FitResult
 from trueup.core.quality import Quality
-from trueup.core.results import Estimate, GapResult, Ladder, Metrics
+from trueup.core.results import GapResult, Ladder
 from trueup.core.traces import TraceSet
 from trueup.errors import DataError, TrueupError
+from trueup.report.checks import check_attribution, check_fit, check_gap, check_ladder
+from trueup.report.graybox import Graybox
 from trueup.report.labels import COMMAND, ordered_runs
 from trueup.report.palette import Style, run_styles
 
 Loaded = TypeVar("Loaded")
-# run, episode, signal, metric, joint
-EPISODE_LEVELS = 5
+# What an identification writes beside fit.json for other programs.
+FITTED_FILES = ("robot.fitted.yaml", "model.fitted.xml", "isaac.actuators.yaml", "fit.samples.npz")
+# Friction laws beyond MuJoCo's own stand in a model file as user data of a joint that begin with this mark.
+_FRICTION_LAW = re.compile(rb'<joint[^>]*\suser="20261[\s"]')
 
 
 @dataclass(frozen=True)
@@ -30,6 +37,11 @@ class RunFolder:
         traces: traces.json and traces.npz.
         quality: quality.json.
         analysis: analysis.json.
+        fit: fit.json.
+        attribution: explain.json.
+        graybox: graybox.json.
+        fitted_files: those of `FITTED_FILES` that are there.
+        friction_laws: whether the fitted model carries friction laws that MuJoCo does not know.
     """
 
     gap: GapResult
@@ -37,6 +49,16 @@ class RunFolder:
     traces: TraceSet | None = None
     quality: Quality | None = None
     analysis: Analysis | None = None
+    fit: FitResult | None = None
+    attribution: Attribution | None = None
+    graybox: Graybox | None = None
+    fitted_files: tuple[str, ...] = ()
+    friction_laws: bool = False
+
+    @property
+    def identified(self) -> bool:
+        """Whether there is anything of an identification to show."""
+        return any(item is not None for item in (self.fit, self.attribution, self.graybox))
 
     @property
     def runs(self) -> list[str]:
@@ -73,13 +95,25 @@ class RunFolder:
                 hint="Run `trueup gap` with this folder as --out, or point the report at the folder of a finished run.",
             )
         gap = _loaded(folder / "gap.json", GapResult.load)
-        _check_gap(gap, folder / "gap.json")
+        check_gap(gap, folder / "gap.json")
         ladder = _optional(folder / "ladder.json", Ladder.load)
         if ladder is not None:
-            _check_ladder(ladder, folder / "ladder.json")
+            check_ladder(ladder, folder / "ladder.json")
+        fit = _optional(folder / "fit.json", FitResult.load)
+        if fit is not None:
+            check_fit(fit, folder / "fit.json")
+        attribution = _optional(folder / "explain.json", Attribution.load)
+        if attribution is not None:
+            check_attribution(attribution, folder / "explain.json")
+        model = folder / "model.fitted.xml"
         return RunFolder(
             gap=gap,
             ladder=ladder,
+            fit=fit,
+            attribution=attribution,
+            graybox=_optional(folder / "graybox.json", Graybox.load),
+            fitted_files=tuple(name for name in FITTED_FILES if (folder / name).is_file()),
+            friction_laws=model.is_file() and _FRICTION_LAW.search(model.read_bytes()) is not None,
             traces=_optional(folder / "traces.json", lambda path: TraceSet.load(path.parent)),
             quality=_optional(folder / "quality.json", Quality.load),
             analysis=_optional(folder / "analysis.json", Analysis.load),
@@ -100,61 +134,3 @@ def _loaded(path: Path, load: Callable[[Path], Loaded]) -> Loaded:
         raise type(error)(f"{path}: {error.what}", got=error.details or None, hint=error.hint) from error
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise DataError(f"{path} is broken", got=f"{type(error).__name__}: {error}") from error
-
-
-def _check_gap(gap: GapResult, path: Path) -> None:
-    """Refuse what has the right keys and the wrong values, before it fails in the middle of a page."""
-    if not gap.runs or not any(gap.runs[label] for label in gap.runs):
-        raise DataError(f"{path} holds no runs")
-    for splits in gap.runs.values():
-        for metrics in splits.values():
-            _check_estimates(metrics, path)
-    for values in gap.groups.values():
-        for runs in values.values():
-            for metrics in runs.values():
-                _check_estimates(metrics, path)
-    for item in gap.paired:
-        _check_estimate(item.difference, path)
-        _check_types(path, *((name, str) for name in (item.run, item.baseline, item.split, item.signal, item.metric)))
-        if item.verdict not in ("better", "worse", "undecided"):
-            raise DataError(f"{path} holds a broken paired difference", got=item)
-    _check_types(path, *((name, str) for name in (*gap.joints, *gap.scored_joints)))
-    _check_types(path, (gap.settings, Mapping), (gap.provenance, Mapping), (gap.splits, Mapping))
-    _check_types(path, *((split, str) for split in gap.splits.values()))
-    _check_types(path, *((value, float | int) for value in _leaves(gap.episodes, EPISODE_LEVELS, path)))
-
-
-def _check_ladder(ladder: Ladder, path: Path) -> None:
-    for rung in ladder.rungs:
-        _check_types(path, (rung.name, str), (rung.seconds, int | float))
-        for metrics in rung.splits.values():
-            _check_estimates(metrics, path)
-
-
-def _check_estimates(metrics: Metrics, path: Path) -> None:
-    for results in metrics.values():
-        for result in results.values():
-            _check_types(path, (result.episodes, int))
-            for estimate in (result.total, *result.per_joint.values()):
-                _check_estimate(estimate, path)
-
-
-def _check_estimate(estimate: Estimate, path: Path) -> None:
-    number = int | float | None
-    _check_types(path, (estimate.unit, str), (estimate.low, number), (estimate.high, number))
-
-
-def _check_types(path: Path, *pairs: tuple[object, Any]) -> None:
-    for value, kind in pairs:
-        if not isinstance(value, kind):
-            raise DataError(f"{path} is broken", got=repr(value), expected=getattr(kind, "__name__", kind))
-
-
-def _leaves(tree: Any, depth: int, path: Path) -> Iterator[object]:
-    """The values of mappings that are nested `depth` levels deep."""
-    if depth == 0:
-        yield tree
-        return
-    _check_types(path, (tree, Mapping))
-    for value in tree.values():
-        yield from _leaves(value, depth - 1, path)

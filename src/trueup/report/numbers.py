@@ -9,7 +9,7 @@ from trueup.core.results import Estimate
 MINUS = "\N{MINUS SIGN}"
 NOTHING = "\N{EN DASH}"
 _IN_DEGREES = {"rad": "°", "rad/s": "°/s", "rad/s^2": "°/s²"}
-_PRETTY_UNIT = {"degC": "°C", "1": ""}
+_PRETTY_UNIT = {"degC": "°C", "1": "", "kg m2": "kg m²"}
 _POWERS = {"^2": "²", "^3": "³", "^4": "⁴"}
 
 
@@ -36,6 +36,13 @@ def significant(value: float, digits: int = 3, *, sign: bool = False) -> str:
         mantissa, exponent = f"{value:+.{digits - 1}e}".split("e")
         return f"{mantissa if sign else mantissa.lstrip('+')}e{int(exponent)}".replace("-", MINUS)
     return fixed(value, decimals(value, digits), sign=sign)
+
+
+def plain(value: float) -> str:
+    """A number that somebody wrote down: without zeros that only fill up digits."""
+    text = significant(value, 4)
+    mantissa, mark, exponent = text.partition("e")
+    return (mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa) + mark + exponent
 
 
 def pretty_unit(unit: str) -> str:

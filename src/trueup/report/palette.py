@@ -6,6 +6,7 @@ The hues are those of Okabe and Ito (Color Universal Design, 2008) that stand ou
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import cycle
 from dataclasses import asdict, dataclass
 
 from trueup.report.labels import COMMAND, SPLITS, ordered, ordered_runs
@@ -48,6 +49,24 @@ _SPLIT_STYLES = {
 }
 
 
+# How sure a fitted parameter is: dash and symbol tell it without color.
+KIND_STYLES = {
+    "yes": Style("#0072b2", "solid", "circle", ""),
+    "weakly": Style("#e69f00", "dash", "diamond", ""),
+    "zero": Style("#808080", "dot", "circle-open", ""),
+    "no": Style("#d55e00", "dot", "x", ""),
+    "bound": Style("#cc79a7", "dash", "triangle-left", ""),
+}
+_CAUSE_STYLES = {
+    "delay": Style("#56b4e9", "dash", "cross", "/"),
+    "gains": Style("#0072b2", "solid", "circle", ""),
+    "friction": Style("#d55e00", "dash", "square", "x"),
+    "gravity": Style("#009e73", "dashdot", "diamond", "-"),
+    "inertia": Style("#cc79a7", "longdash", "triangle-up", "|"),
+    "unexplained": Style("#808080", "dot", "circle-open", "."),
+}
+
+
 def run_styles(labels: Iterable[str]) -> dict[str, Style]:
     """The style of every run; the same labels always get the same styles."""
     runs = [label for label in ordered_runs(set(labels)) if label != COMMAND]
@@ -60,3 +79,15 @@ def split_styles(splits: Iterable[str]) -> dict[str, Style]:
     names = ordered(splits, SPLITS)
     spare = iter(_CYCLE[2:] * len(names))
     return {name: _SPLIT_STYLES.get(name) or next(spare) for name in names}
+
+
+def cause_styles(causes: Iterable[str]) -> dict[str, Style]:
+    """The style of every part of a gap."""
+    spare = cycle(_CYCLE[4:])
+    return {cause: _CAUSE_STYLES.get(cause) or next(spare) for cause in causes}
+
+
+def cycled_styles(names: Iterable[str]) -> dict[str, Style]:
+    """Styles for things that stand for themselves, in their order; the first is what the others are compared with."""
+    first, *others = list(names)
+    return {first: _COMMAND_STYLE, **{name: _CYCLE[number % len(_CYCLE)] for number, name in enumerate(others)}}

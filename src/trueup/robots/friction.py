@@ -15,19 +15,18 @@ class JointFriction:
     """What MuJoCo's `damping` and `frictionloss` of a joint cannot say; a zero switches a law off.
 
     With v the joint velocity and g the torque that the transmission carries (gravity and the motion of the other
-    joints, MuJoCo's `qfrc_bias`), the dry friction of the joint is
+    joints, MuJoCo's `qfrc_bias`), a joint that moves is braked by
 
-        F = frictionloss + stribeck * exp(-(v / stribeck_velocity)^2) + load * |g|,
+        (1 + asymmetry * sign(v)) * (dry + smooth + damping * |v|)
+        dry = frictionloss + stribeck * exp(-(v / stribeck_velocity)^2) + load * |g|
+        smooth = tanh_coulomb * tanh(|v| / tanh_velocity)
+                 + sigmoid_level * sign(v) * (1 / (1 + exp(-s (v + v0))) - 1 / (1 + exp(-s v0))),
 
-    held by MuJoCo's constraint solver, so that a joint sticks instead of creeping; and the smooth friction is
-
-        f = tanh_coulomb * tanh(v / tanh_velocity)
-            + sigmoid_level * (1 / (1 + exp(-s (v + v0))) - 1 / (1 + exp(-s v0))),
-
-    with s `sigmoid_slope` and v0 `sigmoid_shift` (phi_1, phi_2 and phi_3 of the ES thesis, eq. 2.1). Both, and the
-    viscous friction, are multiplied by 1 + asymmetry * sign(v) where the joint moves. (Coulomb friction that depends
-    on the direction alone moves a joint exactly as a torque offset does; the asymmetry matters through the terms
-    that grow with speed or load.)
+    with s `sigmoid_slope` and v0 `sigmoid_shift` (phi_1, phi_2 and phi_3 of the ES thesis, eq. 2.1). Dry and smooth
+    friction are held by MuJoCo's constraint solver: dry friction lets a joint stick instead of creep, smooth friction
+    is zero at rest, and neither ever drives a joint (a negative sum counts as zero). (Coulomb friction that depends on
+    the direction alone moves a joint exactly as a torque offset does; the asymmetry matters through the terms that
+    grow with speed or load.)
 
     Attributes:
         stribeck: static friction above Coulomb friction [Nm].
@@ -85,11 +84,7 @@ class JointFriction:
 
     def smooth(self, velocity: Float64[np.ndarray, "*shape"]) -> np.ndarray:
         """Smooth friction [Nm] without asymmetry; it acts against the motion."""
-        rest = _logistic(self.sigmoid_slope * np.asarray(self.sigmoid_shift))
-        sigmoid = _logistic(self.sigmoid_slope * (velocity + self.sigmoid_shift)) - rest
+        # A logistic curve is half a tanh of half its argument, which does not overflow.
+        slope, shift = 0.5 * self.sigmoid_slope, self.sigmoid_shift
+        sigmoid = 0.5 * (np.tanh(slope * (velocity + shift)) - np.tanh(slope * shift))
         return np.asarray(self.tanh_coulomb * np.tanh(velocity / self.tanh_velocity) + self.sigmoid_level * sigmoid)
-
-
-def _logistic(x: np.ndarray) -> np.ndarray:
-    """1 / (1 + exp(-x)) without overflow."""
-    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * x)))

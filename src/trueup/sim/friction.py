@@ -1,9 +1,11 @@
-"""Friction laws beyond MuJoCo's own, inside the engine: a compiled callback, no Python per step.
+"""Friction laws beyond MuJoCo's own, inside the engine: compiled callbacks, no Python per step.
 
 The numbers of a joint live in the model itself, as the joint's user data (`<joint user="…">`): a model file carries
 its friction, every candidate of a fit has its own, and copies, rollouts and batches need nothing else. MuJoCo calls
-`mjcb_control` when positions, velocities and `qfrc_bias` of a step are known and forces are not: there, smooth laws
-are added to the passive forces, and dry friction is written into the friction rows of the constraint solver.
+`mjcb_control` when positions, velocities and `qfrc_bias` of a step are known and forces are not: there, the friction
+is written into the friction rows of the constraint solver. A row holds a joint or brakes it, and never drives it:
+however steep a law is, however coarse the time step, it cannot make an arm shake. What is no friction (dead band,
+static threshold, the direction-dependent part of `damping`) goes into the passive forces, in `mjcb_passive`.
 """
 
 from __future__ import annotations
@@ -23,58 +25,113 @@ WIDTH = 1 + len(NAMES)
 
 # MuJoCo makes a friction row only for joints with some frictionloss.
 _LEAST_FRICTIONLOSS = 1e-6
+# Laws that the friction rows carry out.
+_ROW_LAWS = ("stribeck", "load", "tanh_coulomb", "sigmoid_level")
+# Rows so hard that they may stop a joint within a step. MuJoCo's default takes some 10 ms and creeps; in that time
+# friction would push a joint on that its load brakes faster. The time constant is cut off at two steps by MuJoCo.
+_SOLREF, _SOLIMP = 1e-5, 0.9999
+_ITERATIONS, _LINE_SEARCHES = 100, 50
 
 
 def set_friction(spec: mujoco.MjSpec, joint: str, friction: JointFriction) -> None:
     """Give a joint of an editable model its friction law.
 
+    Friction is made hard by that (`solreffriction`, `solimpfriction`, at least 100 solver iterations), and the model's
+    constraint islands are switched off.
+
     Raises:
-        ConfigError: the model's joints carry user data of another kind.
+        ConfigError: there is no such joint, or the model's joints carry user data of another kind, or a dead band or
+            static threshold is meant for an actuator that is a plugin, whose torque nobody else knows.
     """
-    target = spec.joint(joint)
+    target = _joint(spec, joint)
     if any(_foreign(list(other.userdata)) for other in spec.joints):
         raise ConfigError(
             "the joints of the model carry user data that are not friction laws",
             hint="Remove the `user` attributes of the joints; trueup keeps friction there.",
         )
+    if friction.dead_band or friction.static_positive or friction.static_negative:
+        for actuator in spec.actuators:
+            if actuator.target == joint and actuator.plugin.active:
+                raise ConfigError(
+                    f"friction of joint {joint!r}: dead_band and static_… need an actuator of MuJoCo's own",
+                    got=f"the plugin of {actuator.name!r}",
+                    hint="Take another controller kind than pid, or leave these out.",
+                )
     spec.nuser_jnt = WIDTH
     target.userdata = [MARK, *astuple(friction)]
-    if friction.stribeck or friction.load:
+    if any(getattr(friction, name) for name in _ROW_LAWS):
         target.frictionloss = max(float(target.frictionloss), _LEAST_FRICTIONLOSS)
+    if friction.asymmetry or any(getattr(friction, name) for name in _ROW_LAWS):
+        target.solref_friction = [_SOLREF, 1.0]
+        target.solimp_friction[:2] = [_SOLIMP, _SOLIMP]
+        spec.option.iterations = max(int(spec.option.iterations), _ITERATIONS)
+        spec.option.ls_iterations = max(int(spec.option.ls_iterations), _LINE_SEARCHES)
     # The solver's copy of the friction rows per island is made before the callback runs.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
 
 
 def friction_of(spec: mujoco.MjSpec, joint: str) -> JointFriction:
-    """The friction law that a joint of an editable model carries; all zero if none."""
-    data = [float(value) for value in spec.joint(joint).userdata]
-    if len(data) != WIDTH or data[0] != MARK:
+    """The friction law that a joint of an editable model carries; all zero if none.
+
+    Raises:
+        ConfigError: there is no such joint, or its numbers make no friction law.
+    """
+    data = [float(value) for value in _joint(spec, joint).userdata]
+    if not data or data[0] != MARK:
         return JointFriction()
+    _refuse_other_width(len(data))
     return JointFriction(*data[1:])
 
 
 def has_friction(model: mujoco.MjModel) -> bool:
-    """Whether a compiled model needs the callback."""
-    return bool(model.nuser_jnt == WIDTH and (model.jnt_user[:, 0] == MARK).any())
+    """Whether a compiled model needs the callbacks.
+
+    Raises:
+        ConfigError: its friction laws have more or fewer numbers than this release's.
+    """
+    if model.nuser_jnt == 0 or not (model.jnt_user[:, 0] == MARK).any():
+        return False
+    _refuse_other_width(model.nuser_jnt)
+    return True
 
 
 def install() -> None:
     """Let MuJoCo call the friction laws; models without one are left as they are.
 
     Raises:
-        ConfigError: another `mjcb_control` is installed; MuJoCo has only one.
+        ConfigError: another `mjcb_control` or `mjcb_passive` is installed; MuJoCo has only one of each.
     """
     # Loading numba and compiling takes a second; models without such friction do not need it.
-    from trueup.sim.friction_laws import callback
+    from trueup.sim.friction_laws import callbacks
 
-    installed = mujoco.get_mjcb_control()
-    if installed is not None and installed is not callback()[0]:
+    rows, forces, _ = callbacks()
+    for name, own, installed in (
+        ("mjcb_control", rows, mujoco.get_mjcb_control()),
+        ("mjcb_passive", forces, mujoco.get_mjcb_passive()),
+    ):
+        if installed is not None and installed is not own:
+            raise ConfigError(
+                f"another callback, {name}, is installed in MuJoCo",
+                hint=f"Call mujoco.set_{name}(None) before simulating a model with friction laws.",
+            )
+    mujoco.set_mjcb_control(rows)
+    mujoco.set_mjcb_passive(forces)
+
+
+def _joint(spec: mujoco.MjSpec, name: str) -> mujoco.MjsJoint:
+    found = spec.joint(name)
+    if found is None:
+        raise ConfigError(f"the model has no joint {name!r}", available=[joint.name for joint in spec.joints])
+    return found
+
+
+def _refuse_other_width(width: int) -> None:
+    if width != WIDTH:
         raise ConfigError(
-            "another control callback is installed in MuJoCo",
-            hint="Call mujoco.set_mjcb_control(None) before simulating a model with friction laws.",
+            "the model's friction laws were written by another release of trueup",
+            got=f"{width - 1} numbers",
+            expected=f"{WIDTH - 1}",
         )
-    if installed is None:
-        mujoco.set_mjcb_control(callback()[0])
 
 
 def _foreign(data: list[float]) -> bool:

@@ -1,4 +1,8 @@
-"""The friction laws as machine code that MuJoCo calls. Compiled by numba, which needs its own subset of Python."""
+"""The friction laws as machine code that MuJoCo calls. Compiled by numba, which needs its own subset of Python.
+
+Two callbacks, since MuJoCo repeats only parts of a step when it takes derivatives: what is added to the passive forces
+is added where they are computed, and friction rows are written, never added to.
+"""
 
 from __future__ import annotations
 
@@ -18,20 +22,28 @@ from trueup.sim.friction import MARK, NAMES, WIDTH
 from trueup.sim.structs import offset
 
 _SLOT = {name: 1 + index for index, name in enumerate(NAMES)}
-_JOINT_TRANSMISSION = int(mujoco.mjtTrn.mjTRN_JOINT)
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_FRICTION_OF_JOINT = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
+_ACTUATION_OFF = int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+_TO_JOINT = int(mujoco.mjtTrn.mjTRN_JOINT)
+_FIXED_GAIN, _AFFINE_BIAS = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtBias.mjBIAS_AFFINE)
 
 
 @cache
-def callback() -> tuple[Any, Any]:
-    """The function pointer for MuJoCo, and the compiled code that it needs to stay alive.
+def callbacks() -> tuple[Any, Any, Any]:
+    """The function pointers for `mjcb_control` and `mjcb_passive`, and the compiled code that must stay alive.
 
-    It is compiled in each process (half a second): offsets of MuJoCo's structs are constants in it, so a copy kept on
+    They are compiled in each process (a second): offsets of MuJoCo's structs are constants in them, so a copy kept on
     disk would read wrong memory after an upgrade of MuJoCo.
     """
-    laws = numba.cfunc(types.void(types.int64, types.int64))(_plain(_compilable()))
-    pointer = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)(laws.address)
-    return pointer, laws
+    signature = types.void(types.int64, types.int64)
+    # Where Python raises on a division by zero, numpy's rules say inf: a callback has nobody to raise to.
+    compiled = [
+        numba.cfunc(signature, error_model="numpy")(_plain(part)) for part in (_compilable_rows(), _compilable_forces())
+    ]
+    prototype = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p)
+    rows, forces = (prototype(part.address) for part in compiled)
+    return rows, forces, compiled
 
 
 def _plain(function: Any) -> Any:
@@ -39,119 +51,166 @@ def _plain(function: Any) -> Any:
     return inspect.unwrap(function)
 
 
-def _compilable() -> Any:
-    """The callback in the subset of Python that numba compiles; it must not allocate."""
+def _compilable_rows() -> Any:
+    """For `mjcb_control`: how much friction the constraint solver may use on each joint. It must not allocate."""
     # Model
     n_joints, width = offset("mjModel", "njnt"), offset("mjModel", "nuser_jnt")
-    user, kind = offset("mjModel", "jnt_user"), offset("mjModel", "jnt_type")
-    dof, qpos_row = offset("mjModel", "jnt_dofadr"), offset("mjModel", "jnt_qposadr")
-    damping, invweight = offset("mjModel", "dof_damping"), offset("mjModel", "dof_invweight0")
-    timestep = offset("mjModel", "opt", "timestep")
+    user, kind, dof = offset("mjModel", "jnt_user"), offset("mjModel", "jnt_type"), offset("mjModel", "jnt_dofadr")
+    coulomb = offset("mjModel", "dof_frictionloss")
     # Data
-    qpos, qvel = offset("mjData", "qpos"), offset("mjData", "qvel")
-    bias, passive = offset("mjData", "qfrc_bias"), offset("mjData", "qfrc_passive")
+    qvel, bias = offset("mjData", "qvel"), offset("mjData", "qfrc_bias")
     ne, nf = offset("mjData", "ne"), offset("mjData", "nf")
-    row_dof, row_loss = offset("mjData", "efc_id"), offset("mjData", "efc_frictionloss")
-    servo = _compilable_servo()
+    row_kind, row_dof = offset("mjData", "efc_type"), offset("mjData", "efc_id")
+    row_loss = offset("mjData", "efc_frictionloss")
 
     stribeck, stribeck_velocity, load = _SLOT["stribeck"], _SLOT["stribeck_velocity"], _SLOT["load"]
     asymmetry = _SLOT["asymmetry"]
     tanh_coulomb, tanh_velocity = _SLOT["tanh_coulomb"], _SLOT["tanh_velocity"]
     level, slope, shift = _SLOT["sigmoid_level"], _SLOT["sigmoid_slope"], _SLOT["sigmoid_shift"]
-    dead_band, static_positive = _SLOT["dead_band"], _SLOT["static_positive"]
-    static_negative = _SLOT["static_negative"]
-    slots, mark, hinge, slide = WIDTH, MARK, _HINGE, _SLIDE
+    slots, mark, hinge, slide, of_joint = WIDTH, MARK, _HINGE, _SLIDE, _FRICTION_OF_JOINT
 
-    def laws(model: int, data: int) -> None:
+    def rows(model: int, data: int) -> None:
+        if _longs(model + width)[0] != slots:
+            return
+        numbers, dofs = _doubles(_longs(model + user)[0]), _ints(_longs(model + dof)[0])
+        types_ = _ints(_longs(model + kind)[0])
+        loss = _doubles(_longs(model + coulomb)[0])
+        velocity, carried = _doubles(_longs(data + qvel)[0]), _doubles(_longs(data + bias)[0])
+        kinds, owners = _ints(_longs(data + row_kind)[0]), _ints(_longs(data + row_dof)[0])
+        friction = _doubles(_longs(data + row_loss)[0])
+        row = _ints(data + ne)[0]
+        last = row + _ints(data + nf)[0]
+        for joint in range(_longs(model + n_joints)[0]):
+            p = joint * slots
+            if numbers[p] != mark or (types_[joint] != hinge and types_[joint] != slide):
+                continue
+            i = dofs[joint]
+            # Rows of joints come in their order, rows of tendons after them.
+            while row < last and kinds[row] == of_joint and owners[row] < i:
+                row += 1
+            if row >= last or kinds[row] != of_joint or owners[row] != i:
+                continue
+            v = velocity[i]
+            speed = abs(v)
+            ratio = v / numbers[p + stribeck_velocity]
+            total = loss[i] + numbers[p + stribeck] * math.exp(-ratio * ratio) + numbers[p + load] * abs(carried[i])
+            if numbers[p + tanh_coulomb] != 0.0:
+                total += numbers[p + tanh_coulomb] * math.tanh(speed / numbers[p + tanh_velocity])
+            side = 1.0 if v > 0.0 else -1.0 if v < 0.0 else 0.0
+            if numbers[p + level] != 0.0:
+                s, v0 = numbers[p + slope], numbers[p + shift]
+                rise = math.tanh(0.5 * s * (v + v0)) - math.tanh(0.5 * s * v0)
+                total += 0.5 * side * numbers[p + level] * rise
+            friction[row] = max(0.0, (1.0 + side * numbers[p + asymmetry]) * total)
+
+    return rows
+
+
+def _compilable_forces() -> Any:
+    """For `mjcb_passive`: what is a force of known size. It must not allocate."""
+    n_joints, width = offset("mjModel", "njnt"), offset("mjModel", "nuser_jnt")
+    user, kind = offset("mjModel", "jnt_user"), offset("mjModel", "jnt_type")
+    dof, qpos_row = offset("mjModel", "jnt_dofadr"), offset("mjModel", "jnt_qposadr")
+    damping, disabled = offset("mjModel", "dof_damping"), offset("mjModel", "opt", "disableflags")
+    qpos, qvel, passive = offset("mjData", "qpos"), offset("mjData", "qvel"), offset("mjData", "qfrc_passive")
+    servo = _compilable_servo()
+
+    asymmetry, dead_band = _SLOT["asymmetry"], _SLOT["dead_band"]
+    static_positive, static_negative = _SLOT["static_positive"], _SLOT["static_negative"]
+    slots, mark, hinge, slide, actuation_off = WIDTH, MARK, _HINGE, _SLIDE, _ACTUATION_OFF
+
+    def forces(model: int, data: int) -> None:
         if _longs(model + width)[0] != slots:
             return
         numbers = _doubles(_longs(model + user)[0])
         types_ = _ints(_longs(model + kind)[0])
-        dofs, rows = _ints(_longs(model + dof)[0]), _ints(_longs(model + qpos_row)[0])
-        viscous, inverse_inertia = _doubles(_longs(model + damping)[0]), _doubles(_longs(model + invweight)[0])
-        step = _doubles(model + timestep)[0]
+        dofs, places = _ints(_longs(model + dof)[0]), _ints(_longs(model + qpos_row)[0])
+        viscous = _doubles(_longs(model + damping)[0])
+        driven = _ints(model + disabled)[0] & actuation_off == 0
         position, velocity = _doubles(_longs(data + qpos)[0]), _doubles(_longs(data + qvel)[0])
-        carried, force = _doubles(_longs(data + bias)[0]), _doubles(_longs(data + passive)[0])
-        first = _ints(data + ne)[0]
-        last = first + _ints(data + nf)[0]
-        friction_dof, friction = _ints(_longs(data + row_dof)[0]), _doubles(_longs(data + row_loss)[0])
-        row = first
+        force = _doubles(_longs(data + passive)[0])
         for joint in range(_longs(model + n_joints)[0]):
             p = joint * slots
             if numbers[p] != mark or (types_[joint] != hinge and types_[joint] != slide):
                 continue
             i = dofs[joint]
             v = velocity[i]
-            side = 1.0
-            if v > 0.0:
-                side += numbers[p + asymmetry]
-            elif v < 0.0:
-                side -= numbers[p + asymmetry]
-            smooth = numbers[p + tanh_coulomb] * math.tanh(v / numbers[p + tanh_velocity])
-            if numbers[p + level] != 0.0:
-                s, v0 = numbers[p + slope], numbers[p + shift]
-                smooth += 0.5 * numbers[p + level] * (math.tanh(0.5 * s * (v + v0)) - math.tanh(0.5 * s * v0))
-            smooth = side * smooth + (side - 1.0) * viscous[i] * v
-            # An explicit force must not turn a motion around within a step, or it shakes instead of braking.
-            most = abs(v) / (step * inverse_inertia[i])
-            force[i] -= min(max(smooth, -most), most)
-            while row < last and friction_dof[row] < i:
-                row += 1
-            if row < last and friction_dof[row] == i:
-                ratio = v / numbers[p + stribeck_velocity]
-                dry = friction[row] + numbers[p + stribeck] * math.exp(-ratio * ratio)
-                friction[row] = side * (dry + numbers[p + load] * abs(carried[i]))
-            if numbers[p + dead_band] > 0.0 or numbers[p + static_positive] + numbers[p + static_negative] > 0.0:
-                force[i] += servo(model, data, joint, position[rows[joint]], v, p)
+            # The share that MuJoCo's own damping lacks in one direction and has too much in the other.
+            force[i] -= numbers[p + asymmetry] * viscous[i] * abs(v)
+            if driven and (numbers[p + dead_band] > 0.0 or numbers[p + static_positive] + numbers[p + static_negative]):
+                force[i] += servo(model, data, joint, position[places[joint]], v)
 
-    return laws
+    return forces
 
 
 def _compilable_servo() -> Any:
-    """What dead band and static threshold take away from the torque of a joint's own actuator."""
-    n_actuators = offset("mjModel", "nu")
-    user = offset("mjModel", "jnt_user")
+    """What dead band and static threshold take away from the torque of a joint's own actuators."""
+    n_actuators, user = offset("mjModel", "nactuator"), offset("mjModel", "jnt_user")
     transmission, target = offset("mjModel", "actuator_trntype"), offset("mjModel", "actuator_trnid")
-    gain, bias = offset("mjModel", "actuator_gainprm"), offset("mjModel", "actuator_biasprm")
+    gain_kind, gain = offset("mjModel", "actuator_gaintype"), offset("mjModel", "actuator_gainprm")
+    bias_kind, bias = offset("mjModel", "actuator_biastype"), offset("mjModel", "actuator_biasprm")
+    plugin, gear = offset("mjModel", "actuator_plugin"), offset("mjModel", "actuator_gear")
     limited, limits = offset("mjModel", "actuator_forcelimited"), offset("mjModel", "actuator_forcerange")
     clamped, clamps = offset("mjModel", "actuator_ctrllimited"), offset("mjModel", "actuator_ctrlrange")
-    ctrl = offset("mjData", "ctrl")
+    input_row, output_row = offset("mjModel", "actuator_ctrladr"), offset("mjModel", "actuator_outadr")
+    state_row, states = offset("mjModel", "actuator_actadr"), offset("mjModel", "actuator_actnum")
+    joint_limited, joint_limits = offset("mjModel", "jnt_actfrclimited"), offset("mjModel", "jnt_actfrcrange")
+    ctrl, act = offset("mjData", "ctrl"), offset("mjData", "act")
     dead_band, static_velocity = _SLOT["dead_band"], _SLOT["static_velocity"]
     static_positive, static_negative = _SLOT["static_positive"], _SLOT["static_negative"]
-    gains, biases = mujoco.mjNGAIN, mujoco.mjNBIAS
-    to_joint = _JOINT_TRANSMISSION
+    slots, gains, biases = WIDTH, int(mujoco.mjNGAIN), int(mujoco.mjNBIAS)
+    to_joint, fixed, affine = _TO_JOINT, _FIXED_GAIN, _AFFINE_BIAS
+    clamp = _clamp()
 
-    def servo(model: int, data: int, joint: int, q: float, v: float, p: int) -> float:
-        numbers = _doubles(_longs(model + user)[0])
+    def servo(model: int, data: int, joint: int, q: float, v: float) -> float:
+        law = _doubles(_longs(model + user)[0] + 8 * slots * joint)
         kinds, targets = _ints(_longs(model + transmission)[0]), _ints(_longs(model + target)[0])
-        change = 0.0
-        for actuator in range(_longs(model + n_actuators)[0]):
-            if kinds[actuator] != to_joint or targets[2 * actuator] != joint:
+        asked, given = 0.0, 0.0
+        for a in range(_longs(model + n_actuators)[0]):
+            if kinds[a] != to_joint or targets[2 * a] != joint or _ints(_longs(model + plugin)[0])[a] >= 0:
                 continue
-            kp = _doubles(_longs(model + gain)[0])[gains * actuator]
-            b = _doubles(_longs(model + bias)[0])
-            b0, b1, b2 = b[biases * actuator], b[biases * actuator + 1], b[biases * actuator + 2]
-            u = _doubles(_longs(data + ctrl)[0])[actuator]
-            if _bytes(_longs(model + clamped)[0])[actuator]:
-                c = _doubles(_longs(model + clamps)[0])
-                u = min(max(u, c[2 * actuator]), c[2 * actuator + 1])
-            low, high = -1e300, 1e300
-            if _bytes(_longs(model + limited)[0])[actuator]:
-                f = _doubles(_longs(model + limits)[0])
-                low, high = f[2 * actuator], f[2 * actuator + 1]
-            asked = kp * u + b0 + b1 * q + b2 * v
-            given = asked
-            band = numbers[p + dead_band]
+            if _ints(_longs(model + gain_kind)[0])[a] != fixed:
+                continue
+            state = _ints(_longs(model + state_row)[0])[a]
+            if state >= 0:
+                u = _doubles(_longs(data + act)[0])[state + _ints(_longs(model + states)[0])[a] - 1]
+            else:
+                row = _ints(_longs(model + input_row)[0])[a]
+                u = _doubles(_longs(data + ctrl)[0])[row]
+                u = clamp(u, _longs(model + clamped)[0] + row, _longs(model + clamps)[0] + 16 * row)
+            k = _doubles(_longs(model + gain)[0] + 8 * gains * a)[0]
+            b = _doubles(_longs(model + bias)[0] + 8 * biases * a)
+            b0, b1, b2 = 0.0, 0.0, 0.0
+            if _ints(_longs(model + bias_kind)[0])[a] == affine:
+                b0, b1, b2 = b[0], b[1], b[2]
+            g = _doubles(_longs(model + gear)[0])[6 * _ints(_longs(model + output_row)[0])[a]]
+            full = k * u + b0 + b1 * g * q + b2 * g * v
+            less = full
+            band = abs(g) * law[dead_band]
             if b1 < 0.0 and band > 0.0:
-                error = kp * u / -b1 - q
-                given += b1 * min(max(error, -band), band)
-            still = abs(v) < numbers[p + static_velocity]
-            if b1 == 0.0 and still and -numbers[p + static_negative] < given < numbers[p + static_positive]:
-                given = 0.0
-            change += min(max(given, low), high) - min(max(asked, low), high)
-        return change
+                error = k * u / -b1 - g * q
+                less += b1 * min(max(error, -band), band)
+            still = b1 == 0.0 and b2 == 0.0 and abs(v) < law[static_velocity]
+            if still and -law[static_negative] < g * full < law[static_positive]:
+                less = 0.0
+            on, range_ = _longs(model + limited)[0] + a, _longs(model + limits)[0] + 16 * a
+            asked += g * clamp(full, on, range_)
+            given += g * clamp(less, on, range_)
+        on, range_ = _longs(model + joint_limited)[0] + joint, _longs(model + joint_limits)[0] + 16 * joint
+        return clamp(given, on, range_) - clamp(asked, on, range_)
 
-    return numba.njit(_plain(servo))
+    return numba.njit(error_model="numpy")(_plain(servo))
+
+
+def _clamp() -> Any:
+    def clamp(value: float, limited: int, limits: int) -> float:
+        """`value` within the two doubles at `limits`, if the byte at `limited` says so."""
+        if _bytes(limited)[0] == 0:
+            return value
+        low, high = _doubles(limits)[0], _doubles(limits)[1]
+        return min(max(value, low), high)
+
+    return numba.njit(_plain(clamp))
 
 
 @intrinsic

@@ -7,6 +7,7 @@ from trueup.stages.demonstrating import demo_dataset as demo_dataset
 from trueup.stages.exporting import export_dataset as export_dataset
 from trueup.stages.identifying import FITTED as FITTED
 from trueup.stages.identifying import Identified as Identified
+from trueup.stages.identifying import explain as explain
 from trueup.stages.identifying import fit as fit
 from trueup.stages.importing import ImportSummary as ImportSummary
 from trueup.stages.importing import import_logs as import_logs
@@ -28,6 +29,7 @@ __all__ = [
     "close",
     "demo",
     "demo_dataset",
+    "explain",
     "export_dataset",
     "fit",
     "gap",

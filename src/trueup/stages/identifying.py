@@ -8,8 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from trueup.align import JointMap
 from trueup.core.atomic import make_folder
+from trueup.core.attribution import Attribution
 from trueup.core.episode import Episode
 from trueup.core.fit_result import FitResult
 from trueup.core.results import Ladder
@@ -22,7 +25,7 @@ from trueup.stages.progress import Track, silent
 from trueup.stages.replaying import STOCK, ReplaySummary, in_robot_names, replay_unless_same
 
 if TYPE_CHECKING:
-    from trueup.identify import IdentifyConfig, OnModel
+    from trueup.identify import IdentifyConfig, Nominal, OnModel
 
 FITTED = "mujoco/fitted"
 # State of the searches while they run; gone when the fit is written.
@@ -109,6 +112,7 @@ def fit(
         on_progress=on_progress,
     )
     save_identification(found, out, seed=seed)
+    _save_graybox(dataset, robot, found.nominal, out)
     shutil.rmtree(checkpoints, ignore_errors=True)
     stock = replay_unless_same(dataset, robot, model=path, label=STOCK, jobs=jobs, track=track)
     fitted_robot = load_robot(out / "robot.fitted.yaml")
@@ -119,6 +123,56 @@ def fit(
     measurement.save(out)
     ladder.save(out / "ladder.json")
     return Identified(found.result, (stock, fitted), measurement, ladder)
+
+
+def _save_graybox(dataset: Dataset, robot: RobotSpec, nominal: Nominal, out: Path) -> None:
+    """Write graybox.json where the logs have a torque and a commanded position that a regression can use."""
+    from trueup.identify.regression import GrayboxSettings, fit_graybox
+
+    (out / "graybox.json").unlink(missing_ok=True)
+    episodes = [episode for logs in by_split(dataset, robot).values() for episode in logs]
+    settings = GrayboxSettings(
+        delay_s=float(np.median(nominal.given.delay_s)), torque_limits=nominal.simulator.torque_limits
+    )
+    try:
+        graybox = fit_graybox(episodes, settings=settings, joints=robot.scored_joints)
+    except TrueupError:  # no torque, or torque-driven: there is no servo to take apart
+        return
+    if any(joint.final is not None for joint in graybox.joints.values()):
+        graybox.save(out / "graybox.json")
+
+
+def explain(
+    dataset: Dataset,
+    robot: RobotSpec,
+    *,
+    model: Path | None = None,
+    config: IdentifyConfig | None = None,
+    seed: int = 0,
+    jobs: int | None = None,
+    on_progress: OnModel | None = None,
+) -> Attribution:
+    """How much of the gap is delay, gains, friction, gravity or payload, inertia, and unexplained.
+
+    Nested fits on train, scored on test; see `identify.explain`.
+
+    Raises:
+        NotIdentifiable: there is nothing to learn from these motions.
+        TrueupError: what any step raises.
+    """
+    from trueup.identify import explain as attribute
+
+    path = find_model(robot, given=model, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")
+    return attribute(
+        by_split(dataset, robot),
+        robot,
+        path,
+        config=config,
+        jobs=jobs or os.cpu_count() or 1,
+        seed=seed,
+        data_hash=dataset.hash,
+        on_progress=on_progress,
+    )
 
 
 def by_split(dataset: Dataset, robot: RobotSpec) -> dict[str, list[Episode]]:

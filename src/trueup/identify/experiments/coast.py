@@ -15,7 +15,7 @@ import numpy as np
 from trueup.core.episode import Episode
 from trueup.core.results import Estimate
 from trueup.errors import NotIdentifiable
-from trueup.identify.experiments.findings import ExperimentResult, Finding, said
+from trueup.identify.experiments.findings import ExperimentResult, Finding, in_words, of_friction, said
 from trueup.identify.experiments.motion_fit import fit_motion
 from trueup.identify.experiments.recorded import JointMotions, read_motions
 from trueup.identify.experiments.slides import MotionSettings, Slide
@@ -86,14 +86,13 @@ def _joint(
     try:
         fit = fit_motion(coasting, inertia=None, with_torque=False, position_slope=position_slope)
     except NotIdentifiable as error:
-        sentence = " ".join(str(error).split())
-        return {"coulomb_rate": Finding(Estimate(math.nan, unit), sentence, "not_identifiable")}, ()
+        return {"coulomb_rate": Finding(Estimate(math.nan, unit), in_words(error), "not_identifiable")}, ()
     sides = [(name, sign) for name, sign in (("positive", "+"), ("negative", "-")) if f"beta{sign}" in fit.values]
     findings = {}
     for side, sign in sides:
         rate = fit.derived(lambda theta, sign=sign: theta[f"gamma{sign}"], "1/s")  # type: ignore[misc]
         sentence = f"Coasting in {side} direction, viscous friction over inertia is {said(rate)}."
-        findings[f"viscous_rate_{side}"] = Finding(rate, sentence)
+        findings[f"viscous_rate_{side}"] = of_friction(rate, sentence)
         rate = fit.derived(lambda theta, sign=sign: _coulomb(theta, sign), unit)  # type: ignore[misc]
         sentence = f"Coasting in {side} direction, the joint slows down by {said(rate)} as its speed goes to zero."
         findings[f"coulomb_rate_{side}"] = Finding(rate, sentence)
@@ -101,8 +100,8 @@ def _joint(
     viscous = fit.derived(lambda theta: sum(theta[f"gamma{sign}"] for sign in signs) / len(signs), "1/s")
     coulomb = fit.derived(lambda theta: sum(_coulomb(theta, sign) for sign in signs) / len(signs), unit)
     free = "free of any torque offset" if len(signs) == 2 else "which a torque offset enters: one direction only"
-    findings["viscous_rate"] = Finding(viscous, f"Viscous friction over inertia is {said(viscous)}.")
-    findings["coulomb_rate"] = Finding(coulomb, f"Coulomb friction over inertia is {said(coulomb)}, {free}.")
+    findings["viscous_rate"] = of_friction(viscous, f"Viscous friction over inertia is {said(viscous)}.")
+    findings["coulomb_rate"] = of_friction(coulomb, f"Coulomb friction over inertia is {said(coulomb)}, {free}.")
     findings["reference_position"] = Finding(
         Estimate(fit.reference, motions.length), "The pose at which the rates are stated: the mean of the starts."
     )
@@ -120,14 +119,14 @@ def _with_inertia(
         else:
             inertia = motions.inertia(fit_motion(motions.slides, inertia=None, position_slope=position_slope))
     except NotIdentifiable as error:
-        return {}, (f"no friction in units of torque: {' '.join(str(error).split())}",)
+        return {}, (f"no friction in units of torque: {in_words(error)}",)
     findings = {"effective_inertia": inertia}
     for name, rate, unit in (
         ("viscous_friction", viscous, f"{motions.effort} s/{motions.length}"),
         ("coulomb_friction", coulomb, motions.effort),
     ):
         value = _product(inertia.estimate, rate, unit)
-        findings[name] = Finding(value, f"With this inertia, {name.replace('_', ' ')} is {said(value)}.")
+        findings[name] = of_friction(value, f"With this inertia, {name.replace('_', ' ')} is {said(value)}.")
     return findings, ()
 
 

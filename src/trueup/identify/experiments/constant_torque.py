@@ -27,7 +27,7 @@ from operator import itemgetter
 from trueup.core.episode import Episode
 from trueup.core.results import Estimate
 from trueup.errors import NotIdentifiable
-from trueup.identify.experiments.findings import ExperimentResult, Finding, said
+from trueup.identify.experiments.findings import ExperimentResult, Finding, in_words, of_friction, said
 from trueup.identify.experiments.motion_fit import MotionFit, fit_motion
 from trueup.identify.experiments.recorded import JointMotions, read_motions
 from trueup.identify.experiments.slides import MotionSettings
@@ -99,8 +99,7 @@ def _joint(
         fit = fit_motion(motions.slides, inertia=inertia, position_slope=position_slope)
         inertia_estimate = motions.inertia(fit) if inertia is None else motions.stated(inertia)
     except NotIdentifiable as error:
-        sentence = " ".join(str(error).split())
-        return {"mirror_offset": Finding(Estimate(math.nan, effort), sentence, "not_identifiable")}, ()
+        return {"mirror_offset": Finding(Estimate(math.nan, effort), in_words(error), "not_identifiable")}, ()
 
     def nm(function: Callable[[Coefficients, float], float], unit: str = effort) -> Estimate:
         """A function of the coefficients and of 1 / alpha."""
@@ -127,9 +126,9 @@ def _joint(
         "reference_position": Finding(
             Estimate(fit.reference, motions.length), "The pose at which offsets are stated: the mean of the starts."
         ),
-        "coulomb_friction": Finding(coulomb, f"Coulomb friction, the mean of both directions, is {said(coulomb)}."),
+        "coulomb_friction": of_friction(coulomb, f"Coulomb friction, the mean of both directions, is {said(coulomb)}."),
         **{
-            name: Finding(value, f"Viscous friction in {name.removeprefix('viscous_')} direction is {said(value)}.")
+            name: of_friction(value, f"Viscous friction in {name.removeprefix('viscous_')} direction is {said(value)}.")
             for name, value in viscous.items()
         },
         "viscous_asymmetry": Finding(

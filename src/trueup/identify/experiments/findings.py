@@ -15,7 +15,7 @@ from trueup.errors import DataError, FormatError, MissingSignal
 EXPERIMENT_SCHEMA = "trueup.experiment/1"
 
 Experiment = Literal["breakaway", "constant_torque", "coast"]
-Status = Literal["ok", "censored", "no_motion", "moves_without_torque", "not_identifiable"]
+Status = Literal["ok", "censored", "no_motion", "moves_without_torque", "not_identifiable", "implausible"]
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,8 @@ class Finding:
             of the interval may be there all the same (a threshold above the largest torque that was tried).
         sentence: what it means, for people, with its assumptions.
         status: `ok`; `censored` (some repetitions did not reach it, so the value is biased); `no_motion` up to the
-            largest torque; `moves_without_torque`; `not_identifiable`.
+            largest torque; `moves_without_torque`; `not_identifiable`; `implausible` (a friction that is negative
+            beyond doubt: something else happened in these motions).
     """
 
     estimate: Estimate
@@ -166,6 +167,22 @@ def said(estimate: Estimate) -> str:
     digits = min(2 + math.ceil(math.log10(size / width)), 9)
     numbers = (f"{value:.{digits}g}" for value in (estimate.value, estimate.low, estimate.high))
     return "{}{} (95 %: {} to {})".format(next(numbers), unit, *numbers)
+
+
+def of_friction(estimate: Estimate, sentence: str) -> Finding:
+    """A finding about a friction, which cannot be negative."""
+    if estimate.high is not None and estimate.high < 0.0:
+        return Finding(
+            estimate, f"{sentence} A negative friction is none: these motions are not of this kind.", "implausible"
+        )
+    if estimate.low is not None and estimate.low <= 0.0:
+        sentence = f"{sentence} The data do not tell it from zero."
+    return Finding(estimate, sentence)
+
+
+def in_words(error: object) -> str:
+    """An error on one line."""
+    return ". ".join(line.strip() for line in str(error).splitlines())
 
 
 def reasons_in_short(rejected: Sequence[Rejection]) -> str:

@@ -16,6 +16,7 @@ from trueup.core.hold import held_rows
 from trueup.core.timeseries import TimeSeries
 from trueup.core.units import si_factor
 from trueup.errors import DataError, MissingSignal, NameMismatch
+from trueup.identify.experiments.findings import in_words
 
 TorqueSource = Literal["command", "measured"]
 
@@ -146,7 +147,7 @@ def disturbances(episodes: Iterable[Episode], joint: str) -> list[str]:
 def reason_of(what: object, episode: Episode) -> str:
     """Why an episode is of no use, with what the recording says about itself."""
     details = [flag.detail for flag in episode.meta.flags if flag.severity == "warning"]
-    return "; ".join([" ".join(str(what).split()), *details])
+    return "; ".join([in_words(what), *details])
 
 
 def _torque(episode: Episode, joint: str, delay_s: float, source: TorqueSource) -> Float64[np.ndarray, "T"]:

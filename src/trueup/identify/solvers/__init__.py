@@ -1,4 +1,4 @@
-"""Solvers over plain vectors: derivative-free ones behind ask and tell, and several starts around any of them."""
+"""Solvers over plain vectors: Gauss-Newton, derivative-free ones behind ask and tell, and several starts."""
 
 from trueup.identify.solvers.ask_tell import AskTell as AskTell
 from trueup.identify.solvers.ask_tell import Evaluation as Evaluation
@@ -11,6 +11,9 @@ from trueup.identify.solvers.cma_es import CmaSettings as CmaSettings
 from trueup.identify.solvers.evolution import EvolutionStrategy as EvolutionStrategy
 from trueup.identify.solvers.evolution_settings import EvolutionSettings as EvolutionSettings
 from trueup.identify.solvers.evolution_settings import Roles as Roles
+from trueup.identify.solvers.gauss_newton import GaussNewton as GaussNewton
+from trueup.identify.solvers.gauss_newton import GaussNewtonSettings as GaussNewtonSettings
+from trueup.identify.solvers.gauss_newton import GaussNewtonState as GaussNewtonState
 from trueup.identify.solvers.multi_start import Agreement as Agreement
 from trueup.identify.solvers.multi_start import LocalSolution as LocalSolution
 from trueup.identify.solvers.multi_start import MultiStart as MultiStart
@@ -28,6 +31,9 @@ __all__ = [
     "Evaluation",
     "EvolutionSettings",
     "EvolutionStrategy",
+    "GaussNewton",
+    "GaussNewtonSettings",
+    "GaussNewtonState",
     "LocalSolution",
     "MultiStart",
     "MultiStartResult",

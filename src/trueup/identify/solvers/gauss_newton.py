@@ -48,7 +48,8 @@ class GaussNewtonState:
 
     Attributes:
         z: best parameters so far, (P,).
-        cost: their cost.
+        cost: their cost, prior included.
+        square: sum of squares of their residual alone.
         damping: of the last good step.
         stage: index into the steps.
         iteration: Jacobians so far.
@@ -58,6 +59,7 @@ class GaussNewtonState:
 
     z: Float64[np.ndarray, "P"]
     cost: float = np.inf
+    square: float = np.inf
     damping: float = 1e-2
     stage: int = 0
     iteration: int = 0
@@ -90,6 +92,10 @@ class GaussNewton:
         prior_std: (P,), infinite for none.
         prior_weight: residual -> variance of one independent observation in it; what the prior is weighed against.
         settings: how to search.
+
+    Attributes:
+        residual: at the best parameters, None before the first step.
+        start_cost: sum of squares at the start, None before the first step.
     """
 
     def __init__(
@@ -111,6 +117,7 @@ class GaussNewton:
         self._prior_weight = prior_weight
         self.settings = settings or GaussNewtonSettings()
         self.residual: Float64[np.ndarray, "N"] | None = None
+        self.start_cost: float | None = None
         self._outlier = np.inf
 
     @property
@@ -126,6 +133,8 @@ class GaussNewton:
         """
         state = self.state
         r = self._start() if self.residual is None else self.residual
+        if self.start_cost is None:
+            self.start_cost = float(r @ r)
         # What counts as an outlier shrinks with the residual; within an iteration it is fixed.
         self._outlier = self.settings.loss_scale * 1.4826 * float(np.median(np.abs(r))) + 1e-300
         weight = self._prior_weight(r)
@@ -149,6 +158,8 @@ class GaussNewton:
         else:
             finished = bool(state.damping >= dampings[-1] or dampings[-1] > 1e6)
             state.damping = float(dampings[-1])
+        assert self.residual is not None
+        state.square = float(self.residual @ self.residual)
         state.history.append(state.cost)
         self._advance(finished=finished)
 

@@ -18,6 +18,8 @@ def provenance_section(run: RunFolder) -> Section:
         ("Settings of the comparison", as_json(run.gap.settings)),
         ("Configuration", as_json(config)),
         ("Provenance of the ladder", as_json(run.ladder.provenance if run.ladder else {})),
+        ("Provenance of the fit", as_json(run.fit.provenance if run.fit else {})),
+        ("Provenance of the attribution", as_json(run.attribution.provenance if run.attribution else {})),
     ]
     context = {"facts": facts(stored), "parts": [part for part in parts if part[1]]}
     return Section("provenance", "Provenance", context)

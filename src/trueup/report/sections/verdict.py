@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from trueup.core.quality import Quality
+from trueup.core.fit_result import FitResult
+from trueup.report.fit_words import alert_of, as_sentence, free_parameters, sure_sentence
 from trueup.report.folder import RunFolder
 from trueup.report.labels import COMMAND, split_title
 from trueup.report.numbers import in_degrees, interval, percent, plural, quantity, with_unit
@@ -42,21 +44,48 @@ class Tile:
 def verdict_section(run: RunFolder) -> Section:
     """Always there; without any RMSE it says so."""
     headline = find_headline(run.gap, run.ladder)
+    alert = alert_of(run.fit) if run.fit else None
+    of_fit = fit_sentences(run.fit) if run.fit else []
+    fit_tiles = [fit_tile(run.fit)] if run.fit else []
     if headline is None:
         sentence = "This run holds no RMSE of any signal, so there is no verdict; see the tables below."
-        return Section("verdict", "Verdict", {"lead": sentence, "sentences": [], "tiles": []})
+        context = {"alert": alert, "lead": sentence, "sentences": of_fit, "tiles": fit_tiles}
+        return Section("verdict", "Verdict", context)
     comparisons = [compare(headline, label, run.gap) for label in run.runs]
     found = [item for item in comparisons if item is not None]
     extremes = extreme_joints(headline, run.gap)
     sentences = [item.sentence for item in found]
     sentences += [headline.reason] if headline.reason else []
+    sentences += of_fit
     sentences += [joints_sentence(*extremes)] if extremes else []
     sentences += [quality_sentence(run.quality)] if run.quality else []
     sentences += [str(warning) for warning in run.gap.settings.get("warnings", ())]
     return Section(
         "verdict",
         "Verdict",
-        {"lead": gap_sentence(headline, run.gap), "sentences": sentences, "tiles": tiles(headline, found, extremes)},
+        {
+            "alert": alert,
+            "lead": gap_sentence(headline, run.gap),
+            "sentences": sentences,
+            "tiles": tiles(headline, found, extremes) + fit_tiles,
+        },
+    )
+
+
+def fit_sentences(fit: FitResult) -> list[str]:
+    """How sure the fit is; what an alert says already is not said again."""
+    statements = [as_sentence(text) for text in fit.statements] if fit.status == "ok" else []
+    return [sure_sentence(fit), *statements]
+
+
+def fit_tile(fit: FitResult) -> Tile:
+    """How many parameters the data determine, and the status."""
+    free = free_parameters(fit)
+    sure = sum(item.identified == "yes" for item in free)
+    ok = fit.status == "ok"
+    words = fit.status.replace("-", " ")
+    return Tile(
+        "Parameters determined", f"{sure} of {len(free)}", "✓ fit ok" if ok else f"▲ {words}", "better" if ok else "worse"
     )
 
 

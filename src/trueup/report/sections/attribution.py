@@ -1,0 +1,101 @@
+"""Where the gap comes from: the share of every cause."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from trueup.core.attribution import UNEXPLAINED, Attribution
+from trueup.report.chooser import Cell, Chooser, Table, TableRow, Variant, make_chooser
+from trueup.report.fit_figures import shares_figure
+from trueup.report.fit_words import as_sentence
+from trueup.report.folder import RunFolder
+from trueup.report.labels import ordered, split_title
+from trueup.report.numbers import percent
+from trueup.report.palette import cause_styles
+from trueup.report.sections.base import Section
+from trueup.report.sections.cells import estimate_cell, seconds_cell
+
+ALL_JOINTS = "all joints"
+
+
+def attribution_section(run: RunFolder) -> Section | None:
+    """Only where the gap was explained."""
+    if run.attribution is None:
+        return None
+    context = {
+        "lead": attribution_sentence(run.attribution),
+        "statements": [as_sentence(text) for text in run.attribution.statements],
+        "split": split_title(run.attribution.split),
+        "negative": any(value < 0 for row in stacked(run.attribution, []).values() for value in row.values()),
+        "chooser": attribution_chooser(run.attribution, run.gap.joints),
+    }
+    return Section("attribution", "Attribution: where the gap comes from", context)
+
+
+def attribution_sentence(attribution: Attribution) -> str:
+    """The largest causes, and what none of them explains."""
+    titles, total = cause_titles(attribution), attribution.shares_total
+    known = [cause for cause in attribution.causes if total.get(cause, 0.0) >= 0.005]
+    known.sort(key=lambda cause: -total[cause])
+    rest = total.get(UNEXPLAINED, float("nan"))
+    if not rest >= 0.0:
+        return "There is no error to attribute."
+    parts = [f"{titles[cause]} {percent(total[cause], sign=False)}" for cause in known[:3]]
+    start = f"Of the squared error, {', '.join(parts)} went away" if parts else "No cause took any of the error away"
+    return f"{start}; {percent(rest, sign=False)} stays unexplained."
+
+
+def cause_titles(attribution: Attribution) -> dict[str, str]:
+    """Cause -> its name, in the order of the steps, the unexplained rest last."""
+    titles = {step.cause: step.label or step.cause for step in attribution.steps[1:]}
+    return {**titles, UNEXPLAINED: UNEXPLAINED}
+
+
+def stacked(attribution: Attribution, joints: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Row -> cause -> share: all joints together, then joint by joint."""
+    own = {joint: dict(attribution.shares[joint]) for joint in ordered(attribution.shares, joints)}
+    return {ALL_JOINTS: dict(attribution.shares_total), **own}
+
+
+def attribution_chooser(attribution: Attribution, joints: Sequence[str]) -> Chooser | None:
+    """Figure and tables; there is nothing to choose."""
+    shares, titles = stacked(attribution, joints), cause_titles(attribution)
+    variant = Variant(
+        tables={"shares": shares_table(shares, titles), "steps": steps_table(attribution)},
+        figures={"shares": shares_figure(shares, titles, cause_styles(titles))},
+    )
+    return make_chooser("attribution-chooser", [], lambda: variant, preferred=())
+
+
+def shares_table(shares: dict[str, dict[str, float]], titles: dict[str, str]) -> Table:
+    """The numbers of the figure."""
+    nan = float("nan")
+    rows = [
+        TableRow(row, [_share_cell(values.get(cause, nan), cause) for cause in titles], strong=row == ALL_JOINTS)
+        for row, values in shares.items()
+    ]
+    caption = "Share of the mean square error of the model as it came; a row adds up to 100 %."
+    return Table(["Joint", *titles.values()], rows, caption)
+
+
+def steps_table(attribution: Attribution) -> Table:
+    """The nested fits behind the shares."""
+    rows = []
+    for before, step in zip((None, *attribution.steps), attribution.steps, strict=False):
+        cell = estimate_cell(step.total)
+        if before is not None and before.total.value > 0:
+            cell = Cell(cell.text, note=cell.note, extra=percent(step.total.value / before.total.value - 1.0))
+        else:
+            cell = Cell(cell.text, note=cell.note)
+        head = f"+ {step.label or step.cause}" if step.cause else "model as it came"
+        cells = [Cell(str(step.parameters)), cell, seconds_cell(step.seconds) if step.cause else Cell("–")]
+        rows.append(TableRow(head, cells, note=", ".join(step.quantities)))
+    columns = ["Fitted on top", "Parameters", f"RMSE, {split_title(attribution.split)}", "Time to fit"]
+    caption = "The nested fits: each has the parameters of all rows above it. The percentage is the change of the step."
+    return Table(columns, rows, caption)
+
+
+def _share_cell(share: float, cause: str) -> Cell:
+    if cause == UNEXPLAINED or not share < 0:
+        return Cell(percent(share, sign=False))
+    return Cell(percent(share), note="made it worse", tone="worse")

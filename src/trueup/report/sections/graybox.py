@@ -1,0 +1,131 @@
+"""The gray-box regression: what each block of terms is worth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from trueup.core.results import Estimate
+from trueup.report.chooser import Cell, Chooser, Menu, Table, TableRow, Variant, make_chooser
+from trueup.report.figures import bars_figure
+from trueup.report.folder import RunFolder
+from trueup.report.graybox import ALL_MOTIONS, Block, BlockScore, Graybox
+from trueup.report.labels import SPLITS, ordered, split_title
+from trueup.report.numbers import NOTHING, interval, percent, pretty_unit, significant, with_unit
+from trueup.report.palette import cycled_styles
+from trueup.report.sections.base import Section
+from trueup.report.sections.cells import estimate_cell
+from trueup.report.sections.groups import group_order
+
+BLOCKS = {
+    "pd": "PD servo",
+    "friction": "+ viscous and Coulomb friction",
+    "payload": "+ payload",
+    "posture": "+ posture under payload",
+    "coupling": "+ speed and acceleration under payload",
+}
+
+
+def graybox_section(run: RunFolder) -> Section | None:
+    """Only where a gray-box regression was made."""
+    if run.graybox is None:
+        return None
+    chooser = graybox_chooser(run.graybox, run.gap.joints)
+    if chooser is None:
+        return None
+    return Section("graybox", "Gray box: what each term is worth", {"chooser": chooser, "notes": run.graybox.notes})
+
+
+def graybox_chooser(graybox: Graybox, joints: Sequence[str]) -> Chooser | None:
+    """Figure and table per joint and split."""
+    splits = ordered({s for blocks in graybox.joints.values() for block in blocks for s in block.scores}, SPLITS)
+    names = ordered(graybox.joints, joints)
+
+    def make(joint: str, split: str) -> Variant | None:
+        blocks = graybox.joints[joint]
+        if not any(split in block.scores for block in blocks):
+            return None
+        bars = payload_bars(blocks, split)
+        if not bars:
+            return None
+        unit = next(item.unit for values in bars.values() for item in values.values())
+        title = f"torque RMSE of {joint}, {split_title(split)} [{pretty_unit(unit)}]"
+        rows = [block_title(block.name) for block in blocks if not block.left_out]
+        figure = bars_figure(rows, bars, cycled_styles(bars), title=title)
+        return Variant(tables={"graybox": reductions_table(blocks, split)}, figures={"graybox": figure})
+
+    menus = [
+        Menu("Joint", [(name, name) for name in names]),
+        Menu("Split", [(split, split_title(split)) for split in splits]),
+    ]
+    preferred = (names[0], next((split for split in ("test", "val") if split in splits), "")) if names else ("", "")
+    return make_chooser("graybox-chooser", menus, make, preferred=preferred)
+
+
+def payloads_of(blocks: Sequence[Block], split: str) -> list[str]:
+    """All motions, then each payload where there are several."""
+    found = {load for block in blocks for load in block.scores.get(split, {})} - {ALL_MOTIONS}
+    return [ALL_MOTIONS, *(group_order(list(found)) if len(found) > 1 else [])]
+
+
+def payload_bars(blocks: Sequence[Block], split: str) -> dict[str, dict[str, Estimate]]:
+    """Payload -> block -> RMSE."""
+    bars = {
+        payload_title(load): {
+            block_title(block.name): block.scores[split][load].rmse
+            for block in blocks
+            if load in block.scores.get(split, {}) and not block.left_out
+        }
+        for load in payloads_of(blocks, split)
+    }
+    return {title: values for title, values in bars.items() if values}
+
+
+def reductions_table(blocks: Sequence[Block], split: str) -> Table:
+    """By how much each block lowers the error, per payload."""
+    loads = payloads_of(blocks, split)
+    rows = []
+    for block in blocks:
+        scores = block.scores.get(split, {})
+        if block.left_out:
+            cells = [Cell(NOTHING) for _ in range(len(loads) + 1)]
+        else:
+            total = scores.get(ALL_MOTIONS)
+            cells = [estimate_cell(total.rmse if total else None)]
+            cells += [reduction_cell(scores.get(load)) for load in loads]
+        rows.append(TableRow(block_title(block.name), cells, note=f"left out: {block.left_out}" if block.left_out else ""))
+    columns = ["Model up to", "RMSE, all motions", *(f"Lowered by, {payload_title(load)}" for load in loads)]
+    caption = (
+        f"By how much each block lowers the RMSE of the torque on {split_title(split)}, against the model without it "
+        "(the first against a constant torque), with 95 % interval. Better or worse only if the interval excludes zero."
+    )
+    return Table(columns, rows, caption)
+
+
+def reduction_cell(score: BlockScore | None) -> Cell:
+    """What a block is worth, also as a percentage of the error without it."""
+    if score is None:
+        return Cell(NOTHING)
+    low, high = score.reduction.low, score.reduction.high
+    decided = low is not None and high is not None and (low > 0 or high < 0)
+    tone = ("better" if score.reduction.value > 0 else "worse") if decided else ""
+    sign = {"better": "▼ ", "worse": "▲ "}.get(tone, "")
+    before = score.rmse.value + score.reduction.value
+    share = percent(score.reduction.value / before, sign=False) if before > 0 else ""
+    text = with_unit(significant(score.reduction.value), score.reduction.unit)
+    return Cell(
+        sign + text if math.isfinite(score.reduction.value) else NOTHING,
+        note=interval(score.reduction, sign=True),
+        extra=share,
+        tone=tone,
+    )
+
+
+def block_title(name: str) -> str:
+    """What a block adds."""
+    return BLOCKS.get(name, f"+ {name}")
+
+
+def payload_title(load: str) -> str:
+    """`1.5 kg`."""
+    return f"{load}\N{NO-BREAK SPACE}kg" if load else "all motions"
