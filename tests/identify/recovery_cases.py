@@ -78,11 +78,12 @@ class Truth:
         candidate = problem.candidate(self.values)
         return MujocoSimulator(candidate.compile(), self.nominal.robot, self.nominal.simulator.channels), candidate
 
-    def log(self, seed, *, seconds=8.0, rate_hz=100.0, noise=1e-3, size=0.5, name="log", top_hz=1.5):
+    def log(self, seed, *, seconds=8.0, rate_hz=100.0, noise=1e-3, size=0.5, name="log", top_hz=1.5, command=None):
         """One motion: commanded, simulated with the truth by `replay_episode`, measured with noise."""
         simulator, candidate = self.simulator()
         signal = self.nominal.robot.controller.signal
-        time_s, command = wave(seconds, rate_hz, seed, size=size, top_hz=top_hz)
+        time_s, drawn = wave(seconds, rate_hz, seed, size=size, top_hz=top_hz)
+        command = drawn if command is None else command(time_s)
         rest = np.zeros_like(command)
         unit = {"position": "rad", "torque": "Nm"}[signal]
         asked = TimeSeries(time_s, JOINTS, {signal: command}, same_units({signal: unit}, JOINTS))

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from identify.recovery_cases import JOINTS, SERVO, TORQUE, Truth, fit, nominal_of
-from trueup.identify import Problem, SegmentRule, SolveSettings, make_segments, solve
 from trueup.identify.config import make_parameters
 from trueup.identify.start import off_bounds
 
@@ -77,18 +76,22 @@ def test_a_torque_driven_log_gives_back(case, tmp_path):
     check(got, true)
 
 
-def test_the_static_threshold_of_a_torque_controlled_arm_is_found_without_derivatives(tmp_path):
+def ramps(time_s):
+    """Torque ramps in turns of direction, with rests between."""
+    turn, phase = np.divmod(time_s, 2.0)
+    ramp = np.where(phase < 1.5, phase / 1.5, 0.0) * np.where(turn % 2 == 0, 1.2, -1.2)
+    return np.stack([ramp, 0.8 * ramp], axis=1)
+
+
+def test_ramps_show_the_static_threshold_of_a_torque_controlled_arm(tmp_path):
     robot, nominal = nominal_of(tmp_path, TORQUE, floating=True)
-    true = truth_of(nominal, {"static_positive": 0.8, "static_negative": 0.6})
-    truth = Truth(robot, nominal, true)
-    logs = [truth.log(seed, name=f"log{seed}", size=1.5, top_hz=0.3) for seed in (1, 2)]
-    segments, _ = make_segments(logs, nominal.simulator, SegmentRule())
-    parameters = make_parameters(
-        dict.fromkeys(("static_positive", "static_negative"), {"start": 0.3, "high": 2.0}), nominal
-    )
-    solution = solve(Problem(nominal, parameters, segments), SolveSettings(solver="cma-es", max_evaluations=600))
+    case = {"static_positive": 0.8, "static_negative": 0.6}
+    true = truth_of(nominal, case)
+    logs = [Truth(robot, nominal, true).log(1, command=ramps)]
+    got, _ = fit(Truth(robot, nominal, true), logs, dict.fromkeys(case, "all"), start=dict.fromkeys(true, 0.3))
     for name, value in true.items():
-        assert solution.values[name] == pytest.approx(value, abs=0.02), name
+        # Between two commands nothing changes: the threshold is known to the step of the torque.
+        assert got[name].value == pytest.approx(value, abs=0.02), name
 
 
 @pytest.mark.parametrize("case", BODY_CASES)

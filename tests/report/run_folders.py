@@ -7,7 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from trueup.core.analysis import Analysis, BinnedCurve, HorizonCurve, Lag
+from trueup.core.atomic import write_json
+from trueup.core.attribution import Attribution, AttributionStep
 from trueup.core.episode import Flag
+from trueup.core.fit_result import Direction, FitResult, FittedParameter, ModelRow, Whiteness
 from trueup.core.quality import EpisodeQuality, Quality
 from trueup.core.results import Estimate, GapResult, Ladder, MetricResult, PairedDifference, Rung
 from trueup.core.timeseries import TimeSeries, same_units
@@ -280,4 +283,230 @@ def make_run(folder: Path, world: World | None = None) -> Path:
     make_analysis(world).save(folder / "analysis.json")
     make_quality(world).save(folder / "quality.json")
     make_traces(world).save(folder)
+    return folder
+
+
+# quantity -> unit, cause, transform, what the model said, what the robot has, bounds, what would show it
+FITTED = {
+    "delay_s": ("s", "delay", "linear", 0.0, 0.02, (0.0, 0.2), "let {} start and reverse quickly"),
+    "kp": ("Nm/rad", "gains", "log", 60.0, 31.0, (0.12, 30000.0), "load {} by gravity in several poses"),
+    "damping": ("Nm s/rad", "friction", "log", 0.4, 0.9, (0.004, 40.0), "let {} pass through its range of speeds"),
+    "frictionloss": ("Nm", "friction", "log", 0.05, 0.3, (0.0005, 5.0), "let {} creep, stop and reverse"),
+    "load": ("1", "friction", "linear", 0.0, 0.0, (0.0, 5.0), "move {} in poses with small and large load"),
+    "torque_offset": ("Nm", "gravity", "linear", 0.0, -0.2, (-50.0, 50.0), "move {} slowly in both directions"),
+    "armature": ("kg m2", "inertia", "log", 0.01, 0.02, (0.0001, 1.0), "accelerate {} harder"),
+}
+_SENTENCES = {
+    "yes": "determined by the data",
+    "weakly": "weakly determined: {}",
+    "no": "not identifiable from these motions: {}",
+}
+
+
+def fitted_parameter(quantity, target, identified="yes", *, at_bound="", frozen=False, factor=1.0):
+    """One parameter as `trueup identify` reports it; its interval grows as the data say less."""
+    unit, cause, transform, nominal, value, (low, high), excite = FITTED[quantity]
+    wide = {"yes": 0.08, "weakly": 0.7, "no": 3.0}[identified]
+    value = {"low": low, "high": high}.get(at_bound, value * factor)
+    reach = wide * max(abs(value), 0.05)
+    ends = (value * np.exp(-wide), value * np.exp(wide)) if transform == "log" else (value - reach, value + reach)
+    sentence = _SENTENCES[identified].format(excite.format(target or "the robot"))
+    if at_bound:
+        edge = "low" if at_bound == "low" else "high"
+        sentence = (
+            "the data ask for none of it: it ended on zero" if value == 0 else f"ended on its {edge} bound: widen it"
+        )
+    if frozen:
+        identified, value, ends, sentence = "no", nominal, (nominal, nominal), "kept at its value, not fitted"
+    return FittedParameter(
+        name=f"{quantity}[{target}]" if target else quantity,
+        value=float(value),
+        unit=unit,
+        nominal=nominal,
+        start=nominal,
+        low=low,
+        high=high,
+        interval=tuple(float(min(max(end, low), high)) for end in ends),
+        at_bound=at_bound,
+        identified=identified,
+        prior_share={"yes": 0.01, "weakly": 0.4, "no": 0.9}[identified],
+        sentence=sentence,
+        cause=cause,
+        transform=transform,
+        frozen=frozen,
+    )
+
+
+def fit_parameters(joints, status="ok"):
+    """Seven quantities of every joint; how sure they are follows from the status."""
+    found = []
+    for quantity in FITTED:
+        for number, joint in enumerate(joints):
+            sure, bound = "yes", "low" if quantity == "load" and number else ""
+            if status != "ok" and quantity in ("damping", "armature"):
+                sure = "weakly" if number == 0 else "no"
+            if status == "at-bound" and quantity == "kp" and number == 0:
+                bound = "high"
+            frozen = quantity == "torque_offset" and number == len(joints) - 1
+            item = fitted_parameter(quantity, joint, sure, at_bound=bound, frozen=frozen, factor=1 + 0.1 * number)
+            found.append(item)
+    return tuple(found)
+
+
+_STATEMENTS = {
+    "ok": (),
+    "not-identifiable": ("4 of 21 parameters are not determined by these motions: {0}; their values are the prior's",),
+    "at-bound": ("ended on a bound: kp[{0}] = 3e+04 Nm/rad",),
+    "not-converged": ("the search stopped early (out of iterations): run longer, or with --resume",),
+    "no-better": ("the fitted model is no better than the nominal one on val; is this the log of another robot?",),
+}
+
+
+def make_fit(joints, status="ok", parameters=None):
+    """A fit of any status, with two models that were tried and what is left of every joint."""
+    parameters = fit_parameters(joints, status) if parameters is None else tuple(parameters)
+    names = [item.name for item in parameters if not item.frozen]
+    after = 1.1 if status == "no-better" else 0.4
+    nominal = {
+        split: Estimate(0.04 * size, "rad", 0.02, 0.09) for split, size in (("train", 1), ("val", 1.1), ("test", 1.2))
+    }
+    # two motions: the interval of a mean reaches below zero
+    errors = {
+        name: {
+            split: Estimate(item.value * after * size, "rad", -0.01 if split == "val" else 0.005, item.value)
+            for split, item in nominal.items()
+        }
+        for name, size in (("base", 1.2), ("load", 1.0))
+    }
+    models = tuple(
+        ModelRow(
+            name=name,
+            quantities=("delay_s", "kp", "frictionloss") + (("load",) if name == "load" else ()),
+            parameters=13 + 8 * number,
+            seconds=33.0 - number,
+            splits=errors[name],
+            per_joint={
+                split: {joint: item.value * (0.8 + 0.4 * place) for place, joint in enumerate(joints)}
+                for split, item in errors[name].items()
+            },
+            chosen=name == "load",
+        )
+        for number, name in enumerate(errors)
+    )
+    open_ = status != "ok" and len(names) > 1
+    pairs = {name: {} for name in names}
+    if open_:
+        pairs[names[0]][names[1]] = pairs[names[1]][names[0]] = -0.96
+    return FitResult(
+        status=status,
+        statements=tuple(text.format(joints[0]) for text in _STATEMENTS[status]),
+        solver={
+            "name": "gauss-newton",
+            "why": "the robot follows position",
+            "stop": "converged",
+            "iterations": 8,
+            "evaluations": 238,
+            "seconds": 31.6,
+        },
+        parameters=parameters,
+        correlation=pairs,
+        directions=(Direction(0.0, {names[0]: 1.0}), Direction(4.2, {names[1]: 0.8, names[0]: -0.6})) if open_ else (),
+        whiteness={
+            joint: Whiteness(
+                0.003 * (number + 1),
+                0.2 * number,
+                number == 0,
+                f"{joint}: what is left looks like noise" if number == 0 else f"{joint}: what is left is model error",
+            )
+            for number, joint in enumerate(joints)
+        },
+        models=models,
+        errors={"nominal": nominal, "fitted": errors["load"]},
+        data={
+            "episodes": ["chirp", "steps"],
+            "seconds": 20.0,
+            "window_s": None,
+            "samples": 6000,
+            "flagged": {"square_wave": "saturation"},
+            "refused": {},
+        },
+        provenance={"trueup": "0.1.0", "seed": 0, "config": {"identify": {"fit": {"kp": "all"}}}},
+    )
+
+
+def many_parameters(joints=29):
+    """117: four of each joint of a humanoid, and a payload."""
+    names = [f"joint_{number:02}" for number in range(joints)]
+    kinds = ("yes", "yes", "weakly", "no")
+    found = [
+        fitted_parameter(quantity, name, kinds[number % 4])
+        for quantity in ("kp", "damping", "frictionloss", "armature")
+        for number, name in enumerate(names)
+    ]
+    return (*found, fitted_parameter("torque_offset", ""))
+
+
+def make_attribution(joints):
+    """Gravity makes the second joint worse; a quarter of the first stays unexplained."""
+    causes = {
+        "": ("", (), 1.0),
+        "delay": ("delay", ("delay_s",), 0.9),
+        "gains": ("gains", ("kp",), 0.7),
+        "friction": ("friction", ("damping", "frictionloss"), 0.35),
+        "gravity": ("gravity or payload", ("torque_offset",), 0.3),
+        "inertia": ("inertia", ("armature",), 0.28),
+    }
+    steps = []
+    for number, (cause, (label, quantities, left)) in enumerate(causes.items()):
+        worse = 0.2 if cause == "gravity" else 0.0
+        errors = {joint: 0.04 * (left + (worse if place == 1 else 0.0)) for place, joint in enumerate(joints)}
+        total = Estimate(0.04 * left, "rad", 0.03 * left, 0.05 * left)
+        steps.append(AttributionStep(cause, label, quantities, 3 * number, errors, total, 4.0 * number))
+    return Attribution.of("test", "rad", steps, statements=("scored on 3 test motions",), provenance={"seed": 0})
+
+
+def make_graybox(joints):
+    """graybox.json as the regression writes it: two payloads, one block that could not be fitted on the last joint."""
+
+    def score(value, reduction, motions):
+        rmse = {"value": value, "low": 0.9 * value, "high": 1.1 * value, "unit": "Nm"}
+        ends = {"low": reduction - 0.01, "high": reduction + 0.01}
+        return {
+            "rmse": rmse,
+            "reduction": {"value": reduction, "unit": "Nm", **ends},
+            "motions": motions,
+            "samples": 900,
+        }
+
+    blocks = []
+    for block, value, reduction in (
+        ("pd", 0.5, 1.2),
+        ("friction", 0.3, 0.2),
+        ("payload", 0.31, -0.01),
+        ("posture", 0.1, 0.21),
+    ):
+        payloads = {"0": score(0.8 * value, 0.8 * reduction, 2), "1.5": score(1.2 * value, 1.2 * reduction, 2)}
+        blocks.append(
+            {
+                "block": block,
+                "left_out": "",
+                "coefficients": {"K_p": {"unit": "Nm/rad", "value": 40.0}},
+                "splits": {"train": score(0.9 * value, reduction, 4), "test": score(value, reduction, 4)},
+                "payloads": {"train": payloads, "test": payloads},
+            }
+        )
+    short = [{**blocks[0]}, {**blocks[1], "left_out": "the joint never moved", "splits": {}, "payloads": {}}]
+    fits = {joint: {"blocks": blocks if joint != joints[-1] else short, "notes": []} for joint in joints}
+    return {"schema": "trueup.graybox/1", "joints": fits, "settings": {}, "notes": ["payload not recorded in 1 motion"]}
+
+
+def add_identification(folder: Path, fit, joints) -> Path:
+    """What `trueup identify`, `trueup gap --explain` and the gray-box regression leave in a run folder."""
+    fit.save(folder / "fit.json")
+    make_attribution(joints).save(folder / "explain.json")
+    write_json(folder / "graybox.json", make_graybox(joints))
+    (folder / "robot.fitted.yaml").write_text("schema: trueup.robot/1\n")
+    (folder / "isaac.actuators.yaml").write_text("actuators: {}\n")
+    (folder / "model.fitted.xml").write_text("<mujoco><worldbody/></mujoco>")
+    np.savez(folder / "fit.samples.npz", **{item.name: np.zeros(3) for item in fit.parameters})
     return folder

@@ -1,7 +1,7 @@
 import pytest
 
 from trueup.errors import ConfigError
-from trueup.robots import find_model, load_robot, shipped_robots
+from trueup.robots import JointFriction, find_model, load_robot, shipped_robots
 
 GOOD = """
 schema: trueup.robot/1
@@ -26,6 +26,32 @@ def test_a_robot_of_ones_own(tmp_path):
     assert {name: (rule["log"], rule["sign"]) for name, rule in rules.items()} == {"a": ("A", 1), "b": ("b", -1)}
 
 
+def test_friction_delays_and_gravity_compensation_are_read(tmp_path):
+    (tmp_path / "arm.yaml").write_text(
+        GOOD
+        + "controller: {kind: torque, delay_s: 0.02, per_joint: {b: {delay_s: 0.05}}}\n"
+        + "simulation: {gravity_compensation: true}\n"
+        + "friction: {b: {stribeck: 0.2, sigmoid_shift: -0.01, asymmetry: -0.5}}\n"
+    )
+    robot = load_robot(tmp_path / "arm.yaml")
+    assert robot.delay_s == (0.02, 0.05)
+    assert robot.simulation.gravity_compensation
+    assert robot.friction == {"b": JointFriction(stribeck=0.2, sigmoid_shift=-0.01, asymmetry=-0.5)}
+
+
+def test_without_a_line_there_is_no_friction_no_delay_and_the_plain_weight(tmp_path):
+    (tmp_path / "arm.yaml").write_text(GOOD + "controller: {kind: torque}\n")
+    robot = load_robot(tmp_path / "arm.yaml")
+    assert (robot.friction, robot.delay_s, robot.simulation.gravity_compensation) == ({}, (0.0, 0.0), False)
+
+
+def test_a_delay_of_zero_for_one_joint_is_not_the_common_one(tmp_path):
+    (tmp_path / "arm.yaml").write_text(
+        GOOD + "controller: {kind: torque, delay_s: 0.02, per_joint: {a: {delay_s: 0}}}\n"
+    )
+    assert load_robot(tmp_path / "arm.yaml").delay_s == (0.0, 0.02)
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [
@@ -38,6 +64,15 @@ def test_a_robot_of_ones_own(tmp_path):
         ("controller: {kind: position, kp: 2, per_joint: {b: {kp: -1}}}", r"gains of joint 'b'"),
         ("controller: {kind: position, kp: 2, per_joint: {b: {Kp: 1}}}", r"unknown keys \['Kp'\]"),
         ("simulation: {timestep_s: 0}", "timestep_s must be positive"),
+        ("controller: {kind: torque, per_joint: {b: {delay_s: -0.1}}}", "delay_s must be >= 0"),
+        ("controller: {kind: torque, delay_s: .inf}", "delay_s must be >= 0"),
+        ("controller: {kind: torque, per_joint: {b: {delay: 0.1}}}", r"unknown keys \['delay'\].*delay_s"),
+        ("simulation: {gravity_compensation: 3}", "gravity_compensation"),
+        ("friction: {c: {load: 0.1}}", r"\['c'\] are not joints.*available: a, b"),
+        ("friction: {a: {load: -0.1}}", r"friction: load.*got -0.1.*>= 0"),
+        ("friction: {a: {stribek: 0.1}}", r"unknown keys \['stribek'\].*stribeck"),
+        ("friction: {a: {asymmetry: 1.0}}", "asymmetry must lie between -1 and 1"),
+        ("friction: {a: {load: much}}", "load"),
         ("replay: {window_s: 0.0}", "window_s must be positive"),
         ("gains: {}", r"unknown keys \['gains'\].*controller"),
         ("schema: trueup.robot/7", "schema is not a choice"),

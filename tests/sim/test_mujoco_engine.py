@@ -2,11 +2,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from sim.arms import PENDULUM, two_links
+from sim.arms import PENDULUM, episode, series, two_links
 from trueup.core.protocols import RolloutRequest
 from trueup.errors import DataError, MissingSignal, NameMismatch
-from trueup.robots import ControllerSpec, JointGains, JointSpec, RobotSpec
-from trueup.sim import MujocoSimulator
+from trueup.robots import ControllerSpec, JointGains, JointSpec, RobotSpec, SimulationSpec
+from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode
 
 KINDS = [
     ControllerSpec(kind="torque"),
@@ -191,3 +191,97 @@ def test_one_diverging_motion_of_a_batch_is_seen(tmp_path, bad):
     command[bad] = 1.0
     with pytest.raises(DataError, match="diverged"):
         simulator.rollout(RolloutRequest(position, np.zeros((3, 2)), {"position": command}))
+
+
+def test_a_diverging_candidate_loses_and_the_others_stand(tmp_path):
+    simulator = two_links(tmp_path, ControllerSpec(kind="position", kp=40.0, kv=2.0), timestep_s=0.01)
+    wild = two_links(tmp_path, ControllerSpec(kind="position", kp=1e7, kv=0.0), timestep_s=0.01)
+    command = smooth_command(simulator, 300)["position"]
+    alone = simulator.rollout(request({"position": command}))
+    three = RolloutRequest(
+        np.tile([[0.2, -0.1]], (3, 1)), np.zeros((3, 2)), {"position": np.repeat(command, 3, axis=0)}
+    )
+    for threads in (1, 2):
+        result = simulator.clone(threads=threads).rollout_candidates(
+            three, [simulator.model, wild.model, simulator.model]
+        )
+        for values, expected in (
+            (result.position, alone.position),
+            (result.velocity, alone.velocity),
+            (result.torque, alone.torque),
+        ):
+            assert np.isnan(values[1]).all()
+            np.testing.assert_allclose(values[[0, 2]], np.repeat(expected, 2, axis=0), atol=1e-10)
+    # The next rollout is not disturbed by what is left of the lost one.
+    again = simulator.rollout_candidates(three, [simulator.model] * 3)
+    np.testing.assert_allclose(again.position, np.repeat(alone.position, 3, axis=0), atol=1e-10)
+
+
+def test_candidates_are_simulated_each_on_its_own_model(tmp_path):
+    simulator = two_links(tmp_path, ControllerSpec(kind="position", kp=40.0, kv=2.0))
+    models = []
+    for damping in (0.0, 0.5, 3.0):
+        models.append(two_links(tmp_path, simulator.robot.controller).model)
+        models[-1].dof_damping[:] = damping
+    command = {"position": np.repeat(smooth_command(simulator, 200)["position"], 3, axis=0)}
+    result = simulator.rollout_candidates(
+        RolloutRequest(np.tile([[0.2, -0.1]], (3, 1)), np.zeros((3, 2)), command), models
+    )
+    for row, model in enumerate(models):
+        own = MujocoSimulator(model, simulator.robot, simulator.channels)
+        one = request({"position": command["position"][:1]})
+        np.testing.assert_allclose(result.position[row], own.rollout(one).position[0], atol=1e-12)
+    assert np.abs(np.diff(result.position[:, -1], axis=0)).min() > 1e-4
+
+
+@pytest.mark.parametrize("compensated", [True, False])
+def test_a_robot_whose_weight_is_carried_needs_no_torque_to_stand(tmp_path, compensated):
+    two_links(tmp_path, ControllerSpec(kind="torque"))
+    robot = RobotSpec(
+        name="pendulum",
+        joints=(JointSpec("a"), JointSpec("b")),
+        model="pendulum.xml",
+        controller=ControllerSpec(kind="torque"),
+        simulation=SimulationSpec(gravity_compensation=compensated),
+    )
+    simulator = MujocoSimulator.from_robot(robot, tmp_path / "pendulum.xml")
+    result = simulator.rollout(request({"torque": np.zeros((1, 500, 2))}, position=(0.9, -0.4)))
+    fallen = np.abs(result.position[0, -1] - [0.9, -0.4])
+    if compensated:
+        assert fallen.max() < 1e-12
+    else:
+        assert fallen.max() > 0.1
+
+
+def test_a_position_servo_has_no_standing_error_where_the_weight_is_carried(tmp_path):
+    two_links(tmp_path, ControllerSpec(kind="torque"))
+    robot = RobotSpec(
+        name="pendulum",
+        joints=(JointSpec("a"), JointSpec("b")),
+        model="pendulum.xml",
+        controller=ControllerSpec(kind="position", kp=40.0, kv=4.0),
+        simulation=SimulationSpec(gravity_compensation=True),
+    )
+    simulator = MujocoSimulator.from_robot(robot, tmp_path / "pendulum.xml")
+    command = {"position": np.tile([0.9, -0.4], (1, 4000, 1))}
+    result = simulator.rollout(request(command))
+    np.testing.assert_allclose(result.position[0, -1], [0.9, -0.4], atol=1e-4)
+    np.testing.assert_allclose(result.torque[0, -1], 0.0, atol=2e-3)
+
+
+def test_delays_per_joint_act_on_their_joint_alone(tmp_path):
+    """A joint delayed by 7 steps sees what an undelayed one is told, 7 steps later; the other joint sees it at once."""
+    controller = ControllerSpec(
+        kind="torque", delay_s=0.002, per_joint={"b": JointGains(delay_s=0.007), "a": JointGains(kp=3.0)}
+    )
+    simulator = two_links(tmp_path, controller)
+    assert simulator.robot.delay_s == (0.002, 0.007)
+    time_s = np.arange(200) * simulator.timestep_s
+    torque = np.column_stack([np.sin(30 * time_s), np.cos(20 * time_s)])
+    log = episode(series(time_s, position=np.zeros((200, 2))), series(time_s, torque=torque))
+    settings = ReplaySettings.of(simulator.robot)
+    result = replay_episode(log, simulator, settings)
+    expected = np.column_stack(
+        [np.r_[np.repeat(torque[0, 0], 2), torque[:-2, 0]], np.r_[np.repeat(torque[0, 1], 7), torque[:-7, 1]]]
+    )
+    np.testing.assert_allclose(result["torque"][:-1], expected[:-1], atol=1e-12)

@@ -32,7 +32,7 @@ _TORQUE_MODELS = {
     "stribeck": ("stribeck", "stribeck_velocity"),
     "load": ("load",),
 }
-_CHOICE_KEYS = ("targets", "start", "low", "high", "prior_std", "frozen")
+_CHOICE_KEYS = ("targets", "shared", "start", "low", "high", "prior_std", "frozen")
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,9 @@ class IdentifyConfig:
     """The whole of it.
 
     Attributes:
-        fit: quantity -> `all`, a list of joints or bodies, or `{targets, start, low, high, prior_std, frozen}`;
-            the default for the robot's controller if empty.
+        fit: quantity -> `all`, a list of joints or bodies, or `{targets, shared, start, low, high, prior_std,
+            frozen}`; the default for the robot's controller if empty. `shared: true` makes it one number for all
+            joints (or bodies), as with a delay that lies in the bus.
         models: name -> further quantities, tried one after the other on top of what has been kept so far; kept if
             they make motions better that were not fitted (val). The default for the controller if not given.
         signals: signal -> weight of the residual.
@@ -158,10 +159,10 @@ def _chosen(kind: Quantity, choice: Any, nominal: Nominal) -> list[Parameter]:
     unknown = [key for key in options if key not in _CHOICE_KEYS]
     if unknown:
         raise ConfigError(f"fit: {kind.name} has unknown keys {unknown}", available=_CHOICE_KEYS)
-    targets = options.pop("targets", "all")
+    targets = _targets(kind, options.pop("targets", "all"), nominal, shared=options.pop("shared", False))
     changed = {("value" if key == "start" else key): value for key, value in options.items()}
     parameters = []
-    for target in _targets(kind, targets, nominal):
+    for target in targets:
         parameter = kind.parameter(nominal, target)
         for key, value in changed.items():
             known = next(item for item in fields(Parameter) if item.name == key)
@@ -176,8 +177,16 @@ def _chosen(kind: Quantity, choice: Any, nominal: Nominal) -> list[Parameter]:
     return parameters
 
 
-def _targets(kind: Quantity, choice: Any, nominal: Nominal) -> Sequence[str]:
+def _targets(kind: Quantity, choice: Any, nominal: Nominal, *, shared: Any) -> Sequence[str]:
     known = kind.targets(nominal)
+    if not isinstance(shared, bool) or (shared and choice not in ("all", None)):
+        raise ConfigError(
+            f"fit: {kind.name}: shared",
+            got=f"shared: {shared!r} with targets: {choice!r}",
+            expected="true or false, and no targets, since the whole robot shares it",
+        )
+    if shared:
+        return [""]
     if choice in ("all", None):
         scored = nominal.robot.scored_joints
         return [name for name in known if kind.of != "joint" or name in scored]

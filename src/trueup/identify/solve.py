@@ -152,6 +152,7 @@ class _Run:
             prior_mean=mean,
             prior_std=std,
             prior_weight=lambda residual: noise_of(problem, residual).weight,
+            logarithmic=np.array([parameter.transform == "log" for parameter in problem.parameters.free]),
             settings=self.settings.gauss_newton,
         )
         clock = _Clock(float(kept.get("seconds", 0.0)))
@@ -349,7 +350,9 @@ def _roles(problem: Problem) -> Roles:
     joints = problem.nominal.robot.joint_names
     free = problem.parameters.free
     group = [
-        joints.index(item.target) if quantity(item.quantity).of == "joint" else _joint_of_body(problem, item.target)
+        joints.index(item.target)
+        if item.target and quantity(item.quantity).of == "joint"
+        else _joint_of_body(problem, item.target)
         for item in free
     ]
     effect = [1 if item.quantity in _BRAKES else 0 for item in free]

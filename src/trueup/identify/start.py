@@ -42,7 +42,7 @@ def swept_start(problem: Problem) -> ParameterSet:
         )
         costs = joint_costs(problem, problem.residuals(rows))
         for p in swept:
-            own = costs[:, problem.nominal.robot.joint_names.index(p.target)]
+            own = costs[:, problem.nominal.robot.joint_names.index(p.target)] if p.target else costs.sum(axis=1)
             if np.isfinite(own).any():
                 step = grid[int(np.nanargmin(own))]
                 value = float(step if name == "delay_s" else p.value * step)

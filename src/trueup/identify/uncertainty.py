@@ -51,7 +51,7 @@ class Noise:
         return float(self.variance.mean() * self.variance.size / self.effective)
 
 
-def memory_of(series: Sequence[Float64[np.ndarray, "T"]]) -> float:
+def memory_of(series: Sequence[Float64[np.ndarray, "_"]]) -> float:
     """Integrated autocorrelation time [samples] of pieces of one signal, >= 1: how many samples count as one.
 
     The sum of autocorrelations is cut where it first falls below 0.05; longer pieces weigh more.

@@ -67,10 +67,10 @@ def check_fit(fit: FitResult, path: Path) -> None:
     names = [item.name for item in fit.parameters]
     if len(set(names)) < len(names):
         raise DataError(f"{path}: a parameter occurs twice", got=names)
-    check_types(path, *((value, int | float) for value in _leaves(fit.correlation, 2, path)))
     for direction in fit.directions:
         check_types(path, (direction.gain, int | float), (direction.weights, Mapping))
-        check_types(path, *((weight, int | float) for weight in direction.weights.values()))
+    _check_shares(path, *_leaves(fit.correlation, 2, path))
+    _check_shares(path, *(weight for direction in fit.directions for weight in direction.weights.values()))
     for left in fit.whiteness.values():
         check_types(path, (left.rms, int | float), (left.correlation_s, int | float))
         check_types(path, (left.white, bool), (left.sentence, str))
@@ -116,13 +116,21 @@ def check_types(path: Path, *pairs: tuple[object, Any]) -> None:
 
 def _check_parameter(item: FittedParameter, path: Path) -> None:
     check_types(path, *((text, str) for text in (item.name, item.unit, item.sentence, item.cause, item.transform)))
-    numbers = (item.value, item.nominal, item.start, item.low, item.high, *item.interval)
+    ends = list(item.interval)
+    numbers = [item.value, item.nominal, item.start, item.low, item.high, *ends]
     check_types(path, *((number, int | float) for number in numbers), (item.prior_share, int | float | None))
     check_types(path, (item.frozen, bool))
-    if len(item.interval) != 2 or not all(math.isfinite(number) for number in numbers):
+    if len(ends) != 2 or not all(math.isfinite(number) for number in numbers):
         raise DataError(f"{path}: the numbers of {item.name} are broken", got=numbers)
     if item.identified not in ("yes", "weakly", "no") or item.at_bound not in ("", "low", "high"):
         raise DataError(f"{path}: {item.name} is broken", got=f"{item.identified!r}, {item.at_bound!r}")
+
+
+def _check_shares(path: Path, *values: object) -> None:
+    """Correlations, and parts of a vector of length 1."""
+    for value in values:
+        if not isinstance(value, int | float) or not abs(value) <= 1.0 + 1e-6:
+            raise DataError(f"{path} is broken", got=repr(value), expected="a number from -1 to 1")
 
 
 def _check_estimates(metrics: Metrics, path: Path) -> None:

@@ -218,6 +218,22 @@ def hatched(style: Style) -> dict[str, Any]:
     return {"color": style.color, "pattern": pattern}
 
 
+def reference_line(x: float) -> dict[str, Any]:
+    """A vertical line behind the data, in both themes."""
+    line = {"color": "#808080", "width": 2}
+    return {
+        "type": "line",
+        "xref": "x",
+        "yref": "paper",
+        "x0": x,
+        "x1": x,
+        "y0": 0,
+        "y1": 1,
+        "layer": "below",
+        "line": line,
+    }
+
+
 def _transparent(color: str) -> str:
     red, green, blue = (int(color[start : start + 2], 16) for start in (1, 3, 5))
     return f"rgba({red},{green},{blue},0.16)"

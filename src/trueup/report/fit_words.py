@@ -1,13 +1,12 @@
-"""A fit in words: its status, its parameters and what the motions leave open."""
+"""A fit in words: its status and its parameters."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from trueup.core.fit_result import Direction, FitResult, FittedParameter
-from trueup.report.numbers import fixed, percent, plural, significant
+from trueup.core.fit_result import FitResult, FittedParameter
+from trueup.report.numbers import plural, significant
 
 CAUSES = ("delay", "gains", "friction", "gravity", "inertia")
 QUANTITIES = {
@@ -49,13 +48,9 @@ KINDS = {
     "weakly": ("◆", "weakly determined"),
     "zero": ("○", "ended on zero"),
     "no": ("✕", "not determined"),
-    "bound": ("◀", "on its bound"),
+    "bound": ("◀▶", "on its bound"),
     "frozen": ("–", "not fitted"),
 }
-# The data must say this much more than the prior before a direction needs no mention; see `Direction`.
-_NOTHING = 0.05
-_ALONE = 0.9
-_SHOWN_SHARE = 0.04
 
 
 @dataclass(frozen=True)
@@ -83,8 +78,7 @@ _ALERTS = {
     "not-identifiable": (
         "careful",
         "▲ Not identifiable",
-        "Some of the fitted numbers are guesses: these motions do not determine them, even where the simulator "
-        "moves like the robot.",
+        "Some of the fitted numbers are guesses: these motions do not determine them, however well the model moves.",
         "Record motions that show these parameters, or freeze them.",
     ),
     "at-bound": (
@@ -127,12 +121,15 @@ def sure_sentence(fit: FitResult) -> str:
     if not free:
         return "No parameter was fitted."
     counts = {kind: sum(item.identified == kind for item in free) for kind in ("yes", "weakly", "no")}
-    if counts["yes"] == len(free):
-        which = "the parameter that was fitted" if len(free) == 1 else f"all {plural(len(free), 'parameter')}"
-        return f"These motions determine {which}."
     rest = [f"{counts['weakly']} weakly"] if counts["weakly"] else []
     rest += [f"{counts['no']} not at all"] if counts["no"] else []
-    return f"These motions determine {counts['yes']} of {plural(len(free), 'parameter')}, {' and '.join(rest)}."
+    which = f"{counts['yes']} of {plural(len(free), 'parameter')}, {' and '.join(rest)}"
+    if not rest:
+        which = "the parameter that was fitted" if len(free) == 1 else f"all {plural(len(free), 'parameter')}"
+    kinds = [kind_of(item) for item in free]
+    ends = [f"{kinds.count('bound')} ended on a bound."] if "bound" in kinds else []
+    ends += [f"{kinds.count('zero')} ended on zero: the data ask for none of that."] if "zero" in kinds else []
+    return " ".join([f"These motions determine {which}.", *ends])
 
 
 def split_name(name: str) -> tuple[str, str]:
@@ -178,99 +175,8 @@ def as_sentence(text: str) -> str:
     return text if not text or text.endswith((".", "!", "?")) else f"{text}."
 
 
-def suggestions(parameters: Sequence[FittedParameter]) -> list[tuple[str, str]]:
-    """What to record, and the quantities that it would show; joints that need the same share a sentence."""
-    found: dict[str, tuple[list[str], list[str]]] = {}
-    for item in parameters:
-        _, colon, what = item.sentence.partition(": ")
-        if kind_of(item) not in ("weakly", "no") or not colon:
-            continue
-        name, target = split_name(item.name)
-        pattern = re.compile(rf"(?<!\w){re.escape(target)}(?!\w)") if target else None
-        start = pattern.search(what) if pattern else None
-        blank = f"{what[: start.start()]}\0{what[start.end() :]}" if start else what
-        targets, quantities = found.setdefault(blank, ([], []))
-        targets += [target] if target not in targets else []
-        quantities += [name] if name not in quantities else []
-    return [
-        (as_sentence(blank.replace("\0", listed(targets))), listed(quantities))
-        for blank, (targets, quantities) in found.items()
-    ]
-
-
-def direction_rows(directions: Sequence[Direction]) -> list[tuple[str, str]]:
-    """Each direction and what the data say about it; parameters that stand alone share a row."""
-    alone: dict[str, list[str]] = {}
-    rows: list[tuple[str, str]] = []
-    for direction in directions:
-        gain, single = gain_words(direction.gain), _alone(direction)
-        if single and gain == gain_words(0.0):
-            if gain not in alone:
-                rows.append(("", gain))  # filled below, where the first of them stands
-            alone.setdefault(gain, []).append(single)
-        else:
-            rows.append((direction_words(direction), gain))
-    return [(words or _each_alone(alone[gain]), gain) for words, gain in rows]
-
-
-def direction_words(direction: Direction) -> str:
-    """What to do with the parameters so that the motions hardly change."""
-    total = sum(weight**2 for weight in direction.weights.values()) or 1.0
-    shares = {name: weight**2 / total for name, weight in direction.weights.items()}
-    names = sorted(shares, key=lambda name: -shares[name])
-    if single := _alone(direction):
-        return f"{single} on its own"
-    # A direction may be walked either way: the largest part is the one that is raised.
-    sign = 1.0 if not names or direction.weights[names[0]] >= 0 else -1.0
-    shown = [name for name in names if shares[name] > _SHOWN_SHARE]
-    up = [_with_share(name, shares) for name in shown if sign * direction.weights[name] >= 0]
-    down = [_with_share(name, shares) for name in shown if sign * direction.weights[name] < 0]
-    return f"raise {listed(up)}" + (f" while lowering {listed(down)}" if down else "")
-
-
-def gain_words(gain: float) -> str:
-    """How much the data say along a direction, against what was assumed beforehand."""
-    if gain < _NOTHING:
-        return "nothing"
-    if gain < 1.0:
-        return f"less than the prior ({fixed(gain, 2)} of it)"
-    return f"little ({significant(gain, 2)} times the prior)"
-
-
-def correlation_words(value: float) -> str:
-    """What a strong correlation means."""
-    how = "practically one number" if abs(value) > 0.9 else "hard to tell apart"
-    return f"{how}: {'both rise or fall together' if value > 0 else 'one rises as the other falls'}"
-
-
-def strongest(correlation: Mapping[str, Mapping[str, float]], *, above: float = 0.7) -> list[tuple[str, str, float]]:
-    """Pairs of parameters by the size of their correlation, each pair once."""
-    names = list(correlation)
-    pairs = [
-        (name, other, float(value))
-        for place, name in enumerate(names)
-        for other, value in correlation[name].items()
-        if abs(value) >= above and (other not in correlation or place < names.index(other))
-    ]
-    return sorted(pairs, key=lambda pair: (-abs(pair[2]), pair[0], pair[1]))
-
-
 def listed(names: Sequence[str], *, limit: int = 6) -> str:
     """`a, b and c`; long lists end with how many more there are."""
     if len(names) > limit:
         return f"{', '.join(names[:limit])} and {len(names) - limit} more"
     return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)
-
-
-def _alone(direction: Direction) -> str:
-    """The parameter that a direction consists of; empty if there are several."""
-    total = sum(weight**2 for weight in direction.weights.values())
-    return next((name for name, weight in direction.weights.items() if weight**2 > _ALONE * total), "")
-
-
-def _each_alone(names: Sequence[str]) -> str:
-    return f"{listed(names)}, each on its own" if len(names) > 1 else f"{names[0]} on its own"
-
-
-def _with_share(name: str, shares: Mapping[str, float]) -> str:
-    return f"{name} ({percent(shares[name], sign=False)})"

@@ -6,8 +6,8 @@ The hues are those of Okabe and Ito (Color Universal Design, 2008) that stand ou
 from __future__ import annotations
 
 from collections.abc import Iterable
-from itertools import cycle
 from dataclasses import asdict, dataclass
+from itertools import cycle
 
 from trueup.report.labels import COMMAND, SPLITS, ordered, ordered_runs
 

@@ -61,9 +61,13 @@ class Quantity:
             case _:
                 return ("",)
 
+    def places(self, nominal: Nominal, target: str) -> tuple[str, ...]:
+        """What a parameter is written to: its target; all of them for one that the whole robot shares."""
+        return (target,) if target else self.targets(nominal)
+
     def parameter(self, nominal: Nominal, target: str) -> Parameter:
-        """The parameter for one target, started from what the model says."""
-        value = self.read(nominal, target)
+        """The parameter for one target, or for all together (empty), started from what the model says of the first."""
+        value = self.read(nominal, self.places(nominal, target)[0])
         low, high = self.low, self.high
         if self.transform == "log":
             value = max(value, self.start, low)

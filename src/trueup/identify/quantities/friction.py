@@ -199,7 +199,7 @@ FRICTION: tuple[Quantity, ...] = (
         "ramp the torque of {target} up until it breaks away",
         low=0.0,
         high=100.0,
-        scale=0.1,
+        scale=0.5,
     ),
     Quantity(
         "static_negative",
@@ -210,6 +210,6 @@ FRICTION: tuple[Quantity, ...] = (
         "ramp the torque of {target} down until it breaks away",
         low=0.0,
         high=100.0,
-        scale=0.1,
+        scale=0.5,
     ),
 )

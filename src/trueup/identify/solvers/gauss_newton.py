@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 from scipy.optimize import lsq_linear
 
 from trueup.errors import DataError
@@ -15,9 +15,15 @@ from trueup.errors import DataError
 Residuals = Callable[[Float64[np.ndarray, "C P"]], Float64[np.ndarray, "C N"]]
 PriorWeight = Callable[[Float64[np.ndarray, "N"]], float]
 
-# How much more and less damping than the last good one is tried at once: one batch keeps all threads busy.
-_DAMPINGS = (0.01, 0.1, 1.0, 10.0, 100.0, 1000.0)
+# How much more and less damping than the last good one is tried at once; the next group only if none goes down.
+_DAMPINGS = ((0.1, 1.0, 10.0), (1e2, 1e3, 1e4), (1e6, 1e8))
 _LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e9
+# A Jacobian serves again where the cost fell as it had said, so many times at most.
+_TRUSTED = 0.75
+_REUSES = 2
+# A Jacobian from as near as this, in z, is that of the end.
+_NEARBY = 0.01
+_EARLY_PRIOR = 0.01
 
 
 @dataclass(frozen=True)
@@ -76,12 +82,38 @@ class GaussNewtonState:
         return GaussNewtonState(**{**tree, "z": np.array(tree["z"], dtype=np.float64)})
 
 
+@dataclass(frozen=True, eq=False)
+class _Move:
+    """The best of several steps from one place.
+
+    Attributes:
+        step: along the derivatives, (P,).
+        z: where it leads, (P,).
+        residual: there, (N,).
+        cost: there.
+        damping: of the step.
+        expected: by how much the cost falls if the residual is linear.
+    """
+
+    step: Float64[np.ndarray, "P"]
+    z: Float64[np.ndarray, "P"]
+    residual: Float64[np.ndarray, "N"]
+    cost: float
+    damping: float
+    expected: float
+
+
 class GaussNewton:
     """Least squares over a batch of simulations.
 
     Minimizes sum(rho(r(z))) + w * sum(((z - mean) / std)^2) within bounds, with w the weight of one observation.
-    Each iteration evaluates P + 1 candidates for the Jacobian and six steps of different damping in one further
-    batch. A candidate whose residual is not finite loses; the search goes on.
+    Each iteration evaluates P candidates for the Jacobian, and steps of different damping, three in a batch, until
+    one goes down. Where the cost falls as the Jacobian had said, that one is corrected by what was seen (Broyden
+    1965, "A class of methods for solving nonlinear simultaneous equations") and serves again. A candidate whose
+    residual is not finite loses; the search goes on.
+
+    Masses, gains and friction enter the forces linearly, and the motion nearly so; their logarithms do not. So steps
+    are taken in the values of logarithmic parameters: from five times too much, one step leads to a fifth.
 
     Args:
         residuals: candidates in, residuals out.
@@ -91,6 +123,7 @@ class GaussNewton:
         prior_mean: (P,).
         prior_std: (P,), infinite for none.
         prior_weight: residual -> variance of one independent observation in it; what the prior is weighed against.
+        logarithmic: which z are logarithms, (P,); none if not given.
         settings: how to search.
 
     Attributes:
@@ -108,6 +141,7 @@ class GaussNewton:
         prior_mean: Float64[np.ndarray, "P"],
         prior_std: Float64[np.ndarray, "P"],
         prior_weight: PriorWeight,
+        logarithmic: Bool[np.ndarray, "P"] | None = None,
         settings: GaussNewtonSettings | None = None,
     ) -> None:
         self._residuals = residuals
@@ -115,10 +149,12 @@ class GaussNewton:
         self.state = state
         self._mean, self._precision = prior_mean, prior_std**-2.0
         self._prior_weight = prior_weight
+        self._logarithmic = np.zeros(low.size, dtype=bool) if logarithmic is None else logarithmic
         self.settings = settings or GaussNewtonSettings()
         self.residual: Float64[np.ndarray, "N"] | None = None
         self.start_cost: float | None = None
         self._outlier = np.inf
+        self._latest: tuple[float, Float64[np.ndarray, "P"], Float64[np.ndarray, "P N"]] | None = None
 
     @property
     def done(self) -> bool:
@@ -126,7 +162,7 @@ class GaussNewton:
         return bool(self.state.reason)
 
     def step(self) -> None:
-        """One iteration: a Jacobian, and the best of several steps.
+        """One iteration: a Jacobian, and the steps that it is good for.
 
         Raises:
             DataError: the start itself cannot be simulated.
@@ -138,30 +174,68 @@ class GaussNewton:
         # What counts as an outlier shrinks with the residual; within an iteration it is fixed.
         self._outlier = self.settings.loss_scale * 1.4826 * float(np.median(np.abs(r))) + 1e-300
         weight = self._prior_weight(r)
+        early = state.stage + 1 < len(self.settings.steps)
+        if early:
+            # Far from the data everything looks like noise, and the prior would hold the search where it is.
+            weight *= _EARLY_PRIOR
         state.cost = self._cost(r, state.z, weight)
         jacobian = self.jacobian(self.settings.steps[state.stage])
+        self._latest = self.settings.steps[state.stage], state.z, jacobian
+        finished = False
+        for reused in range(1 + _REUSES):
+            move = self._best_move(jacobian, weight, fresh=reused == 0)
+            if move is None:
+                finished = reused == 0 or early
+                break
+            gain = 1.0 - move.cost / state.cost
+            trusted = state.cost - move.cost > _TRUSTED * move.expected
+            jacobian = self._corrected(jacobian, move)
+            state.z, state.cost, state.damping, self.residual = move.z, move.cost, move.damping, move.residual
+            # Only a new Jacobian can say that nothing is left to gain.
+            finished = gain < self.settings.tolerance and (reused == 0 or early)
+            if finished or not trusted:
+                break
+        assert self.residual is not None
+        state.iteration += 1
+        state.square = float(self.residual @ self.residual)
+        state.history.append(state.cost)
+        self._advance(finished=finished)
+
+    def _best_move(self, jacobian: Float64[np.ndarray, "P N"], weight: float, *, fresh: bool) -> _Move | None:
+        """The best of several steps, None if none goes down; with an old Jacobian, only if it promises enough."""
+        state, r = self.state, self.residual
+        assert r is not None
         root = np.sqrt(self._loss_weights(r))
         jw, rw = jacobian * root, r * root
         normal = jw @ jw.T + weight * np.diag(self._precision)
         gradient = jw @ rw + weight * self._precision * (state.z - self._mean)
-        dampings = [min(max(state.damping * f, _LEAST_DAMPING), _MOST_DAMPING) for f in _DAMPINGS]
-        z = np.array([state.z + self._bounded_step(normal, gradient, damping) for damping in dampings])
-        tried = self._residuals(z)
-        costs = np.array([self._cost(own, row, weight) for own, row in zip(tried, z, strict=True)])
-        best = int(np.argmin(costs))
-        state.iteration += 1
-        if costs[best] < state.cost:
-            gain = 1.0 - costs[best] / state.cost if state.cost > 0 else 0.0
-            state.z, state.cost, state.damping = z[best], float(costs[best]), float(dampings[best])
-            self.residual = tried[best]
-            finished = bool(gain < self.settings.tolerance)
-        else:
-            finished = bool(state.damping >= dampings[-1] or dampings[-1] > 1e6)
-            state.damping = float(dampings[-1])
+        for factors in _DAMPINGS if fresh else _DAMPINGS[:1]:
+            dampings = [min(max(state.damping * factor, _LEAST_DAMPING), _MOST_DAMPING) for factor in factors]
+            steps = [self._bounded_step(normal, gradient, damping) for damping in dampings]
+            expected = [-float(2.0 * gradient @ step + step @ normal @ step) for step in steps]
+            if not fresh and max(expected) < self.settings.tolerance * state.cost:
+                return None
+            z = np.array([self._moved(step) for step in steps])
+            tried = self._residuals(z)
+            costs = [self._cost(own, row, weight) for own, row in zip(tried, z, strict=True)]
+            best = int(np.argmin(costs))
+            if costs[best] < state.cost:
+                return _Move(steps[best], z[best], tried[best], costs[best], dampings[best], expected[best])
+        return None
+
+    def _moved(self, step: Float64[np.ndarray, "P"]) -> Float64[np.ndarray, "P"]:
+        z = self.state.z + np.where(self._logarithmic, np.log1p(np.where(self._logarithmic, step, 0.0)), step)
+        return np.asarray(np.clip(z, self.low, self.high))
+
+    def _corrected(self, jacobian: Float64[np.ndarray, "P N"], move: _Move) -> Float64[np.ndarray, "P N"]:
+        """The Jacobian at the end of a move, in agreement with what the move has shown."""
         assert self.residual is not None
-        state.square = float(self.residual @ self.residual)
-        state.history.append(state.cost)
-        self._advance(finished=finished)
+        unseen = move.residual - self.residual - move.step @ jacobian
+        weighted = np.sum(jacobian**2, axis=1) * move.step
+        jacobian = jacobian + np.outer(weighted / (weighted @ move.step + 1e-300), unseen)
+        # Derivatives by a logarithm grow with the value.
+        growth = np.where(self._logarithmic, np.exp(move.z - self.state.z), 1.0)
+        return np.asarray(jacobian * growth[:, None])
 
     def jacobian(self, step: float) -> Float64[np.ndarray, "P N"]:
         """Derivatives of the residual at the present z, one row per parameter, by one-sided differences.
@@ -219,9 +293,10 @@ class GaussNewton:
         # Bounds that nearly touch would be refused; a parameter there stays where it is.
         low = np.minimum(np.maximum(self.low - z, -most), -1e-12)
         high = np.maximum(np.minimum(self.high - z, most), 1e-12)
+        low, high = (np.where(self._logarithmic, np.expm1(bound), bound) for bound in (low, high))
         target = -np.linalg.solve(root, gradient)
         solution = lsq_linear(root.T, target, bounds=(low, high), method="bvls" if gradient.size < 200 else "trf")
-        step: Float64[np.ndarray, "P"] = np.clip(z + solution.x, self.low, self.high) - z
+        step: Float64[np.ndarray, "P"] = np.clip(solution.x, low, high)
         return step
 
     def _advance(self, *, finished: bool) -> None:
@@ -234,7 +309,11 @@ class GaussNewton:
             state.reason = "iterations"
 
     def final_jacobian(self) -> Float64[np.ndarray, "P N"]:
-        """Derivatives at the best parameters, for the covariance; simulates them again after a resume."""
+        """Derivatives at the best parameters, for the covariance; simulates them again where the last are from afar."""
         if self.residual is None:
             self._start()
+        if self._latest is not None:
+            step, z, jacobian = self._latest
+            if step == self.settings.steps[-1] and np.abs(self.state.z - z).max() < _NEARBY:
+                return jacobian
         return self.jacobian(self.settings.steps[-1])

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 from trueup.core.attribution import UNEXPLAINED, Attribution
 from trueup.report.chooser import Cell, Chooser, Table, TableRow, Variant, make_chooser
-from trueup.report.fit_figures import shares_figure
-from trueup.report.fit_words import as_sentence
+from trueup.report.fit_words import as_sentence, listed
 from trueup.report.folder import RunFolder
 from trueup.report.labels import ordered, split_title
 from trueup.report.numbers import percent
 from trueup.report.palette import cause_styles
 from trueup.report.sections.base import Section
 from trueup.report.sections.cells import estimate_cell, seconds_cell
+from trueup.report.share_figures import shares_figure
 
 ALL_JOINTS = "all joints"
 
@@ -40,9 +40,12 @@ def attribution_sentence(attribution: Attribution) -> str:
     rest = total.get(UNEXPLAINED, float("nan"))
     if not rest >= 0.0:
         return "There is no error to attribute."
-    parts = [f"{titles[cause]} {percent(total[cause], sign=False)}" for cause in known[:3]]
-    start = f"Of the squared error, {', '.join(parts)} went away" if parts else "No cause took any of the error away"
-    return f"{start}; {percent(rest, sign=False)} stays unexplained."
+    shares = [percent(total[cause], sign=False) for cause in known]
+    parts = [f"{titles[cause]} {share}" for cause, share in zip(known, shares, strict=True)]
+    if not parts:
+        return f"No cause took any of the error away; {percent(rest, sign=False)} stays unexplained."
+    first = f"{titles[known[0]]} explains {shares[0]} of the squared error"
+    return as_sentence(f"{listed([first, *parts[1:3]])}; {percent(rest, sign=False)} stays unexplained")
 
 
 def cause_titles(attribution: Attribution) -> dict[str, str]:

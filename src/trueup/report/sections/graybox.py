@@ -17,12 +17,13 @@ from trueup.report.sections.base import Section
 from trueup.report.sections.cells import estimate_cell
 from trueup.report.sections.groups import group_order
 
+# Short enough for the figure on a phone, and what is meant.
 BLOCKS = {
-    "pd": "PD servo",
-    "friction": "+ viscous and Coulomb friction",
-    "payload": "+ payload",
-    "posture": "+ posture under payload",
-    "coupling": "+ speed and acceleration under payload",
+    "pd": ("PD servo", "position and velocity error, constant torque"),
+    "friction": ("+ friction", "viscous and Coulomb"),
+    "payload": ("+ payload", "constant torque per kg"),
+    "posture": ("+ posture", "sine and cosine of the joint, under payload"),
+    "coupling": ("+ coupling", "speed and acceleration, under payload"),
 }
 
 
@@ -49,7 +50,7 @@ def graybox_chooser(graybox: Graybox, joints: Sequence[str]) -> Chooser | None:
         if not bars:
             return None
         unit = next(item.unit for values in bars.values() for item in values.values())
-        title = f"torque RMSE of {joint}, {split_title(split)} [{pretty_unit(unit)}]"
+        title = f"torque RMSE [{pretty_unit(unit)}]"
         rows = [block_title(block.name) for block in blocks if not block.left_out]
         figure = bars_figure(rows, bars, cycled_styles(bars), title=title)
         return Variant(tables={"graybox": reductions_table(blocks, split)}, figures={"graybox": figure})
@@ -93,7 +94,8 @@ def reductions_table(blocks: Sequence[Block], split: str) -> Table:
             total = scores.get(ALL_MOTIONS)
             cells = [estimate_cell(total.rmse if total else None)]
             cells += [reduction_cell(scores.get(load)) for load in loads]
-        rows.append(TableRow(block_title(block.name), cells, note=f"left out: {block.left_out}" if block.left_out else ""))
+        note = f"left out: {block.left_out}" if block.left_out else BLOCKS.get(block.name, ("", ""))[1]
+        rows.append(TableRow(block_title(block.name), cells, note=note))
     columns = ["Model up to", "RMSE, all motions", *(f"Lowered by, {payload_title(load)}" for load in loads)]
     caption = (
         f"By how much each block lowers the RMSE of the torque on {split_title(split)}, against the model without it "
@@ -123,7 +125,7 @@ def reduction_cell(score: BlockScore | None) -> Cell:
 
 def block_title(name: str) -> str:
     """What a block adds."""
-    return BLOCKS.get(name, f"+ {name}")
+    return BLOCKS.get(name, (f"+ {name}", ""))[0]
 
 
 def payload_title(load: str) -> str:

@@ -12,7 +12,7 @@ from trueup.report.figures import bars_figure
 from trueup.report.fit_words import as_sentence
 from trueup.report.folder import RunFolder
 from trueup.report.labels import SPLITS, ordered, split_title
-from trueup.report.numbers import fixed, percent, plural, pretty_unit, quantity, significant
+from trueup.report.numbers import percent, plural, pretty_unit, quantity, significant
 from trueup.report.palette import cycled_styles
 from trueup.report.sections.base import Section
 from trueup.report.sections.cells import estimate_cell, seconds_cell
@@ -77,8 +77,8 @@ def left_summary(rows: Sequence[LeftRow]) -> str:
         return "What is left looks like noise on every joint: a better model of this kind would not help."
     if noise == 0:
         return (
-            "What is left looks like noise on no joint: something is in it that this model cannot say, and the intervals "
-            "are widened for that."
+            "What is left looks like noise on no joint: something is in it that this model cannot say, and the "
+            "intervals are widened for that."
         )
     return (
         f"What is left looks like noise on {noise} of {plural(len(rows), 'joint')}; on the others something is in it "
@@ -96,7 +96,7 @@ def models_chooser(fit: FitResult, joints: Sequence[str]) -> Chooser | None:
 
     def make(split: str) -> Variant:
         rows = model_bars(models, split, joints)
-        title = f"position RMSE on {split_title(split)} [{pretty_unit(_unit(models, split))}]"
+        title = f"position RMSE [{pretty_unit(_unit(models, split))}]"
         return Variant(
             tables={"models": overview, "model-joints": joints_table(rows, split)},
             figures={"models": models_figure(rows, title)},

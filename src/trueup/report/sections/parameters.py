@@ -8,7 +8,6 @@ from typing import Any
 
 from trueup.core.fit_result import FitResult, FittedParameter
 from trueup.report.chooser import Chooser, Variant, make_chooser
-from trueup.report.fit_figures import factor_span, interval_panels, intervals_figure
 from trueup.report.fit_words import (
     CAUSES,
     KINDS,
@@ -22,6 +21,7 @@ from trueup.report.fit_words import (
     sure_sentence,
 )
 from trueup.report.folder import RunFolder
+from trueup.report.interval_figures import factor_span, interval_panels, intervals_figure
 from trueup.report.labels import ordered
 from trueup.report.numbers import plain, plural, pretty_unit, significant, with_unit
 from trueup.report.sections.base import Section
@@ -95,9 +95,7 @@ def parameters_section(run: RunFolder) -> Section | None:
         "panels": [(item.quantity, item.title) for item in groups],
         "groups": groups,
         "open": sum(len(group.rows) for group in groups) <= OPEN_ROWS,
-        "frozen": [
-            (item.name, with_unit(plain(item.value), item.unit)) for item in run.fit.parameters if item.frozen
-        ],
+        "frozen": [(item.name, with_unit(plain(item.value), item.unit)) for item in run.fit.parameters if item.frozen],
         "left_out": left_out(run.fit.data),
     }
     return Section("parameters", "Parameters: what was identified, and how sure", context)

@@ -72,7 +72,7 @@ def recipes(run: RunFolder, fit: FitResult) -> list[Recipe]:
     if {ROBOT, MODEL} <= set(run.fitted_files):
         found.append(Recipe("On other recordings, with trueup", "Delays and friction laws are in the files.", _REPLAY))
     if MODEL in run.fitted_files:
-        law = "The model carries friction laws that MuJoCo does not know; trueup compiles them into its control callback. "
+        law = "The model carries friction laws that MuJoCo does not know; trueup adds them by a callback. "
         text = (law if run.friction_laws else "") + delays
         found.append(Recipe("In plain MuJoCo", text.strip(), _MUJOCO_FRICTION if run.friction_laws else _MUJOCO))
     if ISAAC in run.fitted_files:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from trueup.core.quality import Quality
 from trueup.core.fit_result import FitResult
+from trueup.core.quality import Quality
 from trueup.report.fit_words import alert_of, as_sentence, free_parameters, sure_sentence
 from trueup.report.folder import RunFolder
 from trueup.report.labels import COMMAND, split_title
@@ -85,7 +85,10 @@ def fit_tile(fit: FitResult) -> Tile:
     ok = fit.status == "ok"
     words = fit.status.replace("-", " ")
     return Tile(
-        "Parameters determined", f"{sure} of {len(free)}", "✓ fit ok" if ok else f"▲ {words}", "better" if ok else "worse"
+        "Parameters determined",
+        f"{sure} of {len(free)}",
+        "✓ fit ok" if ok else f"▲ {words}",
+        "better" if ok else "worse",
     )
 
 

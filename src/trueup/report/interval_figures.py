@@ -1,24 +1,24 @@
-"""The figures of an identification as plotly's JSON, one function per figure; see `figures`."""
+"""Intervals of fitted parameters against the model as it came: one small figure per quantity; see `figures`."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from trueup.core.fit_result import FittedParameter
 from trueup.report.chooser import Figure
-from trueup.report.figures import hatched, rounded
+from trueup.report.figures import reference_line, rounded
 from trueup.report.fit_words import KINDS, is_factor, kind_of, shown_value, split_name
 from trueup.report.labels import plot_text
-from trueup.report.numbers import percent, plain, pretty_unit, significant, with_unit
+from trueup.report.numbers import plain, pretty_unit, significant, with_unit
 from trueup.report.palette import KIND_STYLES, Style
 
 # Intervals that reach farther than this factor are cut: the data say nothing there anyway.
 _FARTHEST = 1000.0
 _ROBOT = "robot"
-_INK = "#808080"
+_ROOMY = 12
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def intervals_figure(panel: Panel, span: tuple[float, float]) -> Figure:
         data += [_interval_lines(rows, KIND_STYLES[kind]), _interval_dots(rows, KIND_STYLES[kind], kind)]
     names = [plot_text(row.target) for row in panel.rows]
     layout = {
-        "height": 84 + 26 * len(names),
+        "height": 84 + (26 if len(names) <= _ROOMY else 19) * len(names),
         "showlegend": False,
         "margin": {"t": 4, "b": 4},
         "xaxis": _factor_axis(span) if panel.factors else _difference_axis(panel),
@@ -134,68 +134,9 @@ def intervals_figure(panel: Panel, span: tuple[float, float]) -> Figure:
             "categoryarray": names,
             "range": [len(names) - 0.4, -0.6],
         },
-        "shapes": [_mark(1.0 if panel.factors else 0.0)],
+        "shapes": [reference_line(1.0 if panel.factors else 0.0)],
     }
     return {"data": data, "layout": layout}
-
-
-def shares_figure(
-    shares: Mapping[str, Mapping[str, float]], titles: Mapping[str, str], styles: Mapping[str, Style]
-) -> Figure:
-    """Stacked bars: how much of the squared error each cause took away, row by row.
-
-    A negative share is drawn to the left of zero; the bars to the right then reach beyond 100 %, as they must for the
-    sum to be 100 %.
-
-    Args:
-        shares: row -> cause -> share of 1.
-        titles: cause -> its name, in the order of the stack.
-        styles: how each cause is drawn.
-    """
-    rows = [row for row in shares if any(math.isfinite(value) for value in shares[row].values())]
-    data = []
-    for cause, title in titles.items():
-        shown = [row for row in rows if math.isfinite(shares[row].get(cause, math.nan))]
-        data.append(
-            {
-                "type": "bar",
-                "orientation": "h",
-                "name": plot_text(title),
-                "y": [plot_text(row) for row in shown],
-                "x": [rounded(100.0 * shares[row][cause]) for row in shown],
-                "marker": hatched(styles[cause]),
-                "text": [percent(shares[row][cause], sign=False) for row in shown],
-                "textposition": "none",
-                "hovertemplate": "%{y}: %{text}",
-            }
-        )
-    layout = {
-        "barmode": "relative",
-        "bargap": 0.35,
-        "height": 130 + 36 * len(rows),
-        "xaxis": {
-            "title": {"text": "share of the squared error before the fit [%]"},
-            "range": share_range([shares[row] for row in rows]),
-        },
-        "yaxis": {
-            "type": "category",
-            "categoryorder": "array",
-            "categoryarray": [plot_text(row) for row in rows],
-            "range": [len(rows) - 0.4, -0.6],
-        },
-        "shapes": [_mark(100.0), _mark(0.0)],
-        "legend": {"traceorder": "normal"},
-    }
-    return {"data": data, "layout": layout}
-
-
-def share_range(rows: Sequence[Mapping[str, float]]) -> list[float]:
-    """The axis of stacked shares in percent: 0 to 100 at least, and all of what sticks out on either side."""
-    finite = [[value for value in row.values() if math.isfinite(value)] for row in rows]
-    low = min([0.0, *(sum(value for value in values if value < 0) for values in finite)])
-    high = max([1.0, *(sum(value for value in values if value > 0) for values in finite)])
-    pad = 0.02 * (high - low)
-    return [float(f"{100 * (low - pad if low < 0 else 0.0):.6g}"), float(f"{100 * (high + pad):.6g}")]
 
 
 def _interval_lines(rows: Sequence[IntervalRow], style: Style) -> dict[str, Any]:
@@ -251,19 +192,4 @@ def _difference_axis(panel: Panel) -> dict[str, Any]:
         "range": [rounded(min(ends) - pad), rounded(max(ends) + pad)],
         "nticks": 6,
         "zeroline": False,
-    }
-
-
-def _mark(x: float) -> dict[str, Any]:
-    line = {"color": _INK, "width": 2, "dash": "solid"}
-    return {
-        "type": "line",
-        "xref": "x",
-        "yref": "paper",
-        "x0": x,
-        "x1": x,
-        "y0": 0,
-        "y1": 1,
-        "layer": "below",
-        "line": line,
     }

@@ -1,0 +1,121 @@
+"""What a fit leaves for others is the model that was fitted."""
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+
+from identify.recovery_cases import SERVO, TORQUE, Truth, nominal_of
+from trueup.core.fit_result import FitResult
+from trueup.errors import DataError, FormatError
+from trueup.identify import IdentifyConfig, identify, save_identification
+from trueup.identify.config import SolverChoice
+from trueup.robots import load_robot
+from trueup.sim import MujocoSimulator, ReplaySettings, install_friction, replay_episode
+
+FILES = ("fit.json", "model.fitted.xml", "robot.fitted.yaml", "isaac.actuators.yaml", "fit.samples.npz")
+
+
+def identified(folder, controller, values, fit, **log):
+    robot, nominal = nominal_of(folder, controller)
+    truth = Truth(robot, nominal, values)
+    logs = {"train": [truth.log(1, name="a", **log)], "val": [truth.log(2, name="b", **log)]}
+    config = IdentifyConfig(fit=fit, models={}, solver=SolverChoice(max_iterations=8))
+    found = identify(logs, robot, folder / "arm.xml", config=config)
+    out = folder / "out"
+    out.mkdir()
+    save_identification(found, out)
+    assert all((out / name).is_file() for name in FILES)
+    return found, out, logs["val"][0]
+
+
+def plain_positions(path, episode, delays, names=("shoulder", "elbow")):
+    """The rollout of the fitted file by MuJoCo alone, commands held between their stamps, step by step."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    clock = episode.measured.time_s
+    signal = next(iter(episode.command.signals))
+    data.qpos[:] = episode.measured["position"][0]
+    steps = round((clock[-1] - clock[0]) / model.opt.timestep)
+    rows = [data.qpos.copy()]
+    for step in range(steps):
+        now = clock[0] + step * model.opt.timestep
+        for joint, delay in enumerate(delays):
+            held = np.searchsorted(episode.command.time_s, now - delay + 1e-9, side="right") - 1
+            data.ctrl[joint] = episode.command[signal][max(held, 0), joint]
+        mujoco.mj_step(model, data)
+        rows.append(data.qpos.copy())
+    at = np.rint((clock - clock[0]) / model.opt.timestep).astype(int)
+    assert [model.joint(joint).name for joint in range(model.njnt)] == list(names)
+    return np.array(rows)[at]
+
+
+def test_plain_mujoco_moves_like_the_fit(tmp_path):
+    fit = {
+        "damping": "all",
+        "frictionloss": "all",
+        "kp": "all",
+        "armature": "all",
+        "joint_offset": ["elbow"],
+        "mass": ["lower"],
+    }
+    values = {"damping[shoulder]": 0.9, "kp[elbow]": 60.0, "mass[lower]": 0.8, "joint_offset[elbow]": 0.03}
+    found, out, log = identified(tmp_path, SERVO, values, fit, rate_hz=125.0, seconds=4.0)
+    robot = load_robot(out / "robot.fitted.yaml")
+    simulator = MujocoSimulator.from_robot(robot, out / "model.fitted.xml")
+    ours = replay_episode(log, simulator, ReplaySettings.of(robot))
+    plain = plain_positions(out / "model.fitted.xml", log, robot.delay_s)
+    np.testing.assert_allclose(ours["position"], plain, atol=1e-6)
+    memory = found.candidate().compile()
+    same = MujocoSimulator(memory, found.nominal.robot, found.nominal.simulator.channels)
+    in_memory = replay_episode(log, same, ReplaySettings.of(robot))
+    np.testing.assert_allclose(ours["position"], in_memory["position"], atol=2e-5)  # six digits of MJCF
+
+
+def test_friction_laws_travel_in_the_file(tmp_path):
+    fit = {"stribeck": "all", "stribeck_velocity": "all", "delay_s": "all"}
+    values = {"stribeck[shoulder]": 0.4, "stribeck_velocity[shoulder]": 0.2, "delay_s[elbow]": 0.016}
+    _, out, log = identified(tmp_path, SERVO, values, fit, rate_hz=125.0, seconds=4.0)
+    robot = load_robot(out / "robot.fitted.yaml")
+    assert robot.delay_s[1] == pytest.approx(0.016, abs=2e-3)
+    simulator = MujocoSimulator.from_robot(robot, out / "model.fitted.xml")
+    whole = ReplaySettings(delay_s=tuple(round(delay / 0.004) * 0.004 for delay in robot.delay_s))
+    ours = replay_episode(log, simulator, whole)
+    install_friction()
+    try:
+        plain = plain_positions(out / "model.fitted.xml", log, whole.delay_s)
+    finally:
+        mujoco.set_mjcb_control(None)
+    np.testing.assert_allclose(ours["position"], plain, atol=1e-6)
+    without = plain_positions(out / "model.fitted.xml", log, whole.delay_s)
+    assert np.abs(without - plain).max() > 1e-3, "the file alone has no Stribeck friction"
+
+
+def test_isaac_names_and_samples(tmp_path):
+    fit = {"damping": "all", "torque_offset": "all"}
+    found, out, _ = identified(tmp_path, TORQUE, {"damping[elbow]": 0.5}, fit, size=6.0, seconds=3.0)
+    text = (out / "isaac.actuators.yaml").read_text()
+    actuators = yaml.safe_load(text)["actuators"]
+    assert set(actuators) == {"shoulder", "elbow"}
+    assert set(actuators["elbow"]) >= {"stiffness", "damping", "armature", "friction", "viscous_friction", "delay_s"}
+    assert actuators["elbow"]["viscous_friction"] == found.result["damping[elbow]"].value
+    samples = np.load(out / "fit.samples.npz", allow_pickle=False)
+    assert set(samples.files) == set(found.result.values)
+    low, high = found.result["damping[elbow]"].interval
+    inside = np.mean((samples["damping[elbow]"] > low) & (samples["damping[elbow]"] < high))
+    assert inside == pytest.approx(0.95, abs=0.03)
+
+
+def test_fit_json_comes_back_and_broken_ones_are_refused(tmp_path):
+    found, out, _ = identified(tmp_path, SERVO, {"damping[elbow]": 0.5}, {"damping": "all"}, seconds=3.0)
+    read = FitResult.load(out / "fit.json")
+    assert read.values == found.result.values
+    assert read["damping[elbow]"].interval == found.result["damping[elbow]"].interval
+    tree = read.to_json()
+    with pytest.raises(FormatError, match="not a fit"):
+        FitResult.from_json({**tree, "schema": "trueup.gap/1"})
+    with pytest.raises(DataError, match="broken"):
+        FitResult.from_json({**tree, "status": "splendid"})
+    del tree["parameters"]
+    with pytest.raises(DataError, match="broken"):
+        FitResult.from_json(tree)

@@ -1,0 +1,125 @@
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from identify.recovery_cases import SERVO, Truth, fit, nominal_of
+from trueup.core.parameters import Parameter, ParameterSet
+from trueup.identify import Problem, SegmentRule, make_segments
+from trueup.identify.config import make_parameters
+from trueup.identify.uncertainty import (
+    Posterior,
+    fitted_parameters,
+    memory_of,
+    noise_of,
+    open_directions,
+    posterior_of,
+    whiteness_of,
+)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
+def test_the_memory_of_an_autoregression_is_that_of_the_textbook(share):
+    # x_t = a x_{t-1} + e_t has autocorrelations a^k, which sum up to (1 + a) / (1 - a).
+    rng = np.random.default_rng(0)
+    pieces = [lfilter([1.0], [1.0, -share], rng.standard_normal(20_000)) for _ in range(4)]
+    assert memory_of(pieces) == pytest.approx((1 + share) / (1 - share), rel=0.12)
+
+
+def test_memory_of_little_or_nothing():
+    assert memory_of([]) == 1.0
+    assert memory_of([np.zeros(10)]) == 1.0
+    assert memory_of([np.ones(2)]) == 1.0
+
+
+@pytest.fixture
+def small(tmp_path):
+    robot, nominal = nominal_of(tmp_path, SERVO)
+    log = Truth(robot, nominal, {}).log(1, seconds=3.0)
+    segments, _ = make_segments([log], nominal.simulator, SegmentRule())
+    return Problem(nominal, make_parameters({"damping": "all"}, nominal), segments)
+
+
+def linear_case(problem, rng, *, truth, sigma, jacobian):
+    """A fit of a linear model with known noise, as the solver would leave it."""
+    z = problem.parameters.start
+    residual = jacobian.T @ (
+        np.linalg.solve(jacobian @ jacobian.T, jacobian @ (sigma * rng.standard_normal(problem.size)))
+    )
+    noise = sigma * rng.standard_normal(problem.size)
+    step = np.linalg.solve(jacobian @ jacobian.T, jacobian @ noise)
+    return z + truth + step, noise - jacobian.T @ step, residual
+
+
+def test_white_noise_gives_the_textbook_covariance(small):
+    rng = np.random.default_rng(1)
+    jacobian = rng.standard_normal((2, small.size)) * 0.1
+    sigma = 0.01
+    flat = ParameterSet(tuple(Parameter(p.name, p.value, p.unit, p.low, p.high, "log") for p in small.parameters))
+    problem = small.with_parameters(flat)
+    z, residual, _ = linear_case(problem, rng, truth=np.zeros(2), sigma=sigma, jacobian=jacobian)
+    posterior = posterior_of(problem, z, residual, jacobian)
+    np.testing.assert_allclose(posterior.covariance, sigma**2 * np.linalg.inv(jacobian @ jacobian.T), rtol=0.1)
+
+
+def test_without_data_the_prior_stands(small):
+    residual = np.random.default_rng(2).standard_normal(small.size) * 0.01
+    posterior = posterior_of(small, small.parameters.start, residual, np.zeros((2, small.size)))
+    _, std = small.parameters.prior
+    np.testing.assert_allclose(posterior.std, std, rtol=1e-6)
+    items = fitted_parameters(posterior, {p.name: p.value for p in small.parameters})
+    assert [item.identified for item in items] == ["no", "no"]
+    assert items[0].prior_share == pytest.approx(1.0)
+    assert "not identifiable" in items[0].sentence
+    assert "speeds" in items[0].sentence, "it says what to record"
+    directions = open_directions(posterior)
+    assert len(directions) == 2
+    assert directions[0].gain == pytest.approx(0.0)
+
+
+def test_two_parameters_that_act_alike_are_named_together(small):
+    rng = np.random.default_rng(3)
+    one = rng.standard_normal(small.size)
+    jacobian = np.stack([one, one * (1 + 1e-9)])
+    posterior = posterior_of(small, small.parameters.start, 0.01 * rng.standard_normal(small.size), jacobian)
+    items = fitted_parameters(posterior, {p.name: p.value for p in small.parameters})
+    assert all(item.identified != "yes" for item in items)
+    assert "damping[elbow]" in items[0].sentence
+    worst = open_directions(posterior)[0]
+    assert worst.gain < 1e-6
+    weights = list(worst.weights.values())
+    assert np.abs(weights) == pytest.approx([0.707, 0.707], abs=0.01)
+    assert weights[0] * weights[1] < 0, "their difference is open, their sum is known"
+
+
+def test_samples_have_the_covariance_and_stay_inside_the_bounds():
+    free = tuple(Parameter(f"damping[{n}]", 1.0, "Nm s/rad", 0.5, 3.0, "log", prior_std=1.0) for n in "ab")
+    covariance = np.array([[0.04, 0.03], [0.03, 0.09]])
+    posterior = Posterior(ParameterSet(free), np.zeros(2), covariance, np.eye(2))
+    drawn = posterior.draw(20_000, np.random.default_rng(0))
+    logs = np.log([drawn["damping[a]"], drawn["damping[b]"]])
+    inside = np.all((logs > np.log(0.5)) & (logs < np.log(3.0)), axis=0)
+    assert np.corrcoef(logs)[0, 1] == pytest.approx(0.5, abs=0.05)
+    assert all(values.min() >= 0.5 and values.max() <= 3.0 for values in drawn.values())
+    assert inside.mean() > 0.9
+
+
+def test_noise_and_whiteness_know_a_forgetful_residual_from_a_stubborn_one(small):
+    rng = np.random.default_rng(4)
+    white = rng.standard_normal(small.size)
+    slow = np.repeat(rng.standard_normal((small.size // small.columns.size // 20 + 1, 2)), 20, axis=0)
+    slow = slow[: small.size // 2].reshape(-1)[: small.size]
+    assert noise_of(small, white).effective == pytest.approx(small.size, rel=0.2)
+    assert noise_of(small, slow).effective < small.size / 8
+    assert all(item.white for item in whiteness_of(small, white).values())
+    stubborn = whiteness_of(small, slow)
+    assert not any(item.white for item in stubborn.values())
+    assert "model error" in stubborn["elbow"].sentence
+
+
+def test_the_sentence_of_a_bound_names_it(tmp_path):
+    robot, nominal = nominal_of(tmp_path, SERVO)
+    truth = Truth(robot, nominal, {"damping[shoulder]": 2.0})
+    got, _ = fit(truth, [truth.log(1, seconds=3.0)], {"damping": {"targets": ["shoulder"], "high": 0.9}})
+    item = got["damping[shoulder]"]
+    assert item.at_bound == "high"
+    assert "bound 0.9" in item.sentence
