@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
+from rich.markup import escape
 from rich.table import Table
 
 from trueup.cli.tables import number
 from trueup.core.attribution import UNEXPLAINED, Attribution
 from trueup.core.fit_result import FitResult, FittedParameter
+
+if TYPE_CHECKING:
+    from trueup.identify.experiments import ExperimentResult
 
 _STYLE = {"yes": "", "weakly": "yellow", "no": "red"}
 _HINT = {
@@ -56,6 +61,20 @@ def model_table(fit: FitResult) -> Table:
     for row in fit.models:
         cells = [number(row.splits[split]).replace("[", r"\[") if split in row.splits else "" for split in splits]
         table.add_row(row.name + (" *" if row.chosen else ""), str(row.parameters), *cells, f"{row.seconds:.1f}")
+    return table
+
+
+def experiment_table(found: ExperimentResult) -> Table:
+    """One row per joint and quantity."""
+    table = Table(title=f"{found.experiment.replace('_', ' ')} [95 % interval]", title_justify="left")
+    for name in ("joint", "quantity"):
+        table.add_column(name)
+    table.add_column("value", justify="right")
+    table.add_column("what it means", overflow="fold")
+    for joint, items in found.joints.items():
+        for name, finding in items.items():
+            style = "" if finding.status == "ok" else "yellow"
+            table.add_row(joint, name, escape(number(finding.estimate)), escape(finding.sentence), style=style)
     return table
 
 

@@ -1,12 +1,12 @@
 """Identification: what the simulator has wrong, and how sure that is."""
 
 from trueup.identify.attribution import explain as explain
+from trueup.identify.bench import OnModel as OnModel
 from trueup.identify.candidate import Candidate as Candidate
 from trueup.identify.candidate import Nominal as Nominal
 from trueup.identify.config import IdentifyConfig as IdentifyConfig
 from trueup.identify.export import save_identification as save_identification
 from trueup.identify.identification import Identification as Identification
-from trueup.identify.identification import OnModel as OnModel
 from trueup.identify.identification import identify as identify
 from trueup.identify.inertial import Inertial as Inertial
 from trueup.identify.problem import Problem as Problem

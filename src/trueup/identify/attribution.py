@@ -12,15 +12,15 @@ from trueup.core.episode import Episode
 from trueup.core.parameters import ParameterSet
 from trueup.core.provenance import provenance
 from trueup.errors import NotIdentifiable
+from trueup.identify.bench import OnModel, usable
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import IdentifyConfig, make_parameters
 from trueup.identify.excitation import excitation_of, freeze_still
-from trueup.identify.identification import OnModel, usable
 from trueup.identify.problem import Problem, Weights
 from trueup.identify.quantities import Cause, quantity
 from trueup.identify.scoring import Scorer
 from trueup.identify.segments import SegmentRule, make_segments
-from trueup.identify.solution import OnProgress, SolveSettings
+from trueup.identify.solution import OnProgress
 from trueup.identify.solve import solve
 from trueup.identify.start import off_bounds, swept_start
 from trueup.robots import RobotSpec
@@ -83,7 +83,7 @@ def explain(
     data = settled.data
     rule = SegmentRule(data.window_s, data.cut_s, data.budget_s / 2, data.burn_in_s, seed)
     segments, _ = make_segments(logs["train"], soft.simulator, rule)
-    settings = SolveSettings(gauss_newton=settled.solver.gauss_newton(), seed=seed)
+    settings = replace(settled.solver.settings(seed), solver="gauss-newton", starts=1)
     scorers = {id(own): Scorer(own, {split: logs[split]}, jobs=jobs, seed=seed) for own in (soft, hard)}
 
     scores = scorers[id(soft)].score(ParameterSet(()), {}, split)

@@ -12,7 +12,7 @@ from trueup.core.parameters import Parameter, ParameterSet
 from trueup.errors import ConfigError
 from trueup.identify.candidate import Nominal
 from trueup.identify.quantities import Quantity, quantity
-from trueup.identify.solution import SolverName
+from trueup.identify.solution import SolverName, SolveSettings
 from trueup.identify.solvers.gauss_newton import GaussNewtonSettings
 
 # Closed loop: the servo holds the joint near its command, so whole motions can be compared.
@@ -77,9 +77,18 @@ class SolverChoice:
     loss: Literal["linear", "soft_l1"] = "linear"
     starts: int = 1
 
-    def gauss_newton(self) -> GaussNewtonSettings:
-        """The settings of that solver."""
-        return GaussNewtonSettings(max_iterations=self.max_iterations, tolerance=self.tolerance, loss=self.loss)
+    def settings(self, seed: int) -> SolveSettings:
+        """The same for `solve`."""
+        return SolveSettings(
+            solver=self.name,
+            gauss_newton=GaussNewtonSettings(
+                max_iterations=self.max_iterations, tolerance=self.tolerance, loss=self.loss
+            ),
+            max_evaluations=self.max_evaluations,
+            max_seconds=self.max_seconds,
+            starts=self.starts,
+            seed=seed,
+        )
 
 
 @dataclass(frozen=True)

@@ -141,11 +141,10 @@ class Problem:
         for segment in self.segments:
             width = sum(int(np.count_nonzero(segment.counts)) * self.columns.size for _ in self.signals_of(segment))
             states = segment.plan.steps * segment.plan.starts.size * len(self.nominal.robot.joints)
-            per_task = max(1, min(_STATES_PER_TASK // max(1, states), -(-alive.size // self.jobs)))
-            tasks += [
-                _Task(segment, alive[start : start + per_task], place, place + width)
-                for start in range(0, alive.size, per_task)
-            ]
+            # The same number for every thread, or one of them would wait for the others.
+            rounds = -(-alive.size // (self.jobs * max(1, _STATES_PER_TASK // max(1, states))))
+            parts = np.array_split(alive, max(1, min(alive.size, rounds * self.jobs)))
+            tasks += [_Task(segment, rows, place, place + width) for rows in parts if rows.size]
             place += width
         # The longest first, so that no thread is left with the last long one.
         tasks.sort(key=lambda task: -task.segment.plan.steps * task.segment.plan.starts.size * task.rows.size)

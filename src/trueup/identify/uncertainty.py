@@ -194,6 +194,32 @@ def open_directions(posterior: Posterior) -> tuple[Direction, ...]:
     return tuple(found)
 
 
+def open_names(posterior: Posterior) -> list[str]:
+    """Parameters that could as well be left at the model's values: what the data say about them is mostly the prior.
+
+    They are taken out one by one, the least known first, since a parameter that two others drown in comes to light
+    when one of them is gone. What ended on zero, where zero means that there is none of it, goes too.
+    """
+    free = list(posterior.parameters.free)
+    _, std = posterior.parameters.prior
+    precision = np.where(np.isfinite(std), std, 1e6) ** -2.0
+    zero = {
+        item.name
+        for item, z in zip(free, posterior.z, strict=True)
+        if item.low == 0.0 and _bound(item, float(z)) == "low"
+    }
+    left = [index for index, item in enumerate(free) if item.name not in zero]
+    while left:
+        information = posterior.data[np.ix_(left, left)] + np.diag(precision[left])
+        share = np.diag(np.linalg.pinv(information, hermitian=True)) * precision[left]
+        worst = int(np.argmax(share))
+        if share[worst] <= _NO:
+            break
+        del left[worst]
+    kept = {free[index].name for index in left}
+    return [item.name for item in free if item.name not in kept]
+
+
 def fitted_parameters(posterior: Posterior, nominal: Mapping[str, float]) -> tuple[FittedParameter, ...]:
     """Each parameter with value, interval, and a sentence."""
     values = posterior.parameters.values(posterior.z)

@@ -4,6 +4,7 @@ from trueup.stages.closing import Closed as Closed
 from trueup.stages.closing import close as close
 from trueup.stages.demonstrating import demo as demo
 from trueup.stages.demonstrating import demo_dataset as demo_dataset
+from trueup.stages.experimenting import experiment as experiment
 from trueup.stages.exporting import export_dataset as export_dataset
 from trueup.stages.identifying import FITTED as FITTED
 from trueup.stages.identifying import Identified as Identified
@@ -29,6 +30,7 @@ __all__ = [
     "close",
     "demo",
     "demo_dataset",
+    "experiment",
     "explain",
     "export_dataset",
     "fit",

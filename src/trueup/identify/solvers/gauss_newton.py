@@ -205,8 +205,10 @@ class GaussNewton:
         """The best of several steps, None if none goes down; with an old Jacobian, only if it promises enough."""
         state, r = self.state, self.residual
         assert r is not None
-        root = np.sqrt(self._loss_weights(r))
-        jw, rw = jacobian * root, r * root
+        jw, rw = jacobian, r
+        if self.settings.loss != "linear":
+            root = np.sqrt(self._loss_weights(r))
+            jw, rw = jacobian * root, r * root
         normal = jw @ jw.T + weight * np.diag(self._precision)
         gradient = jw @ rw + weight * self._precision * (state.z - self._mean)
         for factors in _DAMPINGS if fresh else _DAMPINGS[:1]:
@@ -231,11 +233,12 @@ class GaussNewton:
         """The Jacobian at the end of a move, in agreement with what the move has shown."""
         assert self.residual is not None
         unseen = move.residual - self.residual - move.step @ jacobian
-        weighted = np.sum(jacobian**2, axis=1) * move.step
-        jacobian = jacobian + np.outer(weighted / (weighted @ move.step + 1e-300), unseen)
+        weighted = np.einsum("pn,pn->p", jacobian, jacobian) * move.step
+        corrected = np.outer(weighted / (weighted @ move.step + 1e-300), unseen)
+        corrected += jacobian
         # Derivatives by a logarithm grow with the value.
-        growth = np.where(self._logarithmic, np.exp(move.z - self.state.z), 1.0)
-        return np.asarray(jacobian * growth[:, None])
+        corrected *= np.where(self._logarithmic, np.exp(move.z - self.state.z), 1.0)[:, None]
+        return corrected
 
     def jacobian(self, step: float) -> Float64[np.ndarray, "P N"]:
         """Derivatives of the residual at the present z, one row per parameter, by one-sided differences.
@@ -276,8 +279,6 @@ class GaussNewton:
         return float(2 * self._outlier**2 * np.sum(np.sqrt(1 + (r / self._outlier) ** 2) - 1)) + prior
 
     def _loss_weights(self, r: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "N"]:
-        if self.settings.loss == "linear":
-            return np.ones_like(r)
         return np.asarray(1 / np.sqrt(1 + (r / self._outlier) ** 2))
 
     def _bounded_step(

@@ -1,0 +1,51 @@
+"""`trueup experiment`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from trueup.cli import options
+from trueup.cli.console import note, out
+from trueup.cli.fit_tables import experiment_table
+from trueup.errors import ConfigError, OutputExists
+
+_KINDS = ("breakaway", "constant-torque", "coast")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("experiment")(experiment)
+
+
+def experiment(
+    kind: Annotated[str, typer.Argument(help="breakaway, constant-torque or coast.")],
+    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset with recordings of it.")],
+    robot: options.Robot,
+    out_file: Annotated[Path | None, typer.Option("--out", help="JSON file for the result.")] = None,
+    joints: Annotated[str | None, typer.Option("--joints", help="Comma-separated; those that were driven.")] = None,
+    breakaway: Annotated[
+        Path | None, typer.Option("--breakaway", help="Result of a breakaway experiment, for constant-torque.")
+    ] = None,
+    overwrite: options.Overwrite = False,
+) -> int:
+    """Evaluate recordings that isolate one thing: breakaway torques, offset and asymmetry, friction while coasting."""
+    from trueup.dataset import Dataset
+    from trueup.robots import load_robot
+    from trueup.stages.experimenting import experiment as run
+
+    if kind not in _KINDS:
+        raise ConfigError(f"there is no experiment {kind!r}", available=_KINDS)
+    if out_file is not None and out_file.exists() and not overwrite:
+        raise OutputExists(f"{out_file} exists", hint="Give --overwrite, or choose another --out.")
+    names = None if joints is None else [name.strip() for name in joints.split(",") if name.strip()]
+    found = run(Dataset(dataset), load_robot(robot), kind, joints=names, breakaway=breakaway)  # type: ignore[arg-type]
+    out.print(experiment_table(found))
+    for line in found.problems:
+        note(line)
+    if out_file is not None:
+        found.save(out_file)
+        out.print(f"result: {out_file}", markup=False)
+    return 0

@@ -1,0 +1,226 @@
+"""The workbench of an identification: what the models that are tried share, and how one of them is chosen."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trueup.core.episode import Episode, warning_kinds
+from trueup.core.fit_result import ModelRow
+from trueup.core.parameters import ParameterSet
+from trueup.errors import NotIdentifiable
+from trueup.identify.candidate import Nominal
+from trueup.identify.config import IdentifyConfig, make_parameters
+from trueup.identify.excitation import excitation_of, freeze_still
+from trueup.identify.problem import Problem, Weights
+from trueup.identify.scoring import Scorer, Scores
+from trueup.identify.segments import SegmentRule, make_segments
+from trueup.identify.solution import Progress, Solution
+from trueup.identify.solve import solve
+from trueup.identify.start import idle_names, off_bounds, regressed_start, swept_start
+from trueup.identify.uncertainty import Posterior, noise_of, open_names, posterior_of
+
+# A richer model must make motions that it was not fitted to better by this share.
+_WORTH = 0.01
+
+# Name of the model, then how its search goes on.
+OnModel = Callable[[str, Progress], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """One model that was fitted."""
+
+    row: ModelRow
+    solution: Solution
+    val: Scores | None
+
+
+class Bench:
+    """What the attempts of one identification share: motions, pieces of them, weights, judge and settings."""
+
+    def __init__(
+        self,
+        nominal: Nominal,
+        episodes: Mapping[str, Sequence[Episode]],
+        config: IdentifyConfig | None,
+        *,
+        jobs: int,
+        seed: int,
+        checkpoints: Path | None,
+        on_progress: OnModel | None,
+    ) -> None:
+        self.nominal, self._jobs = nominal, jobs
+        self.chosen_by_user = config is not None and bool(config.fit)
+        self.config = (config or IdentifyConfig()).resolved(nominal)
+        self._checkpoints, self._on_progress = checkpoints, on_progress
+        keep = self.config.data.keep_flagged
+        self._train, self._flagged = usable(episodes.get("train", ()), keep_flagged=keep)
+        if not self._train:
+            raise NotIdentifiable(
+                "there is no motion to fit",
+                got=f"{len(self._flagged)} flagged ones" if self._flagged else "an empty train split",
+                hint="Give --splits at import, or data: {keep_flagged: true} in the configuration.",
+            )
+        self.usable = {split: own for split, logs in episodes.items() if (own := usable(logs, keep_flagged=keep)[0])}
+        self._signal = nominal.robot.controller.signal
+        self.seen = excitation_of(
+            self._train, nominal.robot.scored_joints, self._signal, nominal.simulator.torque_limits
+        )
+        data = self.config.data
+        rule = SegmentRule(data.window_s, data.cut_s, data.budget_s, data.burn_in_s, seed)
+        self._segments, self._refused = make_segments(self._train, nominal.simulator, rule)
+        self._weights = Weights(self.config.signals, self.config.joints)
+        self._scorer = Scorer(nominal, self.usable, jobs=jobs, seed=seed)
+        self._settings = self.config.solver.settings(seed)
+
+    def climb(self) -> tuple[Attempt, list[Attempt]]:
+        """Fit the base model, then richer ones, then without what the motions do not show; the best, and all."""
+        best = self._attempt("base", self.config.fit)
+        attempts, fit = [best], dict(self.config.fit)
+        for name, extra in (self.config.models or {}).items():
+            richer = {**fit, **dict.fromkeys(extra, "all")}
+            joined = name if best.row.name == "base" else f"{best.row.name}+{name}"
+            attempts.append(self._attempt(joined, richer, best.solution))
+            if _better(attempts[-1], best):
+                best, fit = attempts[-1], richer
+        surplus = [] if self.chosen_by_user else open_names(self.posterior_of(best))
+        if surplus and len(surplus) < len(best.solution.parameters.free):
+            leaner = self._attempt(f"{best.row.name}, known only", fit, best.solution, left_out=surplus)
+            attempts.append(leaner)
+            if _as_good(leaner, best):
+                best = leaner
+        return best, attempts
+
+    def problem_of(self, item: Attempt) -> Problem:
+        """The problem that an attempt has solved."""
+        return self._problem(item.solution.parameters)
+
+    def posterior_of(self, item: Attempt) -> Posterior:
+        """What is known after an attempt."""
+        found = item.solution
+        return posterior_of(self.problem_of(item), found.z, found.residual, found.jacobian)
+
+    def scored_row(self, item: Attempt, *, chosen: bool) -> ModelRow:
+        """The row of the table of models, with errors on every split."""
+        values = item.solution.values
+        scores = {
+            split: item.val
+            if split == "val" and item.val
+            else self._scorer.score(item.solution.parameters, values, split)
+            for split in self._scorer.splits
+        }
+        return replace(
+            item.row,
+            splits={split: own.estimate(self._scorer.unit) for split, own in scores.items()},
+            per_joint={split: own.per_joint for split, own in scores.items()},
+            chosen=chosen,
+        )
+
+    @property
+    def why(self) -> str:
+        """Why this solver."""
+        if self.config.solver.name != "auto":
+            return "chosen by the user"
+        window_s = self.config.data.window_s
+        if window_s is not None:
+            return (
+                f"the robot follows {self._signal}: Gauss-Newton on windows of {window_s:g} s that start from the "
+                "measured state (multiple shooting), since open-loop motion forgets its parameters over longer ones"
+            )
+        return f"the robot follows {self._signal}: its loop is closed, so Gauss-Newton sees a slope over whole motions"
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """What was fitted to."""
+        return {
+            "episodes": sorted({segment.episode_id for segment in self._segments}),
+            "seconds": round(sum(segment.seconds for segment in self._segments), 2),
+            "window_s": self.config.data.window_s,
+            "samples": self._problem(ParameterSet(())).size,
+            "flagged": self._flagged,
+            "refused": {name: str(error) for name, error in self._refused.items()},
+        }
+
+    def _problem(self, parameters: ParameterSet) -> Problem:
+        return Problem(self.nominal, parameters, self._segments, weights=self._weights, jobs=self._jobs)
+
+    def _attempt(
+        self, name: str, fit: Mapping[str, Any], start: Solution | None = None, *, left_out: Sequence[str] = ()
+    ) -> Attempt:
+        began = time.perf_counter()
+        parameters = freeze_still(make_parameters(fit, self.nominal), self.seen).freeze(left_out)
+        settings = self._settings
+        if start is None:
+            problem = self._started(self._problem(parameters))
+        else:
+            problem = self._problem(off_bounds(parameters.at(start.values)))
+            # From a good place there may be nothing left to gain, which is no reason to search everywhere.
+            settings = replace(settings, solver="gauss-newton") if settings.solver == "auto" else settings
+        if not problem.parameters.free:
+            raise NotIdentifiable(
+                "no parameter is left to fit", got="; ".join(self.seen.statements) or "all are frozen"
+            )
+        report = self._on_progress
+        solution = solve(
+            problem,
+            settings,
+            checkpoint=self._checkpoints / f"{name}.json" if self._checkpoints else None,
+            on_progress=None if report is None else lambda progress: report(name, progress),
+        )
+        splits = self._scorer.splits
+        return Attempt(
+            ModelRow(
+                name=name,
+                quantities=tuple(fit),
+                parameters=len(solution.parameters.free),
+                seconds=round(time.perf_counter() - began, 2),
+                splits={},
+            ),
+            solution,
+            self._scorer.score(solution.parameters, solution.values, "val") if "val" in splits else None,
+        )
+
+    def _started(self, problem: Problem) -> Problem:
+        """The problem with a start from afar, and without default parameters that change nothing here."""
+        begin = regressed_start(problem, self._train) if self._signal == "torque" else swept_start(problem)
+        problem = problem.with_parameters(begin)
+        return problem if self.chosen_by_user else problem.with_parameters(_without_idle(problem))
+
+
+def usable(logs: Sequence[Episode], *, keep_flagged: bool) -> tuple[list[Episode], dict[str, str]]:
+    """The motions without quality warnings, and why the others are left out."""
+    flagged = (
+        {} if keep_flagged else {log.id: ", ".join(warning_kinds(log.meta.flags)) for log in logs if log.meta.warned}
+    )
+    return [log for log in logs if log.id not in flagged], flagged
+
+
+def _without_idle(problem: Problem) -> ParameterSet:
+    """The default parameters without those that change nothing in these motions."""
+    z, step = problem.parameters.start, 0.02
+    rows = problem.residuals(np.vstack([z, z + step * np.eye(z.size)]))
+    if not np.isfinite(rows[0]).all():
+        return problem.parameters
+    jacobian = np.nan_to_num((rows[1:] - rows[0]) / step, nan=1.0)
+    idle = idle_names(problem, jacobian, noise_of(problem, rows[0]).weight, among=problem.parameters.names)
+    return problem.parameters.freeze(idle)
+
+
+def _better(richer: Attempt, best: Attempt) -> bool:
+    """Whether a richer model earns its parameters on motions that it was not fitted to."""
+    if richer.val is None or best.val is None:
+        return False
+    return richer.val.mean < (1.0 - _WORTH) * best.val.mean
+
+
+def _as_good(leaner: Attempt, best: Attempt) -> bool:
+    """Whether a model with fewer parameters is no worse on motions that it was not fitted to."""
+    if leaner.val is None or best.val is None:
+        return True
+    return leaner.val.mean <= (1.0 + _WORTH) * best.val.mean

@@ -1,0 +1,74 @@
+"""What a fit says about itself: its status, and the sentences that a user must read first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from trueup.core.fit_result import FitStatus, FittedParameter
+from trueup.core.results import Estimate
+from trueup.identify.solution import Solution
+from trueup.identify.uncertainty import Posterior
+
+_SHOWN_CORRELATION = 0.3
+
+
+def verdict(
+    solution: Solution,
+    parameters: Sequence[FittedParameter],
+    errors: Mapping[str, Mapping[str, Estimate]],
+    beforehand: Sequence[str],
+    *,
+    chosen_by_user: bool,
+) -> tuple[FitStatus, tuple[str, ...]]:
+    """The worst that applies, and everything that must be said."""
+    status: FitStatus = "ok"
+    statements = list(beforehand)
+    unknown = [item for item in parameters if item.identified == "no" and not item.frozen]
+    if unknown:
+        status = "not-identifiable"
+        names = ", ".join(item.name for item in unknown[:6]) + (", …" if len(unknown) > 6 else "")
+        statements.append(
+            f"{len(unknown)} of {len(parameters)} parameters are not determined by these motions: {names}; their "
+            "values are the prior's, not the robot's"
+        )
+    # A law that ended on zero is one that the robot does not have: no cause for alarm.
+    stuck = [item for item in parameters if item.at_bound and not (item.at_bound == "low" and item.low == 0.0)]
+    if stuck:
+        status = "at-bound"
+        statements.append(
+            "ended on a bound: " + ", ".join(f"{item.name} = {item.value:.4g} {item.unit}" for item in stuck)
+        )
+    if solution.solver["stop"] not in ("converged",):
+        status = "not-converged"
+        statements.append(f"the search stopped early ({solution.solver['stop']}): run longer, or with --resume")
+    judge = next((split for split in ("val", "test", "train") if split in errors["fitted"]), None)
+    if judge is not None:
+        before, after = errors["nominal"].get(judge), errors["fitted"][judge]
+        if before is not None and not after.value < before.value:
+            status = "no-better"
+            statements.insert(
+                0,
+                f"the fitted model is no better than the nominal one on {judge}: {after.value:.4g} against "
+                f"{before.value:.4g} {after.unit}; is this the log of another robot?",
+            )
+        if judge == "train":
+            statements.append("there is no val split: the fit is judged on the motions that it was fitted to")
+    if not chosen_by_user:
+        idle = [item.name for item in parameters if item.frozen]
+        if idle:
+            statements.append(f"left as they are, since these motions do not show them: {', '.join(idle)}")
+    return status, tuple(statements)
+
+
+def correlations(posterior: Posterior) -> dict[str, dict[str, float]]:
+    """Parameter -> parameter -> correlation after the fit, those that are worth a look."""
+    names = [parameter.name for parameter in posterior.parameters.free]
+    matrix = posterior.correlation
+    return {
+        name: {
+            other: round(float(matrix[i, j]), 3)
+            for j, other in enumerate(names)
+            if i != j and abs(matrix[i, j]) > _SHOWN_CORRELATION
+        }
+        for i, name in enumerate(names)
+    }
