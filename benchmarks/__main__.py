@@ -5,7 +5,19 @@ from importlib import import_module
 
 from benchmarks.table import print_table
 
-NAMES = ("dataset_io", "import_sage", "import_mcap", "replay", "friction", "pipeline")
+NAMES = (
+    "dataset_io",
+    "import_sage",
+    "import_mcap",
+    "replay",
+    "friction",
+    "pipeline",
+    "identify_servo",
+    "identify_torque",
+    "identify_jobs",
+    "identify_pace",
+    "thesis",
+)
 
 
 def main() -> None:

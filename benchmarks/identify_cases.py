@@ -60,12 +60,15 @@ class Case:
 
 
 def panda_case(seed: int, *, torque: bool = False) -> Case:
-    """21 parameters of a Panda, 4 motions of 2 s by position servos or torques, from a start 2 to 5 times off."""
+    """21 parameters of a Panda, 4 motions of 2 s by position servos or torques, from a start 2 to 5 times off.
+
+    The servos leave the arm's weight to the controller, as the real one does; the torques carry it.
+    """
     robot = load_robot("panda")
-    if not torque:
-        servos = {
-            joint: JointGains(kp=kp, kv=kv) for joint, kp, kv in zip(robot.joint_names, _KP, _KV, strict=True)
-        }
+    if torque:
+        robot = replace(robot, simulation=replace(robot.simulation, gravity_compensation=False))
+    else:
+        servos = {joint: JointGains(kp=kp, kv=kv) for joint, kp, kv in zip(robot.joint_names, _KP, _KV, strict=True)}
         robot = replace(robot, controller=ControllerSpec(kind="position", kp=_KP[0], kv=_KV[0], per_joint=servos))
     nominal = Nominal(robot, find_model(robot))
     true = {
@@ -133,7 +136,7 @@ def _servo_log(simulator: MujocoSimulator, rng: np.random.Generator) -> Episode:
 
 
 def _torque_log(simulator: MujocoSimulator, rng: np.random.Generator) -> Episode:
-    """Torques that follow a smooth motion, feedback and a little excitation included, and then act open loop."""
+    """Torques found by following a smooth motion with some excitation, and then applied open loop."""
     time_s, motion = _motion(rng)
     velocity = np.gradient(motion, time_s, axis=0)
     stiff, damped = np.array(_KP) / 4.0, np.array(_KV) / 4.0
@@ -165,5 +168,3 @@ def _band(rng: np.random.Generator, time_s: np.ndarray, *, low_hz: float, high_h
     waves = size * (np.sin(2 * np.pi * frequency * time_s[None, :, None] + phase) - np.sin(phase))
     total: np.ndarray = waves.sum(axis=0)
     return total / np.abs(total).max(axis=0)
-
-

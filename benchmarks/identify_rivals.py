@@ -34,11 +34,9 @@ class Fit:
 
 def has_sysid() -> bool:
     """Whether `mujoco.sysid` can be imported; what it needs does not come with MuJoCo."""
-    try:
-        import mujoco.sysid._src.parameter  # noqa: F401
-    except ModuleNotFoundError:
-        return False
-    return True
+    from mujoco import sysid
+
+    return hasattr(sysid, "optimize")
 
 
 def fit_with_sysid(case: Case) -> Fit:
@@ -62,7 +60,10 @@ def fit_with_sysid(case: Case) -> Fit:
         case.nominal.spec.copy(),
         [log.id for log in case.logs],
         list(motions.states),
-        [sysid.TimeSeries(log.commanded().time_s, control) for log, control in zip(case.logs, motions.controls)],
+        [
+            sysid.TimeSeries(log.commanded().time_s, control)
+            for log, control in zip(case.logs, motions.controls, strict=True)
+        ],
         [sysid.TimeSeries(log.measured.time_s, log.measured["position"]) for log in case.logs],
         allow_missing_sensors=True,
     )
@@ -98,7 +99,7 @@ def fit_with_scipy(case: Case) -> Fit:
         evaluations += len(rows)
         models = [own for row in rows for own in [_changed(model, data[0], case, row)] * len(case.logs)]
         states, _ = rollout.rollout(
-            models, data, np.tile(motions.states, (len(rows), 1)), np.tile(motions.controls, (len(rows), 1, 1))
+            models, data, np.tile(motions.states, (len(rows), 1)), np.tile(motions.controls[:, :-1], (len(rows), 1, 1))
         )
         simulated = states[:, :, 1 : 1 + model.nq].reshape(len(rows), *motions.measured.shape)
         return motions.scale * (simulated - motions.measured).reshape(len(rows), -1)
@@ -118,25 +119,28 @@ def fit_with_scipy(case: Case) -> Fit:
         return (residuals(x + np.diag(step)) - r).T / step
 
     start = np.array([item.value for item in case.start])
-    found = least_squares(
-        one, start, jac=jacobian, bounds=(low, high), x_scale="jac", ftol=1e-4, xtol=1e-8, gtol=1e-15
-    )
+    found = least_squares(one, start, jac=jacobian, bounds=(low, high), x_scale="jac", ftol=1e-4, xtol=1e-8, gtol=1e-15)
     return Fit(dict(zip(case.start.names, map(float, found.x), strict=True)), evaluations)
 
 
 class _Motions:
-    """The logs of a case as MuJoCo's rollout wants them: the same states, controls and samples for everybody."""
+    """The logs of a case as MuJoCo's rollout wants them.
+
+    Attributes:
+        states: where the motions begin, (E, S).
+        controls: one per stamp, which are the steps of the simulation, (E, N + 1, J).
+        measured: positions after each step, (E, N, J).
+        scale: of the residual, so that its sum of squares is a mean square.
+    """
 
     def __init__(self, case: Case) -> None:
         model = case.nominal.model
         at_rest = np.zeros(1 + model.nq + model.nv)
-        steps = len(case.logs[0].measured) - 1
         self.states = np.tile(at_rest, (len(case.logs), 1))
         self.states[:, 1 : 1 + model.nq] = [log.measured["position"][0] for log in case.logs]
         self.controls = np.stack([log.commanded()["position"] for log in case.logs])
         self.measured = np.stack([log.measured["position"][1:] for log in case.logs])
-        assert self.measured.shape[1] == steps == self.controls.shape[1] - 1
-        self.controls = self.controls
+        assert self.measured.shape[1] == self.controls.shape[1] - 1
         self.scale = 1.0 / np.sqrt(self.measured.size)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from report.run_folders import World, make_run
+from report.run_folders import World, add_identification, fit_parameters, make_fit, make_run, many_parameters
 from trueup.report import write_report
 
 pytestmark = pytest.mark.browser
@@ -304,4 +304,145 @@ def test_hostile_names_are_only_text(driver, tmp_path):
     Select(driver.find_elements("css selector", "#joints select")[0]).select_by_value("all")
     assert driver.execute_script("return window.hacked") is None
     assert not driver.find_elements("css selector", "main img, main i, main svg[onload]")
+    assert problems(driver) == []
+
+
+# --- an identification ---
+
+
+@pytest.fixture(scope="module")
+def fitted_page(run_folder, tmp_path_factory) -> Path:
+    folder = shutil.copytree(run_folder, tmp_path_factory.mktemp("fitted") / "run")
+    joints = World().joints
+    return write_report(add_identification(folder, make_fit(joints, "at-bound"), joints))
+
+
+def sticking_out(driver):
+    return driver.execute_script(
+        "return [...document.querySelectorAll('main *')].filter((e) => !e.closest('.scroll') && !e.closest('svg')"
+        " && e.getBoundingClientRect().right > document.documentElement.clientWidth + 1).map((e) => e.outerHTML.slice(0, 80))"
+    )
+
+
+def test_a_fit_opens_with_its_status_and_draws_all_figures(driver, fitted_page, tmp_path):
+    show(driver, fitted_page)
+    alert = driver.find_element("css selector", ".alert.careful")
+    assert "On a bound" in alert.text
+    assert alert.location["y"] < driver.find_element("css selector", "#verdict > .lead").location["y"]
+    assert alert.value_of_css_property("background-color") != "rgba(0, 0, 0, 0)"
+    drawn = driver.execute_script(
+        "return [...document.querySelectorAll('.figure')].map((e) => [e.dataset.figure || e.id, e.data ? e.data.length : 0,"
+        " e.querySelectorAll('.main-svg').length])"
+    )
+    names = [name for name, *_ in drawn]
+    assert len(names) == 7 + 7 + 3
+    assert {"kp", "delay_s", "shares", "models", "graybox"} <= set(names)
+    assert all(traces and pictures for _, traces, pictures in drawn)
+    assert sticking_out(driver) == []
+    screenshot(driver, tmp_path / "fitted.png")
+    assert problems(driver) == []
+    assert all(url.startswith(("file:", "data:", "blob:")) for url in requests(driver))
+
+
+def test_intervals_stand_where_the_numbers_say(driver, fitted_page):
+    show(driver, fitted_page)
+    # horizontal ends of each interval on the screen, by joint
+    ends = driver.execute_script(
+        "const e = document.querySelector('[data-figure=damping]');"
+        "return e.data.filter((t) => t.mode === 'lines').map((t) => t.x.map((x) => x && e._fullLayout.xaxis.l2p(Math.log10(x))))"
+    )
+    spans = [span for line in ends for span in (line[index : index + 2] for index in range(0, len(line), 3))]
+    widths = [high - low for low, high in spans]
+    assert widths[0] < widths[1], "what is weakly determined is shorter than what is not determined"
+    assert all(0 <= low < high for low, high in spans)
+    wait_for(driver, "return document.querySelector('[data-figure=damping] .shapelayer path') !== null")
+    one, mark = driver.execute_script(
+        "const e = document.querySelector('[data-figure=damping]'), line = e.querySelector('.shapelayer path');"
+        "const left = e.getBoundingClientRect().x + e._fullLayout._size.l;"
+        "return [e._fullLayout.xaxis.l2p(0), line.getBoundingClientRect().x - left]"
+    )
+    assert mark == pytest.approx(one, abs=2.0), "the line stands at a factor of one"
+
+
+def test_a_share_below_zero_is_drawn_to_the_left_of_zero(driver, fitted_page):
+    show(driver, fitted_page)
+    spans = driver.execute_script(
+        "const e = document.querySelector('[data-figure=shares]');"
+        "return Object.fromEntries(e.calcdata.map((bars, i) => [e.data[i].name, bars.map((b) => [b.s0, b.s1])]))"
+    )
+    low, high = sorted(spans["gravity or payload"][2])
+    assert (low, high) == (pytest.approx(-12.75, rel=1e-3), 0)
+    # what is to the right of zero reaches beyond 100 % by as much
+    assert max(end for bars in spans.values() for end in bars[2]) == pytest.approx(112.75, rel=1e-3)
+    assert max(end for bars in spans.values() for end in bars[1]) == pytest.approx(100.0, rel=1e-3)
+
+
+def test_menus_of_models_and_of_the_gray_box(driver, fitted_page):
+    from selenium.webdriver.support.ui import Select
+
+    show(driver, fitted_page)
+
+    def text(section, slot):
+        return driver.execute_script(f"return document.querySelector('#{section} [data-table={slot}]').innerText")
+
+    overview, joints = text("left", "models"), text("left", "model-joints")
+    Select(driver.find_element("css selector", "#left select")).select_by_value("train")
+    assert text("left", "models") == overview
+    assert text("left", "model-joints") != joints
+    before = text("graybox", "graybox")
+    joint, split = driver.find_elements("css selector", "#graybox select")
+    Select(split).select_by_value("train")
+    assert text("graybox", "graybox") != before
+    Select(joint).select_by_value("gripper")
+    assert "left out: the joint never moved" in text("graybox", "graybox")
+    assert problems(driver) == []
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_a_fit_fits_a_phone(driver, fitted_page, tmp_path, dark):
+    features = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+    try:
+        show(driver, fitted_page, 390, mobile=True)
+        wide, narrow = driver.execute_script(
+            "const e = document.documentElement; return [e.scrollWidth, e.clientWidth]"
+        )
+        assert (narrow, wide <= narrow) == (390, True)
+        assert sticking_out(driver) == []
+        # each parameter is a card that needs no scrolling to the side
+        scrolls = driver.execute_script(
+            "return [...document.querySelectorAll('#parameters .scroll')].filter((e) => e.scrollWidth > e.clientWidth + 1).length"
+        )
+        assert scrolls == 0
+        screenshot(driver, tmp_path / "phone.png")
+    finally:
+        driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
+def test_117_parameters_unfold_on_a_click_and_on_paper(driver, run_folder, tmp_path):
+    folder = shutil.copytree(run_folder, tmp_path / "run")
+    joints = [f"joint_{number:02}" for number in range(29)]
+    page = write_report(add_identification(folder, make_fit(joints, "not-identifiable", many_parameters()), joints))
+    show(driver, page)
+    row = driver.find_element("css selector", "#parameters tr.row-no")
+    assert not row.is_displayed()
+    driver.find_element("css selector", "#parameters summary").click()
+    assert row.is_displayed()
+    driver.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+    assert all(driver.execute_script("return [...document.querySelectorAll('#parameters details')].map((e) => e.open)"))
+    assert problems(driver) == []
+
+
+def test_hostile_names_of_a_fit_are_only_text(driver, tmp_path):
+    joints = ("</script><script>window.hacked=1</script>", "<img src=x onerror='window.hacked=2'>", "__proto__")
+    folder = make_run(tmp_path / "run", World(joints=joints, scored=joints[:2], samples=120))
+    parameters = fit_parameters(joints, "not-identifiable")
+    page = write_report(add_identification(folder, make_fit(joints, "not-identifiable", parameters), joints))
+    show(driver, page)
+    assert driver.execute_script("return window.hacked") is None
+    assert not driver.find_elements("css selector", "main img")
+    heads = driver.execute_script(
+        "return [...document.querySelectorAll('#parameters tbody th')].map((e) => e.textContent)"
+    )
+    assert set(joints) == set(heads)
     assert problems(driver) == []

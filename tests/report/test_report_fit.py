@@ -53,6 +53,7 @@ from trueup.report.sections.left import above_zero, left_summary, models_chooser
 from trueup.report.sections.parameters import parameter_groups
 from trueup.report.sections.usage import recipes
 from trueup.report.share_figures import share_range, shares_figure
+from trueup.sim.friction import MARK
 
 JOINTS = World().joints
 STATUSES = ("ok", "not-identifiable", "at-bound", "not-converged", "no-better")
@@ -457,7 +458,12 @@ def test_factors_share_a_span_that_holds_one_and_all_values():
     rows = [row for panel in panels if panel.factors for row in panel.rows]
     assert low < min(row.low for row in rows) < 1.0 < max(row.high for row in rows) < high
     far = replace(fitted_parameter("kp", "a"), interval=(1e-9, 1e12))
-    assert factor_span(interval_panels([far])) == pytest.approx((1e-3, 1e3), rel=1.0)
+    span = factor_span(interval_panels([far]))
+    assert span == pytest.approx((1e-3, 1e3), rel=1.0)
+    (panel,) = interval_panels([replace(far, value=1e9)])
+    line, dot = intervals_figure(panel, span)["data"]
+    assert dot["x"] == pytest.approx([span[1]], rel=1e-5), "drawn at the edge, not beyond it"
+    assert line["x"][:2] == pytest.approx(span, rel=1e-5)
 
 
 @pytest.mark.parametrize("low", [0.9, 0.5, 0.1, 0.01, 0.001])
@@ -617,7 +623,7 @@ def test_the_lines_to_copy_suit_the_files_that_are_there(copied):
     for recipe in found.values():
         if "import" in recipe.lines:
             compile(recipe.lines, recipe.title, "exec")
-    law = '<mujoco><worldbody><body><joint name="a" user="20261 0 0.1 0.2"/></body></worldbody></mujoco>'
+    law = f'<mujoco><worldbody><body><joint name="a" user="{MARK:g} 0 0.1 0.2"/></body></worldbody></mujoco>'
     (copied / "model.fitted.xml").write_text(law)
     run = RunFolder.load(copied)
     assert run.friction_laws

@@ -377,6 +377,7 @@ SERVOS = {
     "position": SERVO,
     "geared": '<position name="a" joint="a" kp="10" kv="1" gear="-2"/>',
     "two actuators": '<position name="a" joint="a" kp="40"/><velocity name="b" joint="a" kv="4"/>',
+    "clamped command": '<position name="a" joint="a" kp="40" kv="4" ctrlrange="-0.5 0.5"/>',
     "integrated velocity": '<intvelocity name="a" joint="a" kp="40" kv="4" actrange="-3 3"/>',
 }
 
@@ -387,7 +388,7 @@ def test_a_dead_band_leaves_a_standing_error(name, direction):
     """Under a constant load the error is the band and what the gain needs to hold: e = band + torque / kp."""
     band, target = 0.03, 0.5
     model = link(JointFriction(dead_band=band), gravity=-9.81 * direction, actuator=SERVOS[name])
-    signal = {"geared": -2 * target, "integrated velocity": 0.0}.get(name, target)
+    signal = {"geared": -2 * target, "clamped command": 2.0, "integrated velocity": 0.0}.get(name, target)
     inputs = np.zeros((8000, model.nu))
     inputs[:, 0] = signal
     position, velocity = move(model, inputs, target)
@@ -620,32 +621,35 @@ def test_candidates_with_different_laws_in_one_rollout_do_not_see_each_other():
 
 
 def test_a_law_acts_on_its_own_joint_among_others():
-    """Joints without friction rows, free joints and tendons with friction lie between and behind."""
+    """Joints without friction rows, free joints and tendons of the same numbers lie between and behind."""
     text = """
     <mujoco>
       <worldbody>
-        <body><freejoint/><geom size="0.1" mass="1"/></body>
         <body pos="1 0 0"><joint name="x" axis="0 0 1"/><geom size="0.1" pos="0.2 0 0" mass="1"/></body>
         <body pos="2 0 0"><joint name="y" axis="0 0 1"/><geom size="0.1" pos="0.2 0 0" mass="1"/></body>
         <body pos="3 0 0"><joint name="z" axis="0 0 1"/><geom size="0.1" pos="0.2 0 0" mass="1"/></body>
+        <body pos="4 0 0"><freejoint/><geom size="0.1" mass="1"/></body>
       </worldbody>
       <tendon>
-        <fixed name="t0" frictionloss="0.01"><joint joint="x" coef="1"/></fixed>
-        <fixed name="t1" frictionloss="0.02"><joint joint="z" coef="1"/></fixed>
+        <fixed name="t0"><joint joint="x" coef="1"/></fixed>
+        <fixed name="t1"><joint joint="y" coef="1"/></fixed>
+        <fixed name="t2" frictionloss="0.02"><joint joint="z" coef="1"/></fixed>
       </tendon>
     </mujoco>
     """
     spec = mujoco.MjSpec.from_string(text)
-    # No friction row of its own: the law of x is only about damping, and the row of its tendon must not be taken.
+    # The laws of x and z need no rows, and the row of tendon 2 is not that of z, whose number is 2 as well.
     set_friction(spec, "x", JointFriction(asymmetry=0.5))
+    set_friction(spec, "z", JointFriction(asymmetry=0.4))
     set_friction(spec, "y", JointFriction(tanh_coulomb=0.7, tanh_velocity=1e-3))
     install_friction()
     model = spec.compile()
     data = mujoco.MjData(model)
-    data.qvel[6:] = 1.0
+    data.qvel[:3] = 1.0
     mujoco.mj_forward(model, data)
-    assert data.nf == 3
-    np.testing.assert_allclose(data.efc_frictionloss[:3], [0.7 + 1e-6, 0.01, 0.02], rtol=1e-12)
+    assert data.nf == 2
+    assert list(data.efc_id[:2]) == [1, 2]
+    np.testing.assert_allclose(data.efc_frictionloss[:2], [0.7 + 1e-6, 0.02], rtol=1e-12)
 
 
 def test_derivatives_of_a_step_are_those_of_the_step():
@@ -721,6 +725,16 @@ def test_a_model_file_with_laws_gives_the_same_motion(tmp_path, digits):
     expected = simulator.rollout(request).position
     found = again.rollout(request).position
     np.testing.assert_allclose(found, expected, atol=1e-12 if digits == "few" else 1e-6 * np.ptp(expected))
+
+
+def test_friction_laws_get_a_solver_that_can_hold_them():
+    for law, iterations in ((LAWS["tanh"], 100), (JointFriction(dead_band=0.1), 10)):
+        spec = mujoco.MjSpec.from_string(TWO_LINKS.format(0, 0))
+        spec.option.iterations, spec.option.ls_iterations = 10, 200
+        set_friction(spec, "a", law)
+        assert (spec.option.iterations, spec.option.ls_iterations) == (iterations, 200)
+        assert (spec.joint("a").frictionloss > 0) == (law.tanh_coulomb > 0)
+        assert spec.joint("b").frictionloss == 0
 
 
 def test_user_data_of_somebody_else_are_not_overwritten():

@@ -19,7 +19,7 @@ _STYLE = {"yes": "", "weakly": "yellow", "no": "red"}
 _HINT = {
     "not-identifiable": "Record motions that show these parameters (see the remarks in the table), or freeze them.",
     "at-bound": "Widen the bound in the configuration, or doubt the structure of the model.",
-    "not-converged": "Run again with --resume, or raise solver.max_iterations in the configuration.",
+    "not-converged": "Raise solver.max_iterations, max_evaluations or max_seconds in the configuration, and run again.",
     "no-better": "Check that robot, model and logs belong together: joint map, units, delays, payload.",
 }
 
@@ -36,12 +36,12 @@ def parameter_table(fit: FitResult) -> Table:
             low, high = item.interval
             style = "red" if item.at_bound and item.low != item.value != 0.0 else _STYLE[item.identified]
             table.add_row(
-                item.name,
+                escape(item.name),
                 f"{item.nominal:.4g}",
                 f"{item.value:.4g}",
-                f"[{low:.3g}, {high:.3g}]".replace("[", r"\["),
+                f"[{low:.3g}, {high:.3g}]",
                 item.unit,
-                _remark(item),
+                escape(_remark(item)),
                 style=style,
             )
     return table
@@ -59,7 +59,7 @@ def model_table(fit: FitResult) -> Table:
         table.add_column(split, justify="right")
     table.add_column("seconds", justify="right")
     for row in fit.models:
-        cells = [number(row.splits[split]).replace("[", r"\[") if split in row.splits else "" for split in splits]
+        cells = [escape(number(row.splits[split])) if split in row.splits else "" for split in splits]
         table.add_row(row.name + (" *" if row.chosen else ""), str(row.parameters), *cells, f"{row.seconds:.1f}")
     return table
 
@@ -74,7 +74,7 @@ def experiment_table(found: ExperimentResult) -> Table:
     for joint, items in found.joints.items():
         for name, finding in items.items():
             style = "" if finding.status == "ok" else "yellow"
-            table.add_row(joint, name, escape(number(finding.estimate)), escape(finding.sentence), style=style)
+            table.add_row(escape(joint), name, escape(number(finding.estimate)), escape(finding.sentence), style=style)
     return table
 
 
@@ -89,15 +89,18 @@ def attribution_table(attribution: Attribution) -> Table:
         table.add_column(labels.get(cause, cause), justify="right")
     for joint, shares in {**attribution.shares, "all joints": attribution.shares_total}.items():
         cells = [shares[cause] for cause in (*attribution.causes, UNEXPLAINED)]
-        table.add_row(joint, *("" if math.isnan(share) else f"{100 * share:.1f} %" for share in cells))
+        table.add_row(escape(joint), *("" if math.isnan(share) else f"{100 * share:.1f} %" for share in cells))
     return table
 
 
 def status_line(fit: FitResult) -> tuple[str, str | None]:
     """The status as a sentence, and what to do about it."""
     free = [item for item in fit.parameters if not item.frozen]
-    sure = sum(item.identified == "yes" for item in free)
-    text = f"status: {fit.status}; {sure} of {len(free)} parameters are determined by the data"
+    count = {word: sum(item.identified == word for item in free) for word in ("yes", "weakly", "no")}
+    text = (
+        f"status: {fit.status}; of {len(free)} parameters that were fitted, the data determine {count['yes']}, "
+        f"{count['weakly']} weakly, {count['no']} not"
+    )
     return text, _HINT.get(fit.status)
 
 

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.text import Text
 
 from trueup.cli import options
-from trueup.cli.console import iterations, note, out, problem, track
+from trueup.cli.console import err, iterations, note, out, problem, track
 from trueup.cli.fit_tables import model_table, parameter_table, status_line
 from trueup.cli.tables import ladder_table, verdicts
 
@@ -85,7 +86,7 @@ def show(identified: Identified, out_dir: Path) -> None:
     out.print(parameter_table(fit))
     if len(fit.models) > 1:
         out.print(model_table(fit))
-        out.print("* chosen on val", markup=False)
+        out.print("* chosen on val" if "val" in fit.models[0].splits else "* chosen", markup=False)
     out.print(ladder_table(identified.ladder))
     for line in verdicts(identified.measurement.gap):
         out.print(line, markup=False)
@@ -94,8 +95,17 @@ def show(identified: Identified, out_dir: Path) -> None:
     text, hint = status_line(fit)
     if fit.status == "ok":
         out.print(text, markup=False)
-    else:
+    elif fit.status in _UNUSABLE:
         problem(text, hint)
+    else:
+        warning(text, hint)
     out.print(f"fitted model: {out_dir / 'model.fitted.xml'}", markup=False)
     out.print(f"fitted robot: {out_dir / 'robot.fitted.yaml'}", markup=False)
     out.print(f"report: {write_report(out_dir)}", markup=False)
+
+
+def warning(message: str, hint: str | None) -> None:
+    """What must not be overlooked although the exit code is 0."""
+    err.print(Text("warning: ", style="bold yellow") + Text(message))
+    if hint:
+        err.print(Text("  next: ", style="bold") + Text(hint))

@@ -83,6 +83,7 @@ def explain(
     data = settled.data
     rule = SegmentRule(data.window_s, data.cut_s, data.budget_s / 2, data.burn_in_s, seed)
     segments, _ = make_segments(logs["train"], soft.simulator, rule)
+    motions = [segment.episode_id for segment in segments]
     settings = replace(settled.solver.settings(seed), solver="gauss-newton", starts=1)
     scorers = {id(own): Scorer(own, {split: logs[split]}, jobs=jobs, seed=seed) for own in (soft, hard)}
 
@@ -98,7 +99,7 @@ def explain(
         began = time.perf_counter()
         chosen |= own
         nominal = soft if cause in ("delay", "gains") else hard
-        parameters = freeze_still(make_parameters(chosen, nominal), seen)
+        parameters = freeze_still(make_parameters(chosen, nominal, motions), seen)
         weights = Weights(settled.signals, settled.joints)
         problem = Problem(nominal, off_bounds(parameters.at(values)), segments, weights=weights, jobs=jobs)
         # Only what is new is looked for from afar.

@@ -18,12 +18,13 @@ from trueup.identify.candidate import Nominal
 from trueup.identify.config import IdentifyConfig, make_parameters
 from trueup.identify.excitation import excitation_of, freeze_still
 from trueup.identify.problem import Problem, Weights
+from trueup.identify.quantities import quantity
 from trueup.identify.scoring import Scorer, Scores
 from trueup.identify.segments import SegmentRule, make_segments
 from trueup.identify.solution import Progress, Solution
 from trueup.identify.solve import solve
 from trueup.identify.start import idle_names, off_bounds, regressed_start, swept_start
-from trueup.identify.uncertainty import Posterior, noise_of, open_names, posterior_of
+from trueup.identify.uncertainty import Posterior, noise_of, open_names, posterior_of, rounded
 
 # A richer model must make motions that it was not fitted to better by this share.
 _WORTH = 0.01
@@ -75,6 +76,7 @@ class Bench:
         data = self.config.data
         rule = SegmentRule(data.window_s, data.cut_s, data.budget_s, data.burn_in_s, seed)
         self._segments, self._refused = make_segments(self._train, nominal.simulator, rule)
+        self.motions = [segment.episode_id for segment in self._segments]
         self._weights = Weights(self.config.signals, self.config.joints)
         self._scorer = Scorer(nominal, self.usable, jobs=jobs, seed=seed)
         self._settings = self.config.solver.settings(seed)
@@ -89,13 +91,21 @@ class Bench:
             attempts.append(self._attempt(joined, richer, best.solution))
             if _better(attempts[-1], best):
                 best, fit = attempts[-1], richer
-        surplus = [] if self.chosen_by_user else open_names(self.posterior_of(best))
+        surplus = [] if self.chosen_by_user else open_names(self.posterior_of(best).of_model())
         if surplus and len(surplus) < len(best.solution.parameters.free):
             leaner = self._attempt(f"{best.row.name}, known only", fit, best.solution, left_out=surplus)
             attempts.append(leaner)
             if _as_good(leaner, best):
                 best = leaner
         return best, attempts
+
+    def encoder_zeros(self, item: Attempt) -> dict[str, float]:
+        """What single recordings were off by, where that was fitted: `MOTION:JOINT` -> [rad or m]."""
+        return {
+            parameter.target: rounded(item.solution.values[parameter.name])
+            for parameter in item.solution.parameters
+            if parameter.quantity == "encoder_zero" and not parameter.frozen
+        }
 
     def problem_of(self, item: Attempt) -> Problem:
         """The problem that an attempt has solved."""
@@ -154,7 +164,10 @@ class Bench:
         self, name: str, fit: Mapping[str, Any], start: Solution | None = None, *, left_out: Sequence[str] = ()
     ) -> Attempt:
         began = time.perf_counter()
-        parameters = freeze_still(make_parameters(fit, self.nominal), self.seen).freeze(left_out)
+        parameters = freeze_still(make_parameters(fit, self.nominal, self.motions), self.seen).freeze(left_out)
+        if start is not None:
+            # What changed nothing in these motions does not come back with a richer model.
+            parameters = parameters.freeze(item.name for item in start.parameters if item.frozen)
         settings = self._settings
         if start is None:
             problem = self._started(self._problem(parameters))
@@ -178,7 +191,7 @@ class Bench:
             ModelRow(
                 name=name,
                 quantities=tuple(fit),
-                parameters=len(solution.parameters.free),
+                parameters=sum(quantity(item.quantity).of != "motion" for item in solution.parameters.free),
                 seconds=round(time.perf_counter() - began, 2),
                 splits={},
             ),

@@ -31,6 +31,8 @@ class Candidate:
         inertials: body name -> mass, centre of mass and inertia so far.
         deformations: body name -> log-Cholesky components of its inertia.
         payload: mass and place of what is carried, in the frame of its body.
+        encoder_zeros: `MOTION:JOINT` -> what the joint's encoder read too little in that recording [rad or m]; not
+            part of the model.
     """
 
     spec: mujoco.MjSpec
@@ -39,6 +41,7 @@ class Candidate:
     inertials: dict[str, Inertial] = field(default_factory=dict)
     deformations: dict[str, dict[str, float]] = field(default_factory=dict)
     payload: dict[str, float] = field(default_factory=dict)
+    encoder_zeros: dict[str, float] = field(default_factory=dict)
 
     def inertial(self, body: str) -> Inertial:
         """Mass, centre of mass and inertia of a body, as far as they have been written."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,11 +23,13 @@ _SERVO_MODELS = {
     "load": ("load",),
 }
 # Open loop: the torque is known, so masses and inertias can be told from friction.
+# (Incremental encoders are zeroed where the arm happens to hang: each recording has zeros of its own.)
 _TORQUE_FIT = (
-    *("delay_s", "damping", "frictionloss", "armature", "torque_offset", "joint_offset"),
+    *("delay_s", "damping", "frictionloss", "armature", "encoder_zero"),
     *("mass", "com_x", "com_y", "com_z", "inertia_scale"),
 )
 _TORQUE_MODELS = {
+    "torque-offset": ("torque_offset",),
     "torque-gain": ("torque_gain",),
     "stribeck": ("stribeck", "stribeck_velocity"),
     "load": ("load",),
@@ -152,30 +154,37 @@ class IdentifyConfig:
         return asdict(self)
 
 
-def make_parameters(fit: Mapping[str, Any], nominal: Nominal) -> ParameterSet:
+def make_parameters(fit: Mapping[str, Any], nominal: Nominal, motions: Sequence[str] = ()) -> ParameterSet:
     """The parameters that a `fit:` section asks for, started from what the model says.
+
+    Args:
+        fit: quantity -> choice, see `IdentifyConfig`.
+        nominal: the model as it came.
+        motions: ids of the motions, for what differs from recording to recording.
 
     Raises:
         ConfigError: an unknown quantity, target or key, or bounds that contradict each other.
     """
     return ParameterSet(
-        tuple(parameter for name, choice in fit.items() for parameter in _chosen(quantity(name), choice, nominal))
+        tuple(
+            parameter for name, choice in fit.items() for parameter in _chosen(quantity(name), choice, nominal, motions)
+        )
     )
 
 
-def _chosen(kind: Quantity, choice: Any, nominal: Nominal) -> list[Parameter]:
+def _chosen(kind: Quantity, choice: Any, nominal: Nominal, motions: Sequence[str]) -> list[Parameter]:
     options = dict(choice) if isinstance(choice, Mapping) else {"targets": choice}
     unknown = [key for key in options if key not in _CHOICE_KEYS]
     if unknown:
         raise ConfigError(f"fit: {kind.name} has unknown keys {unknown}", available=_CHOICE_KEYS)
-    targets = _targets(kind, options.pop("targets", "all"), nominal, shared=options.pop("shared", False))
+    known = kind.targets(nominal, motions)
+    targets = _targets(kind, options.pop("targets", "all"), nominal, known, shared=options.pop("shared", False))
     changed = {("value" if key == "start" else key): value for key, value in options.items()}
     parameters = []
     for target in targets:
         parameter = kind.parameter(nominal, target)
         for key, value in changed.items():
-            known = next(item for item in fields(Parameter) if item.name == key)
-            if known.name != "frozen" and (isinstance(value, bool) or not isinstance(value, int | float)):
+            if key != "frozen" and (isinstance(value, bool) or not isinstance(value, int | float)):
                 raise ConfigError(f"fit: {kind.name}: {key} must be a number", got=repr(value))
         moved: dict[str, Any] = {key: value if key == "frozen" else float(value) for key, value in changed.items()}
         if "value" not in moved:
@@ -186,8 +195,7 @@ def _chosen(kind: Quantity, choice: Any, nominal: Nominal) -> list[Parameter]:
     return parameters
 
 
-def _targets(kind: Quantity, choice: Any, nominal: Nominal, *, shared: Any) -> Sequence[str]:
-    known = kind.targets(nominal)
+def _targets(kind: Quantity, choice: Any, nominal: Nominal, known: Sequence[str], *, shared: Any) -> Sequence[str]:
     if not isinstance(shared, bool) or (shared and choice not in ("all", None)):
         raise ConfigError(
             f"fit: {kind.name}: shared",

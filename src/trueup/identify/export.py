@@ -87,7 +87,8 @@ def isaac_yaml(candidate: Candidate) -> str:
     """Actuator settings in the names of Isaac Lab: stiffness, damping, armature, friction, effort limits.
 
     MuJoCo's `kp` is `stiffness`, the servo's `kv` is `damping`, the joint's `damping` is `viscous_friction`, its
-    `frictionloss` is `friction`; delays are in seconds, since Isaac counts physics steps.
+    `frictionloss` is `dynamic_friction`, and `friction` (the static one) adds the Stribeck excess; delays are in
+    seconds, since Isaac counts physics steps.
     """
     model = candidate.compile()
     actuators = {}
@@ -95,18 +96,19 @@ def isaac_yaml(candidate: Candidate) -> str:
         names = candidate.nominal.actuators(joint)
         rows = [int(model.actuator(name).id) for name in names]
         dof = int(model.jnt_dofadr[model.joint(joint).id])
+        law = friction_of(candidate.spec, joint)
         entry: dict[str, Any] = {
             "stiffness": rounded(-model.actuator_biasprm[rows[0], 1]),
             "damping": rounded(-sum(model.actuator_biasprm[row, 2] for row in rows)),
             "armature": rounded(model.dof_armature[dof]),
-            "friction": rounded(model.dof_frictionloss[dof]),
+            "friction": rounded(model.dof_frictionloss[dof] + law.stribeck),
+            "dynamic_friction": rounded(model.dof_frictionloss[dof]),
             "viscous_friction": rounded(model.dof_damping[dof]),
         }
         if all(model.actuator_forcelimited[row] for row in rows):
             entry["effort_limit"] = rounded(np.abs(model.actuator_forcerange[rows]).max())
         entry["delay_s"] = rounded(candidate.delay_s[joint])
-        law = friction_of(candidate.spec, joint)
-        if law != type(law)():
+        if replace(law, stribeck=0.0, stribeck_velocity=type(law)().stribeck_velocity) != type(law)():
             entry["note"] = "the fitted friction law has parts that Isaac does not know; see model.fitted.xml"
         actuators[joint] = entry
     head = "# Actuator settings identified by trueup, in Isaac Lab's names. SI units.\n"

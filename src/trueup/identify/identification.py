@@ -78,7 +78,7 @@ def identify(
     nominal = Nominal(robot, model)
     bench = Bench(nominal, episodes, config, jobs=jobs, seed=seed, checkpoints=checkpoints, on_progress=on_progress)
     best, attempts = bench.climb()
-    solution, problem, posterior = best.solution, bench.problem_of(best), bench.posterior_of(best)
+    solution, problem, posterior = best.solution, bench.problem_of(best), bench.posterior_of(best).of_model()
     start = make_parameters(dict.fromkeys(best.row.quantities, "all") | dict(bench.config.fit), nominal)
     parameters = fitted_parameters(posterior, {item.name: item.value for item in start})
     rows = tuple(bench.scored_row(item, chosen=item is best) for item in attempts)
@@ -100,11 +100,11 @@ def identify(
         whiteness=whiteness_of(problem, solution.residual),
         models=rows,
         errors=errors,
-        data=bench.data,
+        data={**bench.data, "encoder_zeros": bench.encoder_zeros(best)},
         provenance=provenance(
             config={"robot": robot.to_dict(), "model": model.name, "identify": bench.config.to_json()},
             seed=seed,
             data_hash=data_hash,
         ),
     )
-    return Identification(result, nominal, solution.parameters, posterior)
+    return Identification(result, nominal, posterior.parameters, posterior)

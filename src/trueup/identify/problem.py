@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from queue import SimpleQueue
 
 import mujoco
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64, Int
 
 from trueup.core.parameters import ParameterSet
 from trueup.core.protocols import RolloutRequest
 from trueup.errors import ConfigError
 from trueup.identify.candidate import Candidate, Nominal
-from trueup.identify.quantities import quantity
+from trueup.identify.quantities import motion_target, quantity
 from trueup.identify.segments import Segment
 from trueup.sim import MujocoSimulator
 
@@ -75,7 +75,11 @@ class Problem:
         self._simulators: SimpleQueue[MujocoSimulator] = SimpleQueue()
         for _ in range(jobs):
             self._simulators.put(nominal.simulator.clone())
-        self._quantities = [(quantity(parameter.quantity), parameter) for parameter in parameters]
+        self._writers = [
+            (quantity(parameter.quantity).write, place, parameter)
+            for parameter in parameters
+            for place in quantity(parameter.quantity).places(nominal, parameter.target)
+        ]
         blocks = [
             (signal, int(np.count_nonzero(segment.counts)))
             for segment in self.segments
@@ -98,9 +102,8 @@ class Problem:
     def candidate(self, values: Mapping[str, float]) -> Candidate:
         """A model with these values written into it; parameters that are not named keep their start."""
         candidate = self.nominal.candidate()
-        for kind, parameter in self._quantities:
-            for place in kind.places(self.nominal, parameter.target):
-                kind.write(candidate, place, values.get(parameter.name, parameter.value))
+        for write, place, parameter in self._writers:
+            write(candidate, place, values.get(parameter.name, parameter.value))
         return candidate
 
     def residuals(self, z: Float64[np.ndarray, "C P"]) -> Float64[np.ndarray, "C N"]:
@@ -133,6 +136,36 @@ class Problem:
         """Root mean square of position residuals of one joint in the joint's unit [rad or m]."""
         weight = self.weights.signals["position"] * float(self._joint_weights[column]) * self._scale
         return float(np.sqrt(np.mean(residual**2)) / weight)
+
+    def colors(self) -> Int[np.ndarray, "P"]:
+        """Free parameters of one color act on different motions, so one simulation shows all their derivatives.
+
+        Curtis, Powell, Reid 1974, "On the estimation of sparse Jacobian matrices".
+        """
+        joints = self.nominal.robot.joint_names
+        colors, number = [], len(joints)
+        for parameter in self.parameters.free:
+            if quantity(parameter.quantity).of == "motion":
+                colors.append(joints.index(parameter.target.rpartition(":")[2]))
+            else:
+                colors.append(number)
+                number += 1
+        return np.array(colors, dtype=np.int64)
+
+    def support(self, index: int) -> Bool[np.ndarray, "N"]:
+        """Which residuals a free parameter can change."""
+        parameter = self.parameters.free[index]
+        motion = parameter.target.rpartition(":")[0] if quantity(parameter.quantity).of == "motion" else None
+        return np.concatenate(
+            [
+                np.full(values.size, motion is None or segment.episode_id == motion)
+                for segment, _, values in self.by_segment(np.empty(self.size))
+            ]
+        )
+
+    def _zeros(self, candidate: Candidate, motion: str) -> Float64[np.ndarray, "J"]:
+        joints = self.nominal.robot.joint_names
+        return np.array([candidate.encoder_zeros.get(motion_target(motion, joint), 0.0) for joint in joints])
 
     def _tasks(self, count: int, models: list[mujoco.MjModel | None]) -> Iterator[_Task]:
         alive = np.array([index for index in range(count) if models[index] is not None], dtype=np.int64)
@@ -172,7 +205,10 @@ class Problem:
     ) -> Float64[np.ndarray, "C M"]:
         plan, counts = task.segment.plan, task.segment.counts
         windows = plan.starts.size
-        requests = [plan.request(candidates[row].delays) for row in task.rows]
+        zeros = np.array([self._zeros(candidates[row], task.segment.episode_id) for row in task.rows])
+        requests = [
+            _shifted(plan.request(candidates[row].delays), zero) for row, zero in zip(task.rows, zeros, strict=True)
+        ]
         request = RolloutRequest(
             position=np.concatenate([own.position for own in requests]),
             velocity=np.concatenate([own.velocity for own in requests]),
@@ -185,6 +221,8 @@ class Problem:
         for signal in self.signals_of(task.segment):
             grid = grids[signal]
             simulated = plan.at_stamps(grid.reshape(task.rows.size, windows, *grid.shape[1:]))
+            if signal == "position":
+                simulated = simulated - zeros[:, None, :]
             residual = (simulated - plan.measured[signal])[:, counts][:, :, self.columns]
             residual *= self.weights.signals[signal] * self._joint_weights[self.columns] * self._scale
             blocks.append(residual.reshape(task.rows.size, -1))
@@ -209,3 +247,13 @@ def _compile(candidate: Candidate) -> mujoco.MjModel | None:
     # The same motion without looking for islands of constraints: a tenth faster for a robot, which is a few trees.
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
     return model
+
+
+def _shifted(request: RolloutRequest, zeros: Float64[np.ndarray, "J"]) -> RolloutRequest:
+    """The same motion as an encoder would have told it that reads right."""
+    if not np.any(zeros):
+        return request
+    command = dict(request.command)
+    if "position" in command:
+        command["position"] = command["position"] + zeros
+    return replace(request, position=request.position + zeros, command=command)

@@ -14,6 +14,7 @@ from trueup.core.results import Estimate
 from trueup.errors import DataError
 from trueup.identify.candidate import Nominal
 from trueup.identify.problem import Problem
+from trueup.identify.quantities import quantity
 from trueup.identify.segments import Segment, SegmentRule, make_segments
 from trueup.measure import bootstrap_interval
 
@@ -62,7 +63,7 @@ class Scores:
         if values.size < 2:
             return Estimate(self.mean, unit)
         low, high = bootstrap_interval(values, seed=self.seed)
-        return Estimate(self.mean, unit, float(low[0]), float(high[0]))
+        return Estimate(self.mean, unit, max(0.0, float(low[0])), float(high[0]))
 
 
 class Scorer:
@@ -107,7 +108,9 @@ class Scorer:
 
     def score(self, parameters: ParameterSet, values: Mapping[str, float], split: str) -> Scores:
         """Errors of one model on one split."""
-        moved = parameters.at(values)
+        # What single recordings were off by is no part of the model that is judged.
+        lasting = tuple(item for item in parameters if quantity(item.quantity).of != "motion")
+        moved = ParameterSet(lasting).at(values)
         problem = Problem(self._nominal, moved, self._segments[split], jobs=self._jobs)
         residual = problem.residuals(moved.start[None])[0]
         joints = self._nominal.robot.joint_names

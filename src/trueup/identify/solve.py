@@ -153,6 +153,8 @@ class _Run:
             prior_std=std,
             prior_weight=lambda residual: noise_of(problem, residual).weight,
             logarithmic=np.array([parameter.transform == "log" for parameter in problem.parameters.free]),
+            colors=problem.colors(),
+            support=problem.support,
             settings=self.settings.gauss_newton,
         )
         clock = _Clock(float(kept.get("seconds", 0.0)))
@@ -226,6 +228,8 @@ class _Run:
             prior_mean=mean,
             prior_std=std,
             prior_weight=lambda residual: noise_of(self.problem, residual).weight,
+            colors=self.problem.colors(),
+            support=self.problem.support,
             settings=self.settings.gauss_newton,
         )
         jacobian = search.final_jacobian()

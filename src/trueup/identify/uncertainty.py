@@ -128,6 +128,21 @@ class Posterior:
         scale = np.maximum(self.std, 1e-300)
         return np.asarray(np.clip(self.covariance / np.outer(scale, scale), -1.0, 1.0))
 
+    def of_model(self) -> Posterior:
+        """The same without what belongs to single recordings: their uncertainty stays in that of the others."""
+        kept = [index for index, item in enumerate(self.parameters.free) if quantity(item.quantity).of != "motion"]
+        names = {self.parameters.free[index].name for index in kept}
+        own = tuple(item for item in self.parameters if item.frozen or item.name in names)
+        # Information about the others is what is left when the recordings' own numbers are unknown.
+        gone = [index for index in range(self.z.size) if index not in kept]
+        data = self.data[np.ix_(kept, kept)]
+        if gone:
+            _, std = self.parameters.prior
+            inner = self.data[np.ix_(gone, gone)] + np.diag(std[gone] ** -2.0)
+            cross = self.data[np.ix_(kept, gone)]
+            data = data - cross @ np.linalg.solve(inner, cross.T)
+        return Posterior(ParameterSet(own), self.z[kept], self.covariance[np.ix_(kept, kept)], 0.5 * (data + data.T))
+
     def interval(self, index: int) -> tuple[float, float]:
         """95 % interval of a free parameter [its unit], inside its bounds."""
         parameter, std = self.parameters.free[index], float(self.std[index])
@@ -279,7 +294,8 @@ def _sentence(posterior: Posterior, index: int, identified: Identified, at_bound
     target = parameter.target or "the robot"
     excite = quantity(parameter.quantity).excite.format(target=target)
     partners = _partners(posterior, index)
-    together = f"; only its combination with {', '.join(partners)} is determined" if partners else ""
+    named = ", ".join(partners)
+    together = f"; only its combination with {named} is determined" if partners else ""
     zero = parameter.low == 0.0 and at_bound == "low"
     if zero:
         return "the data ask for none of it: it ended on zero"
@@ -290,7 +306,7 @@ def _sentence(posterior: Posterior, index: int, identified: Identified, at_bound
         return f"not identifiable from these motions{together}: {excite}"
     if identified == "weakly":
         return f"weakly determined{together}: {excite}"
-    return f"determined by the data{together}"
+    return f"determined by the data, together with {named}" if partners else "determined by the data"
 
 
 def _partners(posterior: Posterior, index: int) -> list[str]:
@@ -310,12 +326,13 @@ def whiteness_of(problem: Problem, residual: Float64[np.ndarray, "N"]) -> dict[s
         step_s = float(np.median([np.median(np.diff(segment.plan.measured.time_s)) for segment, _ in blocks]))
         memory = memory_of(pieces)
         rms = problem.unscaled_rms(np.concatenate(pieces), int(column))
-        white = memory < 2.0
+        white, correlation_s = memory < 2.0, (memory - 1.0) * step_s
+        what = f"{joints[column]}: what is left ({rms:.3g})"
         sentence = (
-            f"{joints[column]}: what is left ({rms:.3g}) looks like noise"
+            f"{what} looks like noise"
             if white
-            else f"{joints[column]}: what is left ({rms:.3g}) is correlated over {memory * step_s:.2g} s, so it is "
-            "model error and not noise; the intervals are widened for that"
+            else f"{what} is correlated over {correlation_s:.2g} s, so it is model error and not noise; the intervals "
+            "are widened for that"
         )
-        found[joints[column]] = Whiteness(rms, (memory - 1.0) * step_s, white, sentence)
+        found[joints[column]] = Whiteness(rms, correlation_s, white, sentence)
     return found

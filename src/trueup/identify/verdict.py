@@ -23,16 +23,18 @@ def verdict(
     """The worst that applies, and everything that must be said."""
     status: FitStatus = "ok"
     statements = list(beforehand)
-    unknown = [item for item in parameters if item.identified == "no" and not item.frozen]
+    # A law that ended on zero is one that the robot does not have: no cause for alarm.
+    absent = {item.name for item in parameters if item.at_bound == "low" and item.low == 0.0}
+    free = [item for item in parameters if not item.frozen and item.name not in absent]
+    unknown = [item for item in free if item.identified == "no"]
     if unknown:
         status = "not-identifiable"
         names = ", ".join(item.name for item in unknown[:6]) + (", …" if len(unknown) > 6 else "")
         statements.append(
-            f"{len(unknown)} of {len(parameters)} parameters are not determined by these motions: {names}; their "
+            f"{len(unknown)} of {len(free)} parameters are not determined by these motions: {names}; their "
             "values are the prior's, not the robot's"
         )
-    # A law that ended on zero is one that the robot does not have: no cause for alarm.
-    stuck = [item for item in parameters if item.at_bound and not (item.at_bound == "low" and item.low == 0.0)]
+    stuck = [item for item in free if item.at_bound]
     if stuck:
         status = "at-bound"
         statements.append(

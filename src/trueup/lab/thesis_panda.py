@@ -49,6 +49,14 @@ FOUND_FRICTION = (
 # ES thesis, Table 3.5: new over old, the same for all six elements of a link up to rounding.
 FOUND_INERTIA_SCALES = (0.728, 1.368, 1.137, 0.977, 1.206, 0.755, 1.184)
 
+# Of the usual size for this arm, as it looks to the user of libfranka.
+SENSORS = Sensors(
+    position_noise_rad=3e-5,
+    position_step_rad=2 * np.pi / 2**17,
+    velocity_noise_rad_s=2e-3,
+    torque_noise_nm=0.02,
+)
+
 _PHYSICS_STEP_S = 0.0005
 _CONTROL_STEP_S = 0.001
 
@@ -75,12 +83,7 @@ class HiddenPanda:
     frictionloss: tuple[float, ...]
     damping: tuple[float, ...]
     torque_offset: tuple[float, ...]
-    sensors: Sensors = Sensors(
-        position_noise_rad=3e-5,
-        position_step_rad=2 * np.pi / 2**17,
-        velocity_noise_rad_s=2e-3,
-        torque_noise_nm=0.02,
-    )
+    sensors: Sensors = SENSORS
 
     @staticmethod
     def draw(seed: int) -> HiddenPanda:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from trueup.core.fit_result import FittedParameter
@@ -68,12 +68,17 @@ def interval_panels(parameters: Sequence[FittedParameter]) -> list[Panel]:
         if not item.frozen:
             groups.setdefault(split_name(item.name)[0], []).append(item)
     return [
-        Panel(name, items[0].unit, factors := all(map(is_factor, items)), tuple(_row(item, factors) for item in items))
+        Panel(
+            name,
+            items[0].unit,
+            factors := all(map(is_factor, items)),
+            tuple(_row(item, factors=factors) for item in items),
+        )
         for name, items in groups.items()
     ]
 
 
-def _row(item: FittedParameter, factors: bool) -> IntervalRow:  # noqa: FBT001  # one of two scales
+def _row(item: FittedParameter, *, factors: bool) -> IntervalRow:
     value, (low, high) = shown_value(item), item.interval
     ends = f"{significant(low)} to {significant(high)}"
     shown = with_unit(significant(value), item.unit)
@@ -120,7 +125,7 @@ def intervals_figure(panel: Panel, span: tuple[float, float]) -> Figure:
     """Value and 95 % interval of each parameter of one quantity; a line marks the model as it came."""
     data: list[dict[str, Any]] = []
     for kind in [kind for kind in KIND_STYLES if any(row.kind == kind for row in panel.rows)]:
-        rows = [row for row in panel.rows if row.kind == kind]
+        rows = [_inside(row, span) if panel.factors else row for row in panel.rows if row.kind == kind]
         data += [_interval_lines(rows, KIND_STYLES[kind]), _interval_dots(rows, KIND_STYLES[kind], kind)]
     names = [plot_text(row.target) for row in panel.rows]
     layout = {
@@ -137,6 +142,13 @@ def intervals_figure(panel: Panel, span: tuple[float, float]) -> Figure:
         "shapes": [reference_line(1.0 if panel.factors else 0.0)],
     }
     return {"data": data, "layout": layout}
+
+
+def _inside(row: IntervalRow, span: tuple[float, float]) -> IntervalRow:
+    """With what lies beyond the axis moved onto its edge; the hint keeps the numbers."""
+    low, high = span
+    ends = {name: min(max(getattr(row, name), low), high) for name in ("value", "low", "high")}
+    return replace(row, **ends)
 
 
 def _interval_lines(rows: Sequence[IntervalRow], style: Style) -> dict[str, Any]:

@@ -85,7 +85,7 @@ def _compilable_rows() -> Any:
             if numbers[p] != mark or (types_[joint] != hinge and types_[joint] != slide):
                 continue
             i = dofs[joint]
-            # Rows of joints come in their order, rows of tendons after them.
+            # Rows of joints come in their order; rows of tendons, with numbers of their own, after them.
             while row < last and kinds[row] == of_joint and owners[row] < i:
                 row += 1
             if row >= last or kinds[row] != of_joint or owners[row] != i:

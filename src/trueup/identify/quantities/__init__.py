@@ -3,6 +3,7 @@
 from trueup.errors import ConfigError
 from trueup.identify.quantities.base import Cause as Cause
 from trueup.identify.quantities.base import Quantity as Quantity
+from trueup.identify.quantities.base import motion_target as motion_target
 from trueup.identify.quantities.friction import FRICTION
 from trueup.identify.quantities.rigid_body import RIGID_BODY
 from trueup.identify.quantities.servo import SERVO
@@ -21,4 +22,4 @@ def quantity(name: str) -> Quantity:
     return QUANTITIES[name]
 
 
-__all__ = ["QUANTITIES", "Cause", "Quantity", "quantity"]
+__all__ = ["QUANTITIES", "Cause", "Quantity", "motion_target", "quantity"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,6 +13,11 @@ from trueup.identify.candidate import Candidate, Nominal
 Cause = Literal["delay", "gains", "friction", "gravity", "inertia"]
 
 
+def motion_target(motion: str, joint: str) -> str:
+    """The target of what belongs to one joint in one motion."""
+    return f"{motion}:{joint}"
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A kind of number that a fit can change.
@@ -20,7 +25,8 @@ class Quantity:
     Attributes:
         name: as in `fit:` of the configuration and before the bracket of a parameter's name.
         unit: of the value, for a hinge.
-        of: whether there is one per joint, one per body, or one per robot.
+        of: whether there is one per joint, one per body, one per robot, or one per joint of each motion (what differs
+            from recording to recording, and is no part of the model).
         cause: the part of the gap that it explains.
         read: the nominal value for a target.
         write: sets the value for a target.
@@ -37,7 +43,7 @@ class Quantity:
 
     name: str
     unit: str
-    of: Literal["joint", "body", "robot"]
+    of: Literal["joint", "body", "robot", "motion"]
     cause: Cause
     read: Callable[[Nominal, str], float]
     write: Callable[[Candidate, str, float], None]
@@ -51,9 +57,13 @@ class Quantity:
     prior_std: float = 2.0
     changes_controller: bool = False
 
-    def targets(self, nominal: Nominal) -> tuple[str, ...]:
+    def targets(self, nominal: Nominal, motions: Sequence[str] = ()) -> tuple[str, ...]:
         """Names of what it can be fitted for."""
         match self.of:
+            case "motion":
+                return tuple(
+                    motion_target(motion, joint) for motion in motions for joint in nominal.robot.scored_joints
+                )
             case "joint":
                 return nominal.robot.joint_names
             case "body":

@@ -95,6 +95,14 @@ def _write_joint_offset(candidate: Candidate, joint: str, value: float) -> None:
     target.springref += change
 
 
+def _write_encoder_zero(candidate: Candidate, target: str, value: float) -> None:
+    candidate.encoder_zeros[target] = value
+
+
+def _zero(_nominal: Nominal, _target: str) -> float:
+    return 0.0
+
+
 def _read_joint_offset(nominal: Nominal, joint: str) -> float:
     return float(-nominal.spec.joint(joint).ref)
 
@@ -185,6 +193,19 @@ SERVO: tuple[Quantity, ...] = (
         "gravity",
         _read_joint_offset,
         _write_joint_offset,
+        "let {target} swing on both sides of its hanging position",
+        low=-0.3,
+        high=0.3,
+        scale=0.05,
+        prior_std=1.0,
+    ),
+    Quantity(
+        "encoder_zero",
+        "rad",
+        "motion",
+        "gravity",
+        _zero,
+        _write_encoder_zero,
         "let {target} swing on both sides of its hanging position",
         low=-0.3,
         high=0.3,

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int
 from scipy.optimize import lsq_linear
 
 from trueup.errors import DataError
 
 Residuals = Callable[[Float64[np.ndarray, "C P"]], Float64[np.ndarray, "C N"]]
+Support = Callable[[int], Bool[np.ndarray, "N"]]
 PriorWeight = Callable[[Float64[np.ndarray, "N"]], float]
 
 # How much more and less damping than the last good one is tried at once; the next group only if none goes down.
@@ -124,6 +125,9 @@ class GaussNewton:
         prior_std: (P,), infinite for none.
         prior_weight: residual -> variance of one independent observation in it; what the prior is weighed against.
         logarithmic: which z are logarithms, (P,); none if not given.
+        colors: parameters of one color change different residuals and share a candidate of the Jacobian, (P,); each
+            has its own if not given.
+        support: index of a parameter that shares its color -> which residuals it can change, (N,).
         settings: how to search.
 
     Attributes:
@@ -142,9 +146,13 @@ class GaussNewton:
         prior_std: Float64[np.ndarray, "P"],
         prior_weight: PriorWeight,
         logarithmic: Bool[np.ndarray, "P"] | None = None,
+        colors: Int[np.ndarray, "P"] | None = None,
+        support: Support | None = None,
         settings: GaussNewtonSettings | None = None,
     ) -> None:
         self._residuals = residuals
+        self._colors = np.arange(low.size) if colors is None else colors
+        self._support = support or (lambda _index: np.ones(0, dtype=bool))
         self.low, self.high = low, high
         self.state = state
         self._mean, self._precision = prior_mean, prior_std**-2.0
@@ -250,12 +258,17 @@ class GaussNewton:
         assert r is not None
         signs = np.where(z + step <= self.high, 1.0, -1.0)
         signs[(signs < 0) & (z - step < self.low)] = 1.0
-        moved = self._residuals(z + np.diag(signs * step))
-        failed = np.flatnonzero(~np.isfinite(moved).all(axis=1))
-        if failed.size:
-            signs[failed] *= -1.0
-            moved[failed] = self._residuals((z + np.diag(signs * step))[failed])
-        slopes = (moved - r) / (signs * step)[:, None]
+        # One row per color: parameters of one color change different residuals.
+        members = np.equal.outer(np.unique(self._colors), self._colors)
+        moved = self._residuals(z + members * signs * step)
+        failed = ~np.isfinite(moved).all(axis=1)
+        if failed.any():
+            signs[members[failed].any(axis=0)] *= -1.0
+            moved[failed] = self._residuals((z + members * signs * step)[failed])
+        slopes = moved[members.argmax(axis=0)] - r
+        slopes /= (signs * step)[:, None]
+        for index in np.flatnonzero(members[members.argmax(axis=0)].sum(axis=1) > 1):
+            slopes[index, ~self._support(int(index))] = 0.0
         slopes[~np.isfinite(slopes).all(axis=1)] = 0.0
         return np.asarray(slopes)
 

@@ -1,4 +1,4 @@
-"""The verdict: a sentence, and four tiles that repeat its numbers."""
+"""The verdict: what must not be overlooked, a sentence, and tiles that repeat its numbers."""
 
 from __future__ import annotations
 

@@ -1,0 +1,110 @@
+"""docs/identification.md and docs/experiments.md say what the code does: keys, defaults, the catalogue, statuses."""
+
+import re
+from dataclasses import MISSING, fields, replace
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from trueup.cli.identify import _UNUSABLE
+from trueup.core.fit_result import FitStatus
+from trueup.identify import QUANTITIES, IdentifyConfig, Nominal
+from trueup.identify.config import _CHOICE_KEYS, DataChoice, SolverChoice
+from trueup.identify.experiments import MotionSettings, PulsePlan, RampPlan, RunSettings
+from trueup.identify.experiments.findings import Status
+from trueup.identify.export import ISAAC_FILE, MODEL_FILE, ROBOT_FILE, SAMPLES_FILE
+from trueup.identify.regression.graybox_terms import BLOCKS
+from trueup.identify.solution import SolverName
+from trueup.robots import ControllerSpec, find_model, load_robot
+
+DOCS = Path(__file__).parent.parent.parent / "docs"
+TABLE = re.compile(r"(?:^\|.*\n)+", re.M)
+PAGES = {name: (DOCS / f"{name}.md").read_text() for name in ("identification", "experiments")}
+
+
+def table(has, page="identification"):
+    """The rows of cells of the table in which this begins a row, without its header."""
+    (found,) = (text for text in TABLE.findall(PAGES[page]) if f"\n| {has} |" in text)
+    return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in found.splitlines()[2:]]
+
+
+def code(*cells):
+    """What stands in backticks."""
+    return [word for cell in cells for word in re.findall(r"`([^`]+)`", cell)]
+
+
+def by_key(has, page="identification"):
+    """Key -> default, where a row may have several of both."""
+    found = {}
+    for row in table(has, page):
+        names, defaults = code(row[0]), row[1].split(", ")
+        found |= dict(zip(names, defaults if len(defaults) == len(names) else defaults * len(names), strict=True))
+    return found
+
+
+def written(default):
+    """A default as the pages write it."""
+    if isinstance(default, bool):
+        return str(default).lower()
+    return f"`{default}`" if isinstance(default, str) else str(default)
+
+
+def check_defaults(kind, said):
+    assert set(said) == {item.name for item in fields(kind)}
+    for item in fields(kind):
+        if item.default is None:
+            assert not re.match(r"[\d`]", said[item.name]), f"{item.name} has no default but a rule"
+        elif item.default is not MISSING:
+            assert said[item.name] == written(item.default), item.name
+
+
+def test_every_quantity_is_in_the_catalogue_as_it_is():
+    found = {code(row[0])[0]: row[1:5] for row in table("`delay_s`")}
+    assert found == {name: [item.unit, item.of, item.transform, item.cause] for name, item in QUANTITIES.items()}
+
+
+def test_every_key_of_the_configuration_is_explained():
+    assert set(by_key("`fit`")) == {item.name for item in fields(IdentifyConfig)}
+    assert set(by_key("`targets`")) == set(_CHOICE_KEYS)
+    check_defaults(DataChoice, by_key("`window_s`"))
+    check_defaults(SolverChoice, by_key("`name`"))
+    assert {f"`{name}`" for name in get_args(SolverName)} == {row[0] for row in table("`gauss-newton`")} - {
+        "regression"
+    }
+
+
+@pytest.mark.parametrize("follows", ["position", "torque"])
+def test_the_defaults_are_those_of_the_page(follows):
+    robot = load_robot("demo_arm")
+    if follows == "torque":
+        robot = replace(robot, controller=ControllerSpec(kind="torque"))
+    resolved = IdentifyConfig().resolved(Nominal(robot, find_model(robot)))
+    (row,) = (row for row in table("torque") if row[0].startswith(follows))
+    assert code(row[1]) == list(resolved.fit)
+    tried = {name: tuple(extra) for name, *extra in map(code, row[2].split("; "))}
+    assert tried == dict(resolved.models)
+    assert resolved.data.window_s == (0.5 if follows == "torque" else None)
+
+
+def test_every_status_has_its_exit_code():
+    found = {code(row[0])[0]: row[2] for row in table("`no-better`")}
+    assert found == {status: "3" if status in _UNUSABLE else "0" for status in get_args(FitStatus)}
+
+
+def test_every_file_and_every_block_of_the_torque_model_is_named():
+    files = set(code(*(row[0] for row in table("`fit.json`"))))
+    assert {MODEL_FILE, ROBOT_FILE, ISAAC_FILE, SAMPLES_FILE, "graybox.json"} <= files
+    assert code(*(row[0] for row in table("`pd`"))) == list(BLOCKS)
+
+
+def test_every_status_and_setting_of_an_experiment_is_explained():
+    assert code(*(row[0] for row in table("`censored`", "experiments"))) == list(get_args(Status))
+    rows, said = table("`RampPlan`", "experiments"), {}
+    for row in rows:
+        owner = code(row[0])[0] if code(row[0]) else list(said)[-1]
+        names, defaults = code(row[1]), row[2].split(", ")
+        values = defaults if len(defaults) == len(names) else defaults * len(names)
+        said.setdefault(owner, {}).update(zip(names, values, strict=True))
+    for kind in (RampPlan, PulsePlan, RunSettings, MotionSettings):
+        check_defaults(kind, said[kind.__name__])
