@@ -24,7 +24,7 @@ def run() -> list[Row]:
     if has_sysid():
         fits["mujoco.sysid"] = fit_with_sysid
     else:
-        Console().print("mujoco.sysid is left out: `pip install mujoco[sysid]` brings what it needs")
+        Console().print("mujoco.sysid is left out: `pip install mujoco[sysid]` brings what it needs", markup=False)
     seconds: dict[str, list[float]] = {name: [] for name in fits}
     errors: dict[str, list[np.ndarray]] = {name: [] for name in fits}
     candidates: dict[str, list[int]] = {name: [] for name in fits}

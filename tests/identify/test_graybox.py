@@ -359,7 +359,7 @@ def test_the_servo_of_a_simulated_arm_is_found_through_its_sensors():
         assert kp.value == pytest.approx(38.0, rel=0.01), joint
         assert kd.value == pytest.approx(1.0, rel=0.02), joint
         # A servo's torque knows its command and the joint only.
-        assert abs(fit.block("coupling").splits["test"].reduction.value) < 0.002
+        assert abs(fit.block("coupling").splits["test"].reduction.value) < 0.005
 
 
 def test_the_unsigned_torque_of_a_real_arm_is_noticed(so101_logs, tmp_path):

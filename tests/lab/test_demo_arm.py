@@ -31,7 +31,9 @@ def test_the_arm_rests_at_both_ends_and_stays_within_its_range(episodes):
 
 
 def test_hardware_like_the_model_leaves_only_the_sensors_as_a_gap():
-    twin = DemoHardware(kp=60.0, kv=1.5, damping=0.4, frictionloss=0.05, delay_s=0.0, position_step_rad=1e-9)
+    twin = DemoHardware(
+        kp=60.0, kv=1.5, damping=0.4, frictionloss=0.05, delay_s=0.0, position_step_rad=1e-9, hard_friction=False
+    )
     robot = load_robot("demo_arm")
     simulator = MujocoSimulator.from_robot(robot, find_model(robot))
     for episode in record_demo(hardware=twin):

@@ -90,7 +90,7 @@ def show(identified: Identified, out_dir: Path) -> None:
     out.print(ladder_table(identified.ladder))
     for line in verdicts(identified.measurement.gap):
         out.print(line, markup=False)
-    for line in fit.statements:
+    for line in (*fit.statements, *identified.notes):
         note(line)
     text, hint = status_line(fit)
     if fit.status == "ok":

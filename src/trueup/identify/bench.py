@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from trueup.core.episode import Episode, warning_kinds
 from trueup.core.fit_result import ModelRow
 from trueup.core.parameters import ParameterSet
@@ -68,6 +66,7 @@ class Bench:
                 got=f"{len(self._flagged)} flagged ones" if self._flagged else "an empty train split",
                 hint="Give --splits at import, or data: {keep_flagged: true} in the configuration.",
             )
+        self.notes = _payload_note(self._train)
         self.usable = {split: own for split, logs in episodes.items() if (own := usable(logs, keep_flagged=keep)[0])}
         self._signal = nominal.robot.controller.signal
         self.seen = excitation_of(
@@ -85,15 +84,17 @@ class Bench:
         """Fit the base model, then richer ones, then without what the motions do not show; the best, and all."""
         best = self._attempt("base", self.config.fit)
         attempts, fit = [best], dict(self.config.fit)
+        # What changes nothing near the solution is left out from here on; far from it, nothing can be told.
+        idle = [] if self.chosen_by_user else self._idle(best)
         for name, extra in (self.config.models or {}).items():
             richer = {**fit, **dict.fromkeys(extra, "all")}
             joined = name if best.row.name == "base" else f"{best.row.name}+{name}"
-            attempts.append(self._attempt(joined, richer, best.solution))
+            attempts.append(self._attempt(joined, richer, best.solution, left_out=idle))
             if _better(attempts[-1], best):
                 best, fit = attempts[-1], richer
         surplus = [] if self.chosen_by_user else open_names(self.posterior_of(best).of_model())
         if surplus and len(surplus) < len(best.solution.parameters.free):
-            leaner = self._attempt(f"{best.row.name}, known only", fit, best.solution, left_out=surplus)
+            leaner = self._attempt(f"{best.row.name}, known only", fit, best.solution, left_out=[*idle, *surplus])
             attempts.append(leaner)
             if _as_good(leaner, best):
                 best = leaner
@@ -133,6 +134,11 @@ class Bench:
         )
 
     @property
+    def torque_seen(self) -> bool:
+        """Whether the logs' torques enter the residual, or drive the robot."""
+        return self._signal == "torque" or bool(self.config.signals.get("torque"))
+
+    @property
     def why(self) -> str:
         """Why this solver."""
         if self.config.solver.name != "auto":
@@ -165,9 +171,6 @@ class Bench:
     ) -> Attempt:
         began = time.perf_counter()
         parameters = freeze_still(make_parameters(fit, self.nominal, self.motions), self.seen).freeze(left_out)
-        if start is not None:
-            # What changed nothing in these motions does not come back with a richer model.
-            parameters = parameters.freeze(item.name for item in start.parameters if item.frozen)
         settings = self._settings
         if start is None:
             problem = self._started(self._problem(parameters))
@@ -200,10 +203,26 @@ class Bench:
         )
 
     def _started(self, problem: Problem) -> Problem:
-        """The problem with a start from afar, and without default parameters that change nothing here."""
+        """The problem with a start from afar."""
         begin = regressed_start(problem, self._train) if self._signal == "torque" else swept_start(problem)
-        problem = problem.with_parameters(begin)
-        return problem if self.chosen_by_user else problem.with_parameters(_without_idle(problem))
+        return problem.with_parameters(begin)
+
+    def _idle(self, item: Attempt) -> list[str]:
+        """Parameters that change next to nothing in these motions, even if all others were known."""
+        problem, found = self.problem_of(item), item.solution
+        weight = noise_of(problem, found.residual).weight
+        return idle_names(problem, found.jacobian, weight)
+
+
+def _payload_note(logs: Sequence[Episode]) -> tuple[str, ...]:
+    carried = sorted({log.meta.payload_kg for log in logs if log.meta.payload_kg})
+    if not carried:
+        return ()
+    amounts = ", ".join(f"{payload:g}" for payload in carried)
+    note = (
+        f"some motions carry a payload ({amounts} kg) that the model does not: leave them out, or expect a compromise"
+    )
+    return (note,)
 
 
 def usable(logs: Sequence[Episode], *, keep_flagged: bool) -> tuple[list[Episode], dict[str, str]]:
@@ -212,17 +231,6 @@ def usable(logs: Sequence[Episode], *, keep_flagged: bool) -> tuple[list[Episode
         {} if keep_flagged else {log.id: ", ".join(warning_kinds(log.meta.flags)) for log in logs if log.meta.warned}
     )
     return [log for log in logs if log.id not in flagged], flagged
-
-
-def _without_idle(problem: Problem) -> ParameterSet:
-    """The default parameters without those that change nothing in these motions."""
-    z, step = problem.parameters.start, 0.02
-    rows = problem.residuals(np.vstack([z, z + step * np.eye(z.size)]))
-    if not np.isfinite(rows[0]).all():
-        return problem.parameters
-    jacobian = np.nan_to_num((rows[1:] - rows[0]) / step, nan=1.0)
-    idle = idle_names(problem, jacobian, noise_of(problem, rows[0]).weight, among=problem.parameters.names)
-    return problem.parameters.freeze(idle)
 
 
 def _better(richer: Attempt, best: Attempt) -> bool:

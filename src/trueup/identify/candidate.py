@@ -12,12 +12,8 @@ from trueup.errors import ConfigError
 from trueup.identify.inertial import Inertial, apply_inertial, inertial_of
 from trueup.robots import ControllerSpec, RobotSpec
 from trueup.sim import MujocoSimulator
-from trueup.sim.friction import has_friction, install
+from trueup.sim.friction import harden_friction, has_friction, install
 from trueup.sim.model import compile_spec, load_spec
-
-# Far enough for a friction constraint to be exact: MuJoCo's defaults let a joint creep at some 0.01 rad/s per Nm.
-_HARD_SOLIMP = 0.9999
-_SOLVER_ITERATIONS = 100
 
 
 @dataclass
@@ -98,7 +94,7 @@ class Nominal:
         self.spec = load_spec(path)
         self.simulator = MujocoSimulator.from_spec(self.spec, robot, origin=path)
         if hard_friction:
-            _harden(self.spec, robot.joint_names)
+            harden_friction(self.spec, robot.joint_names)
             self.simulator = MujocoSimulator(compile_spec(self.spec, path), robot, self.simulator.channels)
         self.robot = _with_model_controller(robot)
         self._inertials: dict[str, Inertial] = {}
@@ -171,14 +167,3 @@ def _with_model_controller(robot: RobotSpec) -> RobotSpec:
         per_joint={name: replace(gains, kp=None, kv=None, ki=None) for name, gains in delays.items()},
     )
     return replace(robot, controller=controller, friction={})
-
-
-def _harden(spec: mujoco.MjSpec, joints: tuple[str, ...]) -> None:
-    for name in joints:
-        joint = spec.joint(name)
-        joint.solimp_friction[0] = joint.solimp_friction[1] = _HARD_SOLIMP
-        # The shortest time constant that MuJoCo takes as it is.
-        joint.solref_friction[0] = 2.0 * spec.option.timestep
-        joint.solref_friction[1] = 1.0
-    spec.option.iterations = max(int(spec.option.iterations), _SOLVER_ITERATIONS)
-    spec.option.ls_iterations = max(int(spec.option.ls_iterations), 50)

@@ -19,6 +19,7 @@ from trueup.identify.solvers.gauss_newton import GaussNewtonSettings
 _SERVO_FIT = ("delay_s", "kp", "damping", "frictionloss", "armature", "torque_offset")
 _SERVO_MODELS = {
     "gravity": ("mass",),
+    "drive": ("kv", "torque_limit"),
     "stribeck": ("stribeck", "stribeck_velocity"),
     "load": ("load",),
 }
@@ -185,7 +186,12 @@ def _chosen(kind: Quantity, choice: Any, nominal: Nominal, motions: Sequence[str
         parameter = kind.parameter(nominal, target)
         for key, value in changed.items():
             if key != "frozen" and (isinstance(value, bool) or not isinstance(value, int | float)):
-                raise ConfigError(f"fit: {kind.name}: {key} must be a number", got=repr(value))
+                shown = "start" if key == "value" else key
+                raise ConfigError(
+                    f"fit: {kind.name}: {shown} must be a number",
+                    got=repr(value),
+                    hint="YAML reads 1e-3 as text; write 1.0e-3." if isinstance(value, str) else None,
+                )
         moved: dict[str, Any] = {key: value if key == "frozen" else float(value) for key, value in changed.items()}
         if "value" not in moved:
             low, high = moved.get("low", parameter.low), moved.get("high", parameter.high)

@@ -88,7 +88,12 @@ def identify(
         "fitted": dict(next(row for row in rows if row.chosen).splits),
     }
     status, statements = verdict(
-        solution, parameters, errors, bench.seen.statements, chosen_by_user=bench.chosen_by_user
+        solution,
+        parameters,
+        errors,
+        (*bench.seen.statements, *bench.notes),
+        chosen_by_user=bench.chosen_by_user,
+        torque_seen=bench.torque_seen,
     )
     result = FitResult(
         status=status,

@@ -101,14 +101,12 @@ def joint_costs(problem: Problem, residuals: Float64[np.ndarray, "C N"]) -> Floa
     return costs
 
 
-def idle_names(
-    problem: Problem, jacobian: Float64[np.ndarray, "P N"], weight: float, *, among: Sequence[str]
-) -> list[str]:
-    """Those of the named parameters about which the data say less than the prior, even if all others were known."""
+def idle_names(problem: Problem, jacobian: Float64[np.ndarray, "P N"], weight: float) -> list[str]:
+    """Free parameters of the model about which the data say less than the prior, even if all others were known."""
     _, std = problem.parameters.prior
     gain = np.sum(jacobian**2, axis=1) * np.where(np.isfinite(std), std, 1.0) ** 2 / weight
     return [
         parameter.name
         for parameter, own in zip(problem.parameters.free, gain, strict=True)
-        if own < 1.0 and parameter.name in among
+        if own < 1.0 and quantity(parameter.quantity).of != "motion"
     ]

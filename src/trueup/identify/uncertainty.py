@@ -75,7 +75,8 @@ def memory_of(series: Sequence[Float64[np.ndarray, "_"]]) -> float:
     correlation = (products / np.maximum(count, 1)) / (products[0] / count[0])
     below = np.flatnonzero(correlation < 0.05)
     end = int(below[0]) if below.size else correlation.size
-    return float(max(1.0, 1.0 + 2.0 * correlation[1:end].sum()))
+    # What is the same all through a piece counts as one sample of it.
+    return float(min(max(1.0, 1.0 + 2.0 * correlation[1:end].sum()), longest))
 
 
 def noise_of(problem: Problem, residual: Float64[np.ndarray, "N"]) -> Noise:

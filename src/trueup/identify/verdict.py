@@ -19,6 +19,7 @@ def verdict(
     beforehand: Sequence[str],
     *,
     chosen_by_user: bool,
+    torque_seen: bool,
 ) -> tuple[FitStatus, tuple[str, ...]]:
     """The worst that applies, and everything that must be said."""
     status: FitStatus = "ok"
@@ -42,7 +43,9 @@ def verdict(
         )
     if solution.solver["stop"] not in ("converged",):
         status = "not-converged"
-        statements.append(f"the search stopped early ({solution.solver['stop']}): run longer, or with --resume")
+        statements.append(
+            f"the search stopped early ({solution.solver['stop']}): raise solver.max_iterations, or give it more time"
+        )
     judge = next((split for split in ("val", "test", "train") if split in errors["fitted"]), None)
     if judge is not None:
         before, after = errors["nominal"].get(judge), errors["fitted"][judge]
@@ -55,6 +58,13 @@ def verdict(
             )
         if judge == "train":
             statements.append("there is no val split: the fit is judged on the motions that it was fitted to")
+    fitted = {item.name.partition("[")[0] for item in free}
+    if "kp" in fitted and not torque_seen:
+        rest = "the priors of the masses" if "mass" in fitted else "the model's masses"
+        statements.append(
+            f"positions tell torques only relative to weights: the common scale of gains, friction and armature rests "
+            f"on {rest}; weigh the torque signal to fix it, if the robot has one"
+        )
     if not chosen_by_user:
         idle = [item.name for item in parameters if item.frozen]
         if idle:

@@ -12,6 +12,7 @@ from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.robots import ControllerSpec, RobotSpec, find_model, load_robot
 from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode
+from trueup.sim.friction import harden_friction
 from trueup.sim.model import load_spec
 
 _RATE_HZ = 100.0
@@ -34,6 +35,7 @@ class DemoHardware:
         position_step_rad: encoder resolution [rad].
         velocity_noise: standard deviation of the velocity signal [rad/s].
         torque_noise_nm: standard deviation of the torque signal [Nm].
+        hard_friction: dry friction holds a joint, as it does in reality; MuJoCo's default lets it creep.
     """
 
     kp: float = 38.0
@@ -44,6 +46,7 @@ class DemoHardware:
     position_step_rad: float = 0.0015
     velocity_noise: float = 0.01
     torque_noise_nm: float = 0.05
+    hard_friction: bool = True
 
     def simulator(self, robot: RobotSpec, *, payload_kg: float) -> MujocoSimulator:
         """The true arm, with a payload at the tool."""
@@ -52,6 +55,8 @@ class DemoHardware:
         for joint in spec.joints:
             joint.damping[0] = self.damping  # the other entries are coefficients of higher powers
             joint.frictionloss = self.frictionloss
+        if self.hard_friction:
+            harden_friction(spec, robot.joint_names)
         spec.body("tool").mass += payload_kg
         servo = ControllerSpec(kind="position", kp=self.kp, kv=self.kv)
         joints = tuple(replace(joint, torque_limit=12.0) for joint in robot.joints)

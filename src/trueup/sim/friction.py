@@ -10,6 +10,7 @@ static threshold, the direction-dependent part of `damping`) goes into the passi
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import astuple, fields
 
 import mujoco
@@ -62,12 +63,23 @@ def set_friction(spec: mujoco.MjSpec, joint: str, friction: JointFriction) -> No
     if any(getattr(friction, name) for name in _ROW_LAWS):
         target.frictionloss = max(float(target.frictionloss), _LEAST_FRICTIONLOSS)
     if friction.asymmetry or any(getattr(friction, name) for name in _ROW_LAWS):
-        target.solref_friction = [_SOLREF, 1.0]
-        target.solimp_friction[:2] = [_SOLIMP, _SOLIMP]
-        spec.option.iterations = max(int(spec.option.iterations), _ITERATIONS)
-        spec.option.ls_iterations = max(int(spec.option.ls_iterations), _LINE_SEARCHES)
+        harden_friction(spec, [joint])
     # The solver's copy of the friction rows per island is made before the callback runs.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
+
+
+def harden_friction(spec: mujoco.MjSpec, joints: Iterable[str]) -> None:
+    """Let the constraint solver hold dry friction of these joints as if it were rigid.
+
+    MuJoCo's default is soft: a joint creeps under a load that it should hold, and standing errors disappear that a
+    robot has. Hard rows need enough solver iterations, or they creep again.
+    """
+    for name in joints:
+        target = _joint(spec, name)
+        target.solref_friction = [_SOLREF, 1.0]
+        target.solimp_friction[:2] = [_SOLIMP, _SOLIMP]
+    spec.option.iterations = max(int(spec.option.iterations), _ITERATIONS)
+    spec.option.ls_iterations = max(int(spec.option.ls_iterations), _LINE_SEARCHES)
 
 
 def friction_of(spec: mujoco.MjSpec, joint: str) -> JointFriction:

@@ -41,12 +41,14 @@ class Identified:
         replayed: the replays of the stock and of the fitted model.
         measurement: gap of both.
         ladder: command, stock, fitted.
+        notes: what could not be done besides.
     """
 
     fit: FitResult
     replayed: tuple[ReplaySummary, ReplaySummary]
     measurement: Measurement
     ladder: Ladder
+    notes: tuple[str, ...] = ()
 
 
 def fit(
@@ -97,7 +99,6 @@ def fit(
     checkpoints = out / _CHECKPOINTS
     if overwrite and not resume:
         shutil.rmtree(checkpoints, ignore_errors=True)
-    make_folder(checkpoints)
     path = find_model(robot, given=model, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")
     jobs = jobs or os.cpu_count() or 1
     found = fit_robot(
@@ -112,7 +113,7 @@ def fit(
         on_progress=on_progress,
     )
     save_identification(found, out, seed=seed)
-    _save_graybox(dataset, robot, found.nominal, out)
+    notes = _save_graybox(dataset, robot, found.nominal, out)
     shutil.rmtree(checkpoints, ignore_errors=True)
     stock = replay_unless_same(dataset, robot, model=path, label=STOCK, jobs=jobs, track=track)
     fitted_robot = load_robot(out / "robot.fitted.yaml")
@@ -122,11 +123,15 @@ def fit(
     ladder = ladder_of(measurement, {"stock": (STOCK, stock.seconds), "fitted": (FITTED, seconds)})
     measurement.save(out)
     ladder.save(out / "ladder.json")
-    return Identified(found.result, (stock, fitted), measurement, ladder)
+    return Identified(found.result, (stock, fitted), measurement, ladder, notes)
 
 
-def _save_graybox(dataset: Dataset, robot: RobotSpec, nominal: Nominal, out: Path) -> None:
-    """Write graybox.json where the logs have a torque and a commanded position that a regression can use."""
+def _save_graybox(dataset: Dataset, robot: RobotSpec, nominal: Nominal, out: Path) -> tuple[str, ...]:
+    """Write graybox.json where the logs have a torque and a commanded position that a regression can use.
+
+    Returns:
+        Why there is none, else nothing.
+    """
     from trueup.identify.regression import GrayboxSettings, fit_graybox
 
     (out / "graybox.json").unlink(missing_ok=True)
@@ -136,10 +141,13 @@ def _save_graybox(dataset: Dataset, robot: RobotSpec, nominal: Nominal, out: Pat
     )
     try:
         graybox = fit_graybox(episodes, settings=settings, joints=robot.scored_joints)
-    except TrueupError:  # no torque, or torque-driven: there is no servo to take apart
-        return
-    if any(joint.final is not None for joint in graybox.joints.values()):
-        graybox.save(out / "graybox.json")
+    except TrueupError as error:  # no torque, or torque-driven: there is no servo to take apart
+        return (f"no gray-box regression: {error.what}",)
+    if not any(joint.final is not None for joint in graybox.joints.values()):
+        why = next((note for joint in graybox.joints.values() for note in joint.notes), "no joint can be used")
+        return (f"no gray-box regression: {why}",)
+    graybox.save(out / "graybox.json")
+    return ()
 
 
 def explain(
