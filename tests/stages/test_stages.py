@@ -14,9 +14,9 @@ from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, O
 from trueup.robots import ControllerSpec, JointSpec, find_model, load_robot
 from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode
 from trueup.stages import close, gap, import_logs, replay
-from trueup.stages.ladder import choose
 from trueup.stages.demonstrating import demo_dataset
 from trueup.stages.importing import checked
+from trueup.stages.ladder import choose
 
 
 @pytest.fixture
