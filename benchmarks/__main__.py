@@ -17,6 +17,7 @@ NAMES = (
     "identify_jobs",
     "identify_pace",
     "thesis",
+    "real_robots",
 )
 
 

@@ -13,7 +13,7 @@ from benchmarks.identify_rivals import THREADS, Fit, fit_with_scipy, fit_with_sy
 from benchmarks.table import Row, at_most, shown
 from trueup.identify import SolveSettings, solve
 
-_ROUNDS = 3
+_ROUNDS = 7
 # All of them end in the same minimum, each as near to it as its tolerance wants: 1 % of the error is no difference.
 _SAME = 1.01
 

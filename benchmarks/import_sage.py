@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import time
-from pathlib import Path
 
+from benchmarks.recordings import recording
 from benchmarks.table import Row, shown
 from trueup.dataset.importers import sage
 from trueup.dataset.importers.base import ImportOptions
@@ -14,16 +13,9 @@ LIMIT_S = 3.5  # of the 8 s that the whole import may take
 REPEATS = 3
 
 
-def recording() -> Path | None:
-    """The SO-101 motions: in TRUEUP_SHARED, or in `shared` beside the project."""
-    beside = Path(__file__).resolve().parents[2] / "shared"
-    folder = Path(os.environ.get("TRUEUP_SHARED", beside)) / "data" / "so101_sage"
-    return folder if folder.is_dir() else None
-
-
 def run() -> list[Row]:
     """Best of three runs over files that are in the page cache; nothing without the recording."""
-    folder = recording()
+    folder = recording("so101_sage")
     if folder is None:
         return []
     seconds = []

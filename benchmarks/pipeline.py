@@ -6,7 +6,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.import_sage import recording
+from benchmarks.recordings import recording
 from benchmarks.table import Row, at_most, shown
 from trueup.dataset import Dataset
 from trueup.report import write_report
@@ -16,7 +16,7 @@ from trueup.stages import gap, import_logs, replay
 
 def run() -> list[Row]:
     """Seconds for each command on 43 motions; empty without the recording."""
-    logs = recording()
+    logs = recording("so101_sage")
     if logs is None:
         return []
     with tempfile.TemporaryDirectory() as folder:

@@ -1,6 +1,6 @@
 """The experiment of the ES thesis (3.2) on a hidden Panda: three solvers on the same 28 trajectories.
 
-Writes `benchmarks/results/thesis.json`, from which `scripts/thesis_page.py` makes docs/thesis.md.
+Writes `benchmarks/results/thesis.json`, from which docs/thesis.md is made.
 """
 
 from __future__ import annotations
@@ -235,10 +235,9 @@ def _off(truth: HiddenPanda, fitted: MujocoSimulator, logs: Sequence[Episode]) -
         law, own = truth.friction[column], _law(fitted, joint)
         fastest = max(np.abs(log.measured["velocity"][:, column]).max() for log in logs if log.id.startswith(joint))
         speed = np.concatenate([-np.linspace(0.05, fastest, 50)[::-1], np.linspace(0.05, fastest, 50)])
-        side = np.sign(speed)
-        brake = side * (law.smooth(speed) + truth.frictionloss[column]) + truth.damping[column] * speed
+        brake = law.smooth(speed) + truth.frictionloss[column] * np.sign(speed) + truth.damping[column] * speed
         brake -= truth.torque_offset[column]
-        wrong = side * own.smooth(speed) - brake
+        wrong = own.smooth(speed) - brake
         link, true_link = (inertial_of(item.model, LINKS[column]).inertia for item in (fitted, true))
         off[joint] = {
             "level_percent": 100.0 * (own.sigmoid_level / law.sigmoid_level - 1.0),

@@ -31,19 +31,18 @@ def parameter_table(fit: FitResult) -> Table:
         table.add_column(name, justify="right" if side == "right" else "left")
     table.add_column("unit")
     table.add_column("how sure", overflow="fold")
-    for item in fit.parameters:
-        if not item.frozen:
-            low, high = item.interval
-            style = "red" if item.at_bound and item.low != item.value != 0.0 else _STYLE[item.identified]
-            table.add_row(
-                escape(item.name),
-                f"{item.nominal:.4g}",
-                f"{item.value:.4g}",
-                f"[{low:.3g}, {high:.3g}]",
-                item.unit,
-                escape(_remark(item)),
-                style=style,
-            )
+    for item in fit.free:
+        low, high = item.interval
+        style = "red" if item.at_bound and item.low != item.value != 0.0 else _STYLE[item.identified]
+        table.add_row(
+            escape(item.name),
+            f"{item.nominal:.4g}",
+            f"{item.value:.4g}",
+            f"[{low:.3g}, {high:.3g}]",
+            item.unit,
+            escape(_remark(item)),
+            style=style,
+        )
     return table
 
 
@@ -95,7 +94,7 @@ def attribution_table(attribution: Attribution) -> Table:
 
 def status_line(fit: FitResult) -> tuple[str, str | None]:
     """The status as a sentence, and what to do about it."""
-    free = [item for item in fit.parameters if not item.frozen]
+    free = fit.free
     count = {word: sum(item.identified == word for item in free) for word in ("yes", "weakly", "no")}
     text = (
         f"status: {fit.status}; of {len(free)} parameters that were fitted, the data determine {count['yes']}, "

@@ -152,6 +152,11 @@ class FitResult:
         return {parameter.name: parameter for parameter in self.parameters}[name]
 
     @property
+    def free(self) -> tuple[FittedParameter, ...]:
+        """Those that were fitted."""
+        return tuple(item for item in self.parameters if not item.frozen)
+
+    @property
     def values(self) -> dict[str, float]:
         """Parameter name -> value."""
         return {parameter.name: parameter.value for parameter in self.parameters}

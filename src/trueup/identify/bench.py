@@ -92,6 +92,13 @@ class Bench:
             attempts.append(self._attempt(joined, richer, best.solution, left_out=idle))
             if _better(attempts[-1], best):
                 best, fit = attempts[-1], richer
+        more = [] if self.chosen_by_user else [name for name in self._idle(best) if name not in idle]
+        if more and len(more) < len(best.solution.parameters.free):
+            # What the richer models have brought, and changes nothing either; the motion stays as it is.
+            idle = [*idle, *more]
+            again = self._attempt(f"{best.row.name}, again", fit, best.solution, left_out=idle)
+            again = replace(again, row=replace(again.row, name=best.row.name))
+            attempts[attempts.index(best)] = best = again
         surplus = [] if self.chosen_by_user else open_names(self.posterior_of(best).of_model())
         if surplus and len(surplus) < len(best.solution.parameters.free):
             leaner = self._attempt(f"{best.row.name}, known only", fit, best.solution, left_out=[*idle, *surplus])

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
+from threadpoolctl import threadpool_limits
 
 from trueup.errors import DataError
 from trueup.identify.problem import Problem
@@ -69,16 +70,18 @@ def solve(
     Raises:
         DataError: the start cannot be simulated.
     """
-    if settings.starts > 1:
-        return _from_many_starts(problem, settings, checkpoint, on_progress)
-    run = _Run(problem, settings, checkpoint, on_progress)
-    match settings.solver:
-        case "cma-es" | "evolution":
-            return run.derivative_free(settings.solver)
-        case "gauss-newton":
-            return run.gauss_newton()
-        case _:
-            return _auto(run, settings)
+    # The matrices are small, and idle BLAS threads spin: they would take the simulations' cores.
+    with threadpool_limits(1, "blas"):
+        if settings.starts > 1:
+            return _from_many_starts(problem, settings, checkpoint, on_progress)
+        run = _Run(problem, settings, checkpoint, on_progress)
+        match settings.solver:
+            case "cma-es" | "evolution":
+                return run.derivative_free(settings.solver)
+            case "gauss-newton":
+                return run.gauss_newton()
+            case _:
+                return _auto(run, settings)
 
 
 def _auto(run: _Run, settings: SolveSettings) -> Solution:

@@ -26,8 +26,8 @@ def verdict(
     statements = list(beforehand)
     # A law that ended on zero is one that the robot does not have: no cause for alarm.
     absent = {item.name for item in parameters if item.at_bound == "low" and item.low == 0.0}
-    free = [item for item in parameters if not item.frozen and item.name not in absent]
-    unknown = [item for item in free if item.identified == "no"]
+    free = [item for item in parameters if not item.frozen]
+    unknown = [item for item in free if item.identified == "no" and item.name not in absent]
     if unknown:
         status = "not-identifiable"
         names = ", ".join(item.name for item in unknown[:6]) + (", …" if len(unknown) > 6 else "")
@@ -35,7 +35,7 @@ def verdict(
             f"{len(unknown)} of {len(free)} parameters are not determined by these motions: {names}; their "
             "values are the prior's, not the robot's"
         )
-    stuck = [item for item in free if item.at_bound]
+    stuck = [item for item in free if item.at_bound and item.name not in absent]
     if stuck:
         status = "at-bound"
         statements.append(

@@ -110,14 +110,9 @@ def alert_of(fit: FitResult) -> Alert | None:
     return Alert(tone, title, lead, tuple(as_sentence(text) for text in fit.statements), advice, fit.status)
 
 
-def free_parameters(fit: FitResult) -> list[FittedParameter]:
-    """Those that were fitted."""
-    return [item for item in fit.parameters if not item.frozen]
-
-
 def sure_sentence(fit: FitResult) -> str:
     """How many parameters the data determine."""
-    free = free_parameters(fit)
+    free = fit.free
     if not free:
         return "No parameter was fitted."
     counts = {kind: sum(item.identified == kind for item in free) for kind in ("yes", "weakly", "no")}

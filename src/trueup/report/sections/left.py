@@ -111,8 +111,7 @@ def tried_models(fit: FitResult) -> list[ModelRow]:
     """The models of the fit, after the nominal one; names that occur twice are numbered."""
     rows = list(fit.models)
     if not rows and "fitted" in fit.errors:
-        free = [item for item in fit.parameters if not item.frozen]
-        rows = [ModelRow("fitted", (), len(free), 0.0, fit.errors["fitted"], chosen=True)]
+        rows = [ModelRow("fitted", (), len(fit.free), 0.0, fit.errors["fitted"], chosen=True)]
     if "nominal" in fit.errors:
         rows.insert(0, ModelRow(NOMINAL, (), 0, 0.0, fit.errors["nominal"]))
     seen: dict[str, int] = {}

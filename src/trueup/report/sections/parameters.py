@@ -14,7 +14,6 @@ from trueup.report.fit_words import (
     QUANTITIES,
     as_sentence,
     change_words,
-    free_parameters,
     kind_of,
     shown_value,
     split_name,
@@ -86,7 +85,7 @@ def parameters_section(run: RunFolder) -> Section | None:
     """Only after an identification."""
     if run.fit is None:
         return None
-    groups = parameter_groups(free_parameters(run.fit), run.gap.joints)
+    groups = parameter_groups(run.fit.free, run.gap.joints)
     context = {
         "lead": sure_sentence(run.fit),
         "facts": fit_facts(run.fit),

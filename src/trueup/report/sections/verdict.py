@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from trueup.core.fit_result import FitResult
 from trueup.core.quality import Quality
-from trueup.report.fit_words import alert_of, as_sentence, free_parameters, sure_sentence
+from trueup.report.fit_words import alert_of, as_sentence, sure_sentence
 from trueup.report.folder import RunFolder
 from trueup.report.labels import COMMAND, split_title
 from trueup.report.numbers import in_degrees, interval, percent, plural, quantity, with_unit
@@ -80,7 +80,7 @@ def fit_sentences(fit: FitResult) -> list[str]:
 
 def fit_tile(fit: FitResult) -> Tile:
     """How many parameters the data determine, and the status."""
-    free = free_parameters(fit)
+    free = fit.free
     sure = sum(item.identified == "yes" for item in free)
     ok = fit.status == "ok"
     words = fit.status.replace("-", " ")

@@ -1,17 +1,9 @@
-"""Write docs/thesis.md from benchmarks/results/thesis.json.
+"""docs/thesis.md, from what `python -m benchmarks thesis` has measured."""
 
-python -m benchmarks thesis
-python scripts/thesis_page.py
-"""
-
-import json
-from pathlib import Path
 from statistics import median
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent
-RESULT = ROOT / "benchmarks" / "results" / "thesis.json"
-PAGE = ROOT / "docs" / "thesis.md"
+from benchmarks.pages.markdown import table
 
 # ES thesis, Table 3.6: initial and final error of each joint, sampled at an interval that it does not give.
 THESIS = (
@@ -45,7 +37,7 @@ TEXT = """# The thesis's experiment
 A master's thesis on reinforcement learning for a torque-controlled Panda (the *ES thesis* of these pages) fits friction
 and inertia to 28 trajectories with an evolution strategy, and reports the error of each joint before and after (its
 3.2). Here the same is done on a Panda whose truth is hidden, so that fitted numbers can be held against true ones. This
-page is written by `scripts/thesis_page.py` from what `python -m benchmarks thesis` measures.
+page is made from what `python -m benchmarks thesis` measures (`python -m benchmarks.pages` writes it).
 
 ## What is done
 
@@ -100,8 +92,8 @@ axis with the armature, in the home pose.
 {truth}
 
 Friction is found, and so is the inertia that a joint feels. The tensors of single links are not: one joint at a time
-about one axis shows a sum of link inertias and armature, and any division of the sum moves the arm in the same way. The
-thesis's new inertias (Table 3.5) rest on motions of this kind. Whoever needs them must excite several joints
+about one axis shows a sum of link inertias and armature, and any division of the sum moves the arm in nearly the same
+way. The thesis's new inertias (Table 3.5) rest on motions of this kind. Whoever needs them must excite several joints
 at once; `trueup identify` says of each number [how sure it is](identification.md).
 """
 
@@ -142,9 +134,9 @@ def cut_cells(own: dict[str, Any]) -> list[str]:
     """What is gone of each joint's error, and what it took."""
     joints, solver = own["joints"].values(), own["solver"]
     worst = min(joint["held_out_cut_percent"] for joint in joints)
-    cells = [f"{joint['cut_percent']:.1f}" for joint in joints]
+    cells = [f"{joint['cut_percent']:.2f}" for joint in joints]
     times = (f"{solver[key]:.0f}" for key in ("seconds", "cpu_seconds"))
-    return [*cells, f"{worst:.1f}", str(solver["evaluations"]), *times, solver["stop"]]
+    return [*cells, f"{worst:.2f}", str(solver["evaluations"]), *times, solver["stop"]]
 
 
 def verdict(robots: list[dict[str, Any]]) -> str:
@@ -180,18 +172,3 @@ def truth_table(searches: dict[str, Any]) -> str:
             [NAMES[name], *(f"{value:.4f}" if "rad" in key else f"{value:.1f}" for key, value in middles.items())]
         )
     return table(["solver", *OFF.values()], rows)
-
-
-def table(heads: list[str], rows: list[list[str]]) -> str:
-    """A Markdown table, numbers to the right."""
-    rule = ["---", *["---:"] * (len(heads) - 1)]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in (heads, rule, *rows))
-
-
-def main() -> None:
-    """Write the page."""
-    PAGE.write_text(page(json.loads(RESULT.read_text())))
-
-
-if __name__ == "__main__":
-    main()
