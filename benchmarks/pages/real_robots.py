@@ -18,7 +18,7 @@ SO101_JOINTS = {
 TEXT = """# Real robots
 
 Two recordings that others have published, identified by `trueup identify` without any configuration. This page is made
-from what `python -m benchmarks real_robots` measures (`python -m benchmarks.pages` writes it); {threads} threads.
+from what `python -m benchmarks real_robots` measures (`make pages` writes it); {threads} threads.
 
 ## SO-101: a hobby arm with position servos
 

@@ -37,7 +37,7 @@ TEXT = """# The thesis's experiment
 A master's thesis on reinforcement learning for a torque-controlled Panda (the *ES thesis* of these pages) fits friction
 and inertia to 28 trajectories with an evolution strategy, and reports the error of each joint before and after (its
 3.2). Here the same is done on a Panda whose truth is hidden, so that fitted numbers can be held against true ones. This
-page is made from what `python -m benchmarks thesis` measures (`python -m benchmarks.pages` writes it).
+page is made from what `python -m benchmarks thesis` measures (`make pages` writes it).
 
 ## What is done
 
