@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries, same_units
@@ -78,8 +79,11 @@ class Truth:
         candidate = problem.candidate(self.values)
         return MujocoSimulator(candidate.compile(), self.nominal.robot, self.nominal.simulator.channels), candidate
 
-    def log(self, seed, *, seconds=8.0, rate_hz=100.0, noise=1e-3, size=0.5, name="log", top_hz=1.5, command=None):
-        """One motion: commanded, simulated with the truth by `replay_episode`, measured with noise."""
+    def log(self, seed, *, seconds=8.0, rate_hz=100.0, noise=1e-3, size=0.5, name="log", top_hz=1.5, command=None, memory=0.0):
+        """One motion: commanded, simulated with the truth by `replay_episode`, measured with noise.
+
+        `memory` is the correlation of the position noise from one sample to the next.
+        """
         simulator, candidate = self.simulator()
         signal = self.nominal.robot.controller.signal
         time_s, drawn = wave(seconds, rate_hz, seed, size=size, top_hz=top_hz)
@@ -93,8 +97,9 @@ class Truth:
         delays = tuple(float(value) for value in candidate.delays)
         true = replay_episode(Episode(EpisodeMeta(name), seen, asked), simulator, ReplaySettings(delay_s=delays))
         rng = np.random.default_rng([seed, 7])
+        drawn = rng.standard_normal(rest.shape)
         signals = {
-            "position": true["position"] + noise * rng.standard_normal(rest.shape),
+            "position": true["position"] + noise * lfilter([np.sqrt(1 - memory**2)], [1.0, -memory], drawn, axis=0),
             "velocity": true["velocity"] + 10 * noise * rng.standard_normal(rest.shape),
             "torque": true["torque"],
         }

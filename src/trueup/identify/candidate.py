@@ -59,13 +59,16 @@ class Candidate:
             apply_inertial(self.spec, body, inertial)
 
     def compile(self) -> mujoco.MjModel:
-        """The finished model.
+        """The finished model; MuJoCo calls its friction laws from here on, if it has any.
 
         Raises:
             ConfigError: MuJoCo refuses it.
         """
         self.finish()
-        return compile_spec(self.spec, self.nominal.path)
+        model = compile_spec(self.spec, self.nominal.path)
+        if has_friction(model):
+            install()
+        return model
 
     @property
     def delays(self) -> np.ndarray:
