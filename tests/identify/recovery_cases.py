@@ -79,7 +79,19 @@ class Truth:
         candidate = problem.candidate(self.values)
         return MujocoSimulator(candidate.compile(), self.nominal.robot, self.nominal.simulator.channels), candidate
 
-    def log(self, seed, *, seconds=8.0, rate_hz=100.0, noise=1e-3, size=0.5, name="log", top_hz=1.5, command=None, memory=0.0):
+    def log(
+        self,
+        seed,
+        *,
+        seconds=8.0,
+        rate_hz=100.0,
+        noise=1e-3,
+        size=0.5,
+        name="log",
+        top_hz=1.5,
+        command=None,
+        memory=0.0,
+    ):
         """One motion: commanded, simulated with the truth by `replay_episode`, measured with noise.
 
         `memory` is the correlation of the position noise from one sample to the next.

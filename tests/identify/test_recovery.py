@@ -130,7 +130,7 @@ def test_a_law_acts_in_a_fit_although_nothing_has_switched_laws_on(tmp_path):
     mujoco.set_mjcb_control(None)
     mujoco.set_mjcb_passive(None)
     laws = ("stribeck", "load", "tanh_coulomb", "sigmoid_level", "dead_band")
-    parameters = make_parameters(dict.fromkeys(laws, ["shoulder"]), nominal)
+    parameters = make_parameters({law: ["shoulder"] for law in laws}, nominal)
     segments, _ = make_segments([log], nominal.simulator, SegmentRule())
     problem = Problem(nominal, parameters, segments)
     without = problem.residuals(parameters.start[None])[0]

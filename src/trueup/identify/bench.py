@@ -22,7 +22,7 @@ from trueup.identify.segments import SegmentRule, make_segments
 from trueup.identify.solution import Progress, Solution
 from trueup.identify.solve import solve
 from trueup.identify.start import idle_names, off_bounds, regressed_start, swept_start
-from trueup.identify.uncertainty import Posterior, noise_of, open_names, posterior_of, rounded
+from trueup.identify.uncertainty import Posterior, absent_names, noise_of, open_names, posterior_of, rounded
 
 # A richer model must make motions that it was not fitted to better by this share.
 _WORTH = 0.01
@@ -99,9 +99,16 @@ class Bench:
             again = self._attempt(f"{best.row.name}, again", fit, best.solution, left_out=idle)
             again = replace(again, row=replace(again.row, name=best.row.name))
             attempts[attempts.index(best)] = best = again
-        surplus = [] if self.chosen_by_user else open_names(self.posterior_of(best).of_model())
+        known = self.posterior_of(best).of_model()
+        surplus = [] if self.chosen_by_user else open_names(known)
         if surplus and len(surplus) < len(best.solution.parameters.free):
-            leaner = self._attempt(f"{best.row.name}, known only", fit, best.solution, left_out=[*idle, *surplus])
+            leaner = self._attempt(
+                f"{best.row.name}, known only",
+                fit,
+                best.solution,
+                left_out=[*idle, *surplus],
+                absent=absent_names(known),
+            )
             attempts.append(leaner)
             if _as_good(leaner, best):
                 best = leaner
@@ -174,10 +181,18 @@ class Bench:
         return Problem(self.nominal, parameters, self._segments, weights=self._weights, jobs=self._jobs)
 
     def _attempt(
-        self, name: str, fit: Mapping[str, Any], start: Solution | None = None, *, left_out: Sequence[str] = ()
+        self,
+        name: str,
+        fit: Mapping[str, Any],
+        start: Solution | None = None,
+        *,
+        left_out: Sequence[str] = (),
+        absent: Sequence[str] = (),
     ) -> Attempt:
+        """Fit one model; `left_out` stays as the nominal model has it, `absent` stays at zero."""
         began = time.perf_counter()
         parameters = freeze_still(make_parameters(fit, self.nominal, self.motions), self.seen).freeze(left_out)
+        parameters = parameters.at(dict.fromkeys(absent, 0.0)).freeze(absent)
         settings = self._settings
         if start is None:
             problem = self._started(self._problem(parameters))
@@ -248,7 +263,7 @@ def _better(richer: Attempt, best: Attempt) -> bool:
 
 
 def _as_good(leaner: Attempt, best: Attempt) -> bool:
-    """Whether a model with fewer parameters is no worse on motions that it was not fitted to."""
+    """Whether a model with fewer parameters is no worse, on motions that it was not fitted to if there are any."""
     if leaner.val is None or best.val is None:
-        return True
+        return leaner.solution.rms <= (1.0 + _WORTH) * best.solution.rms
     return leaner.val.mean <= (1.0 + _WORTH) * best.val.mean

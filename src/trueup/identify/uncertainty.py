@@ -214,17 +214,13 @@ def open_names(posterior: Posterior) -> list[str]:
     """Parameters that could as well be left at the model's values: what the data say about them is mostly the prior.
 
     They are taken out one by one, the least known first, since a parameter that two others drown in comes to light
-    when one of them is gone. What ended on zero, where zero means that there is none of it, goes too.
+    when one of them is gone.
     """
     free = list(posterior.parameters.free)
     _, std = posterior.parameters.prior
     precision = np.where(np.isfinite(std), std, 1e6) ** -2.0
-    zero = {
-        item.name
-        for item, z in zip(free, posterior.z, strict=True)
-        if item.low == 0.0 and _bound(item, float(z)) == "low"
-    }
-    left = [index for index, item in enumerate(free) if item.name not in zero]
+    absent = absent_names(posterior)
+    left = [index for index, item in enumerate(free) if item.name not in absent]
     while left:
         information = posterior.data[np.ix_(left, left)] + np.diag(precision[left])
         share = np.diag(np.linalg.pinv(information, hermitian=True)) * precision[left]
@@ -232,8 +228,17 @@ def open_names(posterior: Posterior) -> list[str]:
         if share[worst] <= _NO:
             break
         del left[worst]
-    kept = {free[index].name for index in left}
+    kept = {*absent, *(free[index].name for index in left)}
     return [item.name for item in free if item.name not in kept]
+
+
+def absent_names(posterior: Posterior) -> list[str]:
+    """Free parameters that ended on zero, where zero means that the robot has none of it."""
+    return [
+        item.name
+        for item, z in zip(posterior.parameters.free, posterior.z, strict=True)
+        if item.low == 0.0 and _bound(item, float(z)) == "low"
+    ]
 
 
 def fitted_parameters(posterior: Posterior, nominal: Mapping[str, float]) -> tuple[FittedParameter, ...]:

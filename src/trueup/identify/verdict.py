@@ -26,6 +26,7 @@ def verdict(
     statements = list(beforehand)
     # A law that ended on zero is one that the robot does not have: no cause for alarm.
     absent = {item.name for item in parameters if item.at_bound == "low" and item.low == 0.0}
+    gone = [item.name for item in parameters if item.frozen and item.value == 0.0 != item.nominal]
     free = [item for item in parameters if not item.frozen]
     unknown = [item for item in free if item.identified == "no" and item.name not in absent]
     if unknown:
@@ -65,8 +66,10 @@ def verdict(
             f"positions tell torques only relative to weights: the common scale of gains, friction and armature rests "
             f"on {rest}; weigh the torque signal to fix it, if the robot has one"
         )
+    if gone:
+        statements.append(f"the robot has none of these, though the model does: {', '.join(gone)}")
     if not chosen_by_user:
-        idle = [item.name for item in parameters if item.frozen]
+        idle = [item.name for item in parameters if item.frozen and item.name not in gone]
         if idle:
             statements.append(f"left as they are, since these motions do not show them: {', '.join(idle)}")
     return status, tuple(statements)
