@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 
 from trueup.core.episode import Episode
 from trueup.core.hold import held_rows
@@ -43,7 +43,7 @@ class Segment:
     Attributes:
         episode_id: where it comes from.
         plan: prepared for simulation.
-        counts: stamps that enter the residual, (T,).
+        counts: stamps that enter the residual: after the burn-in, with a position of every joint, (T,).
     """
 
     episode_id: str
@@ -54,6 +54,11 @@ class Segment:
     def seconds(self) -> float:
         """How much motion is simulated [s]."""
         return self.plan.measured.duration_s
+
+    def rows(self, signal: str, columns: Int[np.ndarray, "K"]) -> Bool[np.ndarray, "T"]:
+        """The stamps that count at which these joints have a value of a signal."""
+        values = self.plan.measured[signal][:, columns]
+        return np.asarray(self.counts & np.isfinite(values).all(axis=1))
 
 
 def make_segments(
