@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -109,6 +109,22 @@ def make_segments(
         first = next(iter(refused.values()), "there are no episodes")
         raise DataError("there is nothing to fit", got=first, expected="at least one motion with commands")
     return segments, refused
+
+
+def left_out(reasons: Mapping[str, Mapping[str, str]], *, most: int = 4) -> list[str]:
+    """One sentence for each split about motions that are left out.
+
+    Args:
+        reasons: split -> motion -> why.
+        most: as many are named.
+    """
+    sentences = []
+    for split, own in reasons.items():
+        named = "; ".join(f"{name} ({why})" for name, why in list(own.items())[:most])
+        more = f"; … ({len(own) - most} more)" if len(own) > most else ""
+        count = "1 motion" if len(own) == 1 else f"{len(own)} motions"
+        sentences += [f"{count} of {split} left out: {named}{more}"] if own else []
+    return sentences
 
 
 def _cut_length(durations: Sequence[float], rule: SegmentRule) -> float | None:
