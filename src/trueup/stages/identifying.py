@@ -20,6 +20,7 @@ from trueup.core.results import Ladder
 from trueup.dataset import Dataset
 from trueup.errors import OutputExists, TrueupError
 from trueup.robots import RobotSpec, find_model, load_robot
+from trueup.stages.folder import forget_explanation
 from trueup.stages.ladder import ladder_of
 from trueup.stages.measuring import Measurement, gap
 from trueup.stages.motions import Motions, motions_of
@@ -136,6 +137,8 @@ def fit(
     measurement = gap(dataset, runs=[STOCK, FITTED], seed=seed, track=track)
     seconds = sum(row.seconds for row in result.models) + fitted.seconds
     ladder = ladder_of(measurement, {"stock": (STOCK, stock.seconds), "fitted": (FITTED, seconds)})
+    if overwrite:
+        forget_explanation(out)
     measurement.save(out)
     ladder.save(out / "ladder.json")
     # Only here is nothing left that an interruption could cost.
