@@ -24,7 +24,8 @@ from trueup.dataset import Dataset
 from trueup.identify import IdentifyConfig, Nominal
 from trueup.identify.bench import Bench
 from trueup.robots import find_model
-from trueup.stages.identifying import FITTED, Identified, by_split
+from trueup.stages.identifying import FITTED, Identified
+from trueup.stages.motions import motions_of
 from trueup.stages.replaying import STOCK
 
 RESULT = Path(__file__).parent / "results" / "real_robots.json"
@@ -120,7 +121,7 @@ def _friction_models(data: Path, name: str) -> list[dict[str, Any]]:
     robot = trueup.load_robot(name)
     dataset = Dataset(data)
     path = find_model(robot, folder=dataset.info.model_path(dataset.path))
-    logs = by_split(dataset, robot)
+    logs = motions_of(dataset, robot).by_split
     rows = []
     for label, (extra, hard) in _FRICTION.items():
         config = IdentifyConfig(fit={**_DRIVE, **dict.fromkeys(extra, "all")}, models={})

@@ -48,10 +48,14 @@ class TrueupError(Exception):
         self.details = "; ".join(details)
         super().__init__(": ".join(part for part in (what, self.details) if part))
 
+    @property
+    def summary(self) -> str:
+        """The message without the hint."""
+        return super().__str__()
+
     def __str__(self) -> str:
         """The message, with the hint on a line of its own."""
-        message = super().__str__()
-        return f"{message}\n{self.hint}" if self.hint else message
+        return f"{self.summary}\n{self.hint}" if self.hint else self.summary
 
 
 class DataError(TrueupError):

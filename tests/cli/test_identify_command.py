@@ -5,11 +5,13 @@ import json
 import numpy as np
 import pytest
 
+from report.run_folders import make_attribution, make_fit
 from trueup.cli.main import main
 from trueup.core.attribution import Attribution
 from trueup.core.fit_result import FitResult
 from trueup.core.results import Ladder
 from trueup.dataset import Dataset, DatasetWriter
+from trueup.errors import NotIdentifiable
 from trueup.stages.demonstrating import demo_dataset
 
 QUICK = """
@@ -130,6 +132,52 @@ def test_explain_needs_a_robot(run, demo):
     code, _, said = run("gap", demo, "--explain")
     assert code == 2
     assert "--robot" in said
+
+
+@pytest.fixture
+def measured(run, demo):
+    """The demo with a run of its stock model."""
+    assert run("replay", demo, "--robot", "demo_arm", "--label", "mujoco/stock", "--overwrite")[0] == 0
+    return demo
+
+
+def test_a_measurement_outlives_an_explanation_that_fails(run, measured, tmp_path, monkeypatch):
+    def fails(*_, **__):
+        raise NotIdentifiable("no joint moves in these motions")
+
+    monkeypatch.setattr("trueup.stages.explain", fails)
+    out = tmp_path / "why"
+    code, _, said = run("gap", measured, "--explain", "--robot", "demo_arm", "--out", out)
+    assert code == 3
+    assert "no joint moves" in said
+    assert (out / "gap.json").is_file()
+    assert (out / "report.html").is_file()
+
+
+def test_a_new_gap_stands_beside_nothing_old(run, measured, tmp_path):
+    out = tmp_path / "gap"
+    out.mkdir()
+    make_attribution(("yaw", "shoulder", "elbow")).save(out / "explain.json")
+    assert run("gap", measured, "--out", out, "--runs", "mujoco/stock")[0] == 0
+    assert not (out / "explain.json").exists()
+
+    # A ladder of the same measurement stays, that of another goes.
+    gap = json.loads((out / "gap.json").read_text())
+    Ladder([], provenance=gap["provenance"]).save(out / "ladder.json")
+    run("gap", measured, "--out", out, "--runs", "mujoco/stock", "--overwrite")
+    assert (out / "ladder.json").exists()
+    run("gap", measured, "--out", out, "--runs", "mujoco/stock", "--split", "test", "--overwrite")
+    assert not (out / "ladder.json").exists()
+
+    make_fit(("yaw", "shoulder", "elbow")).save(out / "fit.json")
+    code, _, said = run("gap", measured, "--out", out, "--overwrite")
+    assert code == 2
+    assert "fit of another dataset" in said
+    assert (out / "fit.json").exists()
+    (out / "model.fitted.xml").write_text("<mujoco/>")
+    code, _, said = run("close", measured, "--robot", "demo_arm", "--out", out, "--overwrite")
+    assert code == 0, said
+    assert not [name for name in ("fit.json", "model.fitted.xml") if (out / name).exists()]
 
 
 @pytest.mark.slow

@@ -158,6 +158,50 @@ def test_silence_is_a_failure_and_not_a_joint_without_motion():
     assert np.abs(own.written).max() < 0.3
 
 
+@pytest.mark.parametrize("first", ["read", "write"])
+@pytest.mark.parametrize("ramp", [False, True])
+def test_a_robot_that_misses_its_first_call_is_never_told_a_torque_that_is_no_number(first, ramp):
+    class Late(SlidingRobot):
+        calls = 0
+
+        def once(self, name):
+            self.calls += name == first
+            if name == first and self.calls == 1:
+                raise OSError("not ready")
+
+        def read(self):
+            self.once("read")
+            return super().read()
+
+        def write(self, command):
+            self.once("write")
+            super().write(command)
+
+    own = Late({"joint1": Friction(), "joint2": Friction()}, dt=0.005)
+    hold = PoseHold({"joint1": 60.0, "joint2": 60.0}, {"joint1": 6.0, "joint2": 6.0})
+    settings = RunSettings(rate_hz=200.0, hold=hold)
+    if ramp:
+        plan = RampPlan(ramp_nm_per_s=2.0, repetitions=1, rest_s=0.2)
+        episodes = list(run_breakaway(own, own, limits=LIMITS, joints=["joint1"], plan=plan, settings=settings))
+    else:
+        episodes = list(run_coast(own, own, {"joint1": (1.0, -1.0)}, limits=LIMITS, settings=settings))
+    assert np.isfinite(own.written).all()
+    assert kinds(episodes[0]) == ["robot_failed", "not_returned"]
+    assert not kinds(episodes[1])
+    assert np.ptp(episodes[1].measured["position"][:, 0]) > 1e-3, "the robot has recovered"
+
+
+def test_a_torque_that_is_no_number_stops_the_episode_with_zero_torque():
+    own = robot()
+    hold = PoseHold({"joint2": np.nan}, {})
+    settings = RunSettings(rate_hz=200.0, hold=hold)
+    episode = next(iter(run_coast(own, own, {"joint1": (1.0,)}, limits=LIMITS, settings=settings)))
+    assert kinds(episode)[0] == "robot_failed"
+    assert "joint2" in episode.meta.flags[0].detail
+    assert np.isfinite(own.written).all()
+    np.testing.assert_array_equal(own.written[-1], 0.0)
+
+
 def test_values_that_are_not_finite_are_a_failure():
     class Broken(SlidingRobot):
         def read(self):

@@ -427,7 +427,7 @@ def make_fit(joints, status="ok", parameters=None):
             "seconds": 20.0,
             "window_s": None,
             "samples": 6000,
-            "flagged": {"square_wave": "saturation"},
+            "flagged": {"train": {"square_wave": "saturation"}},
             "refused": {},
         },
         provenance={"trueup": "0.1.0", "seed": 0, "config": {"identify": {"fit": {"kp": "all"}}}},

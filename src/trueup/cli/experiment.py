@@ -29,6 +29,9 @@ def experiment(
     breakaway: Annotated[
         Path | None, typer.Option("--breakaway", help="Result of a breakaway experiment, for constant-torque.")
     ] = None,
+    delay_s: Annotated[
+        float | None, typer.Option("--delay-s", help="Commands act this much later [s]; the robot's own if not given.")
+    ] = None,
     overwrite: options.Overwrite = False,
 ) -> int:
     """Evaluate recordings that isolate one thing: breakaway torques, offset and asymmetry, friction while coasting."""
@@ -41,7 +44,14 @@ def experiment(
     if out_file is not None and out_file.exists() and not overwrite:
         raise OutputExists(f"{out_file} exists", hint="Give --overwrite, or choose another --out.")
     names = None if joints is None else [name.strip() for name in joints.split(",") if name.strip()]
-    found = run(Dataset(dataset), load_robot(robot), kind, joints=names, breakaway=breakaway)  # type: ignore[arg-type]
+    found = run(
+        Dataset(dataset),
+        load_robot(robot),
+        kind,  # type: ignore[arg-type]
+        joints=names,
+        breakaway=breakaway,
+        delay_s=delay_s,
+    )
     out.print(experiment_table(found))
     for line in found.problems:
         note(line)

@@ -59,6 +59,7 @@ def gap(
     from trueup.report import write_report
     from trueup.robots import load_robot
     from trueup.stages import explain as attribute
+    from trueup.stages import folder
     from trueup.stages import gap as measure
 
     if explain and robot is None:
@@ -70,8 +71,11 @@ def gap(
         make_folder(out_dir)
     if out_dir is not None and (out_dir / "gap.json").exists() and not overwrite:
         raise OutputExists(f"{out_dir / 'gap.json'} exists", hint="Give --overwrite, or choose another --out.")
+    data = Dataset(dataset)
+    if out_dir is not None:
+        folder.refuse_other_fit(out_dir, data.hash)
     measurement = measure(
-        Dataset(dataset),
+        data,
         runs=_list(runs),
         robot=load_robot(robot) if robot else None,
         split=split,
@@ -91,20 +95,22 @@ def gap(
         out.print(line, markup=False)
     for line in measurement.gap.settings["warnings"]:
         note(line)
-    attribution = None
+    if out_dir is not None:  # before the fits of --explain, which may fail
+        folder.forget_explanation(out_dir)
+        measurement.save(out_dir)
+        folder.forget_other_ladder(out_dir)
+        report = write_report(out_dir)
     if explain and robot is not None:
         with iterations() as on_progress:
-            attribution = attribute(
-                Dataset(dataset), load_robot(robot), model=model, seed=seed, jobs=jobs, on_progress=on_progress
-            )
+            attribution = attribute(data, load_robot(robot), model=model, seed=seed, jobs=jobs, on_progress=on_progress)
         out.print(attribution_table(attribution))
         for line in attribution.statements:
             note(line)
-    if out_dir is not None:
-        measurement.save(out_dir)
-        if attribution is not None:
+        if out_dir is not None:
             attribution.save(out_dir / "explain.json")
-        out.print(f"report: {write_report(out_dir)}", markup=False)
+            report = write_report(out_dir)
+    if out_dir is not None:
+        out.print(f"report: {report}", markup=False)
     hold_bars(measurement.gap, bars)
     return 0
 

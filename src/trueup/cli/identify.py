@@ -81,8 +81,6 @@ def show(identified: Identified, out_dir: Path) -> None:
     from trueup.report import write_report
 
     fit = identified.fit
-    for name, why in {**fit.data["flagged"], **fit.data["refused"]}.items():
-        note(f"{name} was left out of the fit: {why}")
     out.print(parameter_table(fit))
     if len(fit.models) > 1:
         out.print(model_table(fit))

@@ -12,6 +12,7 @@ from trueup.identify.inertial import Inertial as Inertial
 from trueup.identify.problem import Problem as Problem
 from trueup.identify.problem import Weights as Weights
 from trueup.identify.quantities import QUANTITIES as QUANTITIES
+from trueup.identify.scoring import judged as judged
 from trueup.identify.segments import SegmentRule as SegmentRule
 from trueup.identify.segments import make_segments as make_segments
 from trueup.identify.solution import Progress as Progress
@@ -33,6 +34,7 @@ __all__ = [
     "Weights",
     "explain",
     "identify",
+    "judged",
     "make_segments",
     "save_identification",
     "solve",

@@ -18,8 +18,8 @@ from trueup.identify.config import IdentifyConfig, make_parameters
 from trueup.identify.excitation import excitation_of, freeze_still
 from trueup.identify.problem import Problem, Weights
 from trueup.identify.quantities import Cause, quantity
-from trueup.identify.scoring import Scorer
-from trueup.identify.segments import SegmentRule, make_segments
+from trueup.identify.scoring import Scorer, judged
+from trueup.identify.segments import SegmentRule, left_out, make_segments
 from trueup.identify.solution import OnProgress
 from trueup.identify.solve import solve
 from trueup.identify.start import off_bounds, swept_start
@@ -66,6 +66,7 @@ def explain(
         NotIdentifiable: there is nothing to learn from these motions.
         DataError: no motion can be simulated.
     """
+    robot = judged(robot, config)
     # MuJoCo's soft friction is part of what the model says; from the friction step on it is held exactly.
     soft, hard = Nominal(robot, model, hard_friction=False), Nominal(robot, model)
     given = config or IdentifyConfig()
@@ -73,7 +74,8 @@ def explain(
     fit = dict(settled.fit)
     if not given.fit:
         fit.setdefault("mass", "all")
-    logs = {split: usable(own, keep_flagged=settled.data.keep_flagged)[0] for split, own in episodes.items()}
+    sorted_out = {split: usable(own, keep_flagged=settled.data.keep_flagged) for split, own in episodes.items()}
+    logs = {split: own for split, (own, _) in sorted_out.items()}
     split = next((name for name in ("test", "val", "train") if logs.get(name)), None)
     if split is None or not logs.get("train"):
         raise NotIdentifiable("there is no motion to fit", hint="Give --splits at import.")
@@ -82,7 +84,7 @@ def explain(
     )
     data = settled.data
     rule = SegmentRule(data.window_s, data.cut_s, data.budget_s / 2, data.burn_in_s, seed)
-    segments, _ = make_segments(logs["train"], soft.simulator, rule)
+    segments, refused = make_segments(logs["train"], soft.simulator, rule)
     motions = [segment.episode_id for segment in segments]
     settings = replace(settled.solver.settings(seed), solver="gauss-newton", starts=1)
     scorers = {id(own): Scorer(own, {split: logs[split]}, jobs=jobs, seed=seed) for own in (soft, hard)}
@@ -124,7 +126,11 @@ def explain(
                 time.perf_counter() - began,
             )
         )
+    unused = {name: dict(sorted_out[name][1]) for name in dict.fromkeys(("train", split))}
+    unused["train"] |= {name: error.summary for name, error in refused.items()}
+    unused[split] |= scorers[id(soft)].refused.get(split, {})
     statements = [
+        *left_out(unused),
         *seen.statements,
         "each cause is taken away after those to its left; another order would share the gap differently",
     ]

@@ -59,22 +59,26 @@ class Bench:
         self.config = (config or IdentifyConfig()).resolved(nominal)
         self._checkpoints, self._on_progress = checkpoints, on_progress
         keep = self.config.data.keep_flagged
-        self._train, self._flagged = usable(episodes.get("train", ()), keep_flagged=keep)
+        sorted_out = {split: usable(logs, keep_flagged=keep) for split, logs in episodes.items()}
+        self.usable = {split: own for split, (own, _) in sorted_out.items() if own}
+        self._flagged = {split: why for split, (_, why) in sorted_out.items() if why}
+        self._train = self.usable.get("train", [])
         if not self._train:
+            flagged = self._flagged.get("train")
             raise NotIdentifiable(
                 "there is no motion to fit",
-                got=f"{len(self._flagged)} flagged ones" if self._flagged else "an empty train split",
+                got=f"{len(flagged)} flagged ones" if flagged else "an empty train split",
                 hint="Give --splits at import, or data: {keep_flagged: true} in the configuration.",
             )
         self.notes = _payload_note(self._train)
-        self.usable = {split: own for split, logs in episodes.items() if (own := usable(logs, keep_flagged=keep)[0])}
         self._signal = nominal.robot.controller.signal
         self.seen = excitation_of(
             self._train, nominal.robot.scored_joints, self._signal, nominal.simulator.torque_limits
         )
         data = self.config.data
         rule = SegmentRule(data.window_s, data.cut_s, data.budget_s, data.burn_in_s, seed)
-        self._segments, self._refused = make_segments(self._train, nominal.simulator, rule)
+        self._segments, refused = make_segments(self._train, nominal.simulator, rule)
+        self._unfitted = {name: error.summary for name, error in refused.items()}
         self.motions = [segment.episode_id for segment in self._segments]
         self._weights = Weights(self.config.signals, self.config.joints)
         self._scorer = Scorer(nominal, self.usable, jobs=jobs, seed=seed)
@@ -172,10 +176,17 @@ class Bench:
             "episodes": sorted({segment.episode_id for segment in self._segments}),
             "seconds": round(sum(segment.seconds for segment in self._segments), 2),
             "window_s": self.config.data.window_s,
+            "replay_window_s": self.nominal.robot.replay.window_s,
             "samples": self._problem(ParameterSet(())).size,
             "flagged": self._flagged,
-            "refused": {name: str(error) for name, error in self._refused.items()},
+            "refused": self._refused,
         }
+
+    @property
+    def _refused(self) -> dict[str, dict[str, str]]:
+        """Split -> motion -> why it can be neither fitted nor scored."""
+        train = {**self._scorer.refused.get("train", {}), **self._unfitted}
+        return {**self._scorer.refused, **({"train": train} if train else {})}
 
     def _problem(self, parameters: ParameterSet) -> Problem:
         return Problem(self.nominal, parameters, self._segments, weights=self._weights, jobs=self._jobs)

@@ -14,6 +14,7 @@ from trueup.identify.candidate import Nominal
 from trueup.identify.quantities import Quantity, quantity
 from trueup.identify.solution import SolverName, SolveSettings
 from trueup.identify.solvers.gauss_newton import GaussNewtonSettings
+from trueup.robots import RobotSpec
 
 # Closed loop: the servo holds the joint near its command, so whole motions can be compared.
 _SERVO_FIT = ("delay_s", "kp", "damping", "frictionloss", "armature", "torque_offset")
@@ -35,6 +36,8 @@ _TORQUE_MODELS = {
     "stribeck": ("stribeck", "stribeck_velocity"),
     "load": ("load",),
 }
+# Over longer than this, open-loop motion has no usable slope.
+_OPEN_LOOP_S = 0.5
 _CHOICE_KEYS = ("targets", "shared", "start", "low", "high", "prior_std", "frozen")
 
 
@@ -145,10 +148,14 @@ class IdentifyConfig:
         models = self.models
         if models is None:
             models = ({} if self.fit else _TORQUE_MODELS) if torque else ({} if self.fit else _SERVO_MODELS)
-        window_s = self.data.window_s
-        if window_s is None and torque:
-            window_s = min(nominal.robot.replay.window_s or 0.5, 0.5)
-        return replace(self, fit=fit, models=models, data=replace(self.data, window_s=window_s))
+        data = replace(self.data, window_s=self.window_s(nominal.robot))
+        return replace(self, fit=fit, models=models, data=data)
+
+    def window_s(self, robot: RobotSpec) -> float | None:
+        """How often the fit restarts from the measured state [s]; None never."""
+        if self.data.window_s is not None or robot.controller.signal != "torque":
+            return self.data.window_s
+        return min(robot.replay.window_s or _OPEN_LOOP_S, _OPEN_LOOP_S)
 
     def to_json(self) -> dict[str, Any]:
         """JSON types only."""

@@ -45,16 +45,17 @@ def excitation_of(
 
     Raises:
         NotIdentifiable: no joint moves, or no command ever changes.
+        NameMismatch: an episode lacks one of the joints.
+        MissingSignal: an episode has no position, or no command of that signal.
     """
     moved, commanded = dict.fromkeys(joints, 0.0), dict.fromkeys(joints, 0.0)
     saturated = dict.fromkeys(joints, 0.0)
     seconds = 0.0
     for episode in episodes:
         seconds += episode.measured.duration_s
-        command = episode.commanded()
-        for joint in joints:
-            position = episode.measured["position"][:, episode.measured.joints.index(joint)]
-            asked = command[signal][:, command.joints.index(joint)]
+        positions = episode.measured.select(joints)["position"]
+        commands = episode.commanded().select(joints)[signal]
+        for joint, position, asked in zip(joints, positions.T, commands.T, strict=True):
             moved[joint] = max(moved[joint], _range(position))
             commanded[joint] = max(commanded[joint], _range(asked))
             limit = torque_limits.get(joint)

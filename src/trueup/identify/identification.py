@@ -14,7 +14,7 @@ from trueup.identify.bench import Bench, OnModel
 from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.config import IdentifyConfig, make_parameters
 from trueup.identify.problem import Problem
-from trueup.identify.scoring import Scorer
+from trueup.identify.scoring import Scorer, judged
 from trueup.identify.uncertainty import Posterior, fitted_parameters, open_directions, whiteness_of
 from trueup.identify.verdict import correlations, verdict
 from trueup.robots import RobotSpec
@@ -57,7 +57,8 @@ def identify(
     """Estimate what the simulator has wrong.
 
     Fits on `train`, chooses among models on `val`, and looks at `test` once, with the chosen one and, for the table,
-    with the others. Parameters of the default choice that the motions do not show stay as the model has them.
+    with the others. Parameters of the default choice that the motions do not show stay as the model has them. Where
+    the robot says no `replay.window_s`, models are judged by the windows of the fit.
 
     Args:
         episodes: split -> motions, in the robot's joint names and SI units.
@@ -75,6 +76,7 @@ def identify(
         ConfigError: the configuration does not fit the robot.
         DataError: no motion can be simulated.
     """
+    robot = judged(robot, config)
     nominal = Nominal(robot, model)
     bench = Bench(nominal, episodes, config, jobs=jobs, seed=seed, checkpoints=checkpoints, on_progress=on_progress)
     best, attempts = bench.climb()

@@ -80,18 +80,18 @@ class Problem:
             for parameter in parameters
             for place in quantity(parameter.quantity).places(nominal, parameter.target)
         ]
-        blocks = [
-            (signal, int(np.count_nonzero(segment.counts)))
-            for segment in self.segments
-            for signal in self.signals_of(segment)
-        ]
-        self.size = sum(count for _, count in blocks) * self.columns.size
-        self._scale = 1.0 / np.sqrt(max(1, sum(n for s, n in blocks if s == "position")) * self.columns.size)
+        self._rows = {segment: self._counted(segment) for segment in self.segments}
+        counts = [(signal, np.count_nonzero(own)) for rows in self._rows.values() for signal, own in rows.items()]
+        self.size = int(sum(count for _, count in counts)) * self.columns.size
+        positions = sum(count for signal, count in counts if signal == "position")
+        self._scale = 1.0 / np.sqrt(max(1, positions) * self.columns.size)
         self.evaluations = 0
 
-    def signals_of(self, segment: Segment) -> list[str]:
-        """The signals of a segment that enter the residual, in order."""
-        return [name for name, weight in self.weights.signals.items() if weight and name in segment.plan.measured]
+    def _counted(self, segment: Segment) -> dict[str, Bool[np.ndarray, "T"]]:
+        """The signals of a segment that enter the residual, in order, and the stamps at which they do."""
+        known = [name for name, weight in self.weights.signals.items() if weight and name in segment.plan.measured]
+        rows = {name: segment.rows(name, self.columns) for name in known}
+        return {name: own for name, own in rows.items() if own.any()}
 
     def with_parameters(self, parameters: ParameterSet) -> Problem:
         """The same logs and weights for other parameters; the count of evaluations goes on."""
@@ -126,8 +126,8 @@ class Problem:
         """The residual of one candidate in its places: segment, signal and (samples, columns)."""
         place = 0
         for segment in self.segments:
-            rows = int(np.count_nonzero(segment.counts))
-            for signal in self.signals_of(segment):
+            for signal, counted in self._rows[segment].items():
+                rows = int(np.count_nonzero(counted))
                 size = rows * self.columns.size
                 yield segment, signal, residual[place : place + size].reshape(rows, self.columns.size)
                 place += size
@@ -172,7 +172,7 @@ class Problem:
         place = 0
         tasks: list[_Task] = []
         for segment in self.segments:
-            width = sum(int(np.count_nonzero(segment.counts)) * self.columns.size for _ in self.signals_of(segment))
+            width = sum(int(np.count_nonzero(own)) for own in self._rows[segment].values()) * self.columns.size
             states = segment.plan.steps * segment.plan.starts.size * len(self.nominal.robot.joints)
             # The same number for every thread, or one of them would wait for the others.
             rounds = -(-alive.size // (self.jobs * max(1, _STATES_PER_TASK // max(1, states))))
@@ -203,7 +203,7 @@ class Problem:
         candidates: Sequence[Candidate],
         models: Sequence[mujoco.MjModel | None],
     ) -> Float64[np.ndarray, "C M"]:
-        plan, counts = task.segment.plan, task.segment.counts
+        plan = task.segment.plan
         windows = plan.starts.size
         zeros = np.array([self._zeros(candidates[row], task.segment.episode_id) for row in task.rows])
         requests = [
@@ -218,12 +218,12 @@ class Problem:
         result = simulator.rollout_candidates(request, per_window)
         grids = {"position": result.position, "velocity": result.velocity, "torque": result.torque}
         blocks = []
-        for signal in self.signals_of(task.segment):
+        for signal, counted in self._rows[task.segment].items():
             grid = grids[signal]
             simulated = plan.at_stamps(grid.reshape(task.rows.size, windows, *grid.shape[1:]))
             if signal == "position":
                 simulated = simulated - zeros[:, None, :]
-            residual = (simulated - plan.measured[signal])[:, counts][:, :, self.columns]
+            residual = (simulated - plan.measured[signal])[:, counted][:, :, self.columns]
             residual *= self.weights.signals[signal] * self._joint_weights[self.columns] * self._scale
             blocks.append(residual.reshape(task.rows.size, -1))
         return np.concatenate(blocks, axis=1)

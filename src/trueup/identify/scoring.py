@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, Int
@@ -13,10 +13,12 @@ from trueup.core.parameters import ParameterSet
 from trueup.core.results import Estimate
 from trueup.errors import DataError
 from trueup.identify.candidate import Nominal
+from trueup.identify.config import IdentifyConfig
 from trueup.identify.problem import Problem
 from trueup.identify.quantities import quantity
 from trueup.identify.segments import Segment, SegmentRule, make_segments
 from trueup.measure import bootstrap_interval
+from trueup.robots import RobotSpec
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +68,17 @@ class Scores:
         return Estimate(self.mean, unit, max(0.0, float(low[0])), float(high[0]))
 
 
+def judged(robot: RobotSpec, config: IdentifyConfig | None) -> RobotSpec:
+    """The robot as its models are judged: where it says no `replay.window_s`, with the window of the fit.
+
+    Whole motions of open-loop torque forget their parameters: which of two models does better on them is chance.
+    """
+    if robot.replay.window_s is not None:
+        return robot
+    window_s = (config or IdentifyConfig()).window_s(robot)
+    return replace(robot, replay=replace(robot.replay, window_s=window_s))
+
+
 class Scorer:
     """Scores models on the motions of each split.
 
@@ -74,6 +87,9 @@ class Scorer:
         episodes: split -> motions in the robot's joint names.
         jobs: threads.
         seed: of the intervals.
+
+    Attributes:
+        refused: split -> motion -> why it cannot be scored.
     """
 
     def __init__(
@@ -82,16 +98,16 @@ class Scorer:
         rule = SegmentRule(window_s=nominal.robot.replay.window_s, cut_s=None, budget_s=float("inf"))
         self._nominal, self._jobs, self._seed = nominal, jobs, seed
         self._segments: dict[str, list[Segment]] = {}
-        self.refused: dict[str, str] = {}
+        self.refused: dict[str, dict[str, str]] = {}
         for split, logs in episodes.items():
             if not logs:
                 continue
             try:
                 self._segments[split], refused = make_segments(logs, nominal.simulator, rule)
             except DataError as error:
-                self.refused.update({log.id: str(error) for log in logs})
-                continue
-            self.refused.update({name: str(error) for name, error in refused.items()})
+                refused = dict.fromkeys((log.id for log in logs), error)
+            if refused:
+                self.refused[split] = {name: error.summary for name, error in refused.items()}
 
     @property
     def splits(self) -> tuple[str, ...]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 
 from trueup.core.episode import Episode
 from trueup.core.hold import held_rows
@@ -43,7 +43,7 @@ class Segment:
     Attributes:
         episode_id: where it comes from.
         plan: prepared for simulation.
-        counts: stamps that enter the residual, (T,).
+        counts: stamps that enter the residual: after the burn-in, with a position of every joint, (T,).
     """
 
     episode_id: str
@@ -54,6 +54,11 @@ class Segment:
     def seconds(self) -> float:
         """How much motion is simulated [s]."""
         return self.plan.measured.duration_s
+
+    def rows(self, signal: str, columns: Int[np.ndarray, "K"]) -> Bool[np.ndarray, "T"]:
+        """The stamps that count at which these joints have a value of a signal."""
+        values = self.plan.measured[signal][:, columns]
+        return np.asarray(self.counts & np.isfinite(values).all(axis=1))
 
 
 def make_segments(
@@ -104,6 +109,22 @@ def make_segments(
         first = next(iter(refused.values()), "there are no episodes")
         raise DataError("there is nothing to fit", got=first, expected="at least one motion with commands")
     return segments, refused
+
+
+def left_out(reasons: Mapping[str, Mapping[str, str]], *, most: int = 4) -> list[str]:
+    """One sentence for each split about motions that are left out.
+
+    Args:
+        reasons: split -> motion -> why.
+        most: as many are named.
+    """
+    sentences = []
+    for split, own in reasons.items():
+        named = "; ".join(f"{name} ({why})" for name, why in list(own.items())[:most])
+        more = f"; … ({len(own) - most} more)" if len(own) > most else ""
+        count = "1 motion" if len(own) == 1 else f"{len(own)} motions"
+        sentences += [f"{count} of {split} left out: {named}{more}"] if own else []
+    return sentences
 
 
 def _cut_length(durations: Sequence[float], rule: SegmentRule) -> float | None:

@@ -98,7 +98,7 @@ def _auto(run: _Run, settings: SolveSettings) -> Solution:
         remark = "the model diverges at the start; the search began at another place that can be simulated"
         moved, place = run.problem.parameters, _somewhere_else(run.problem, settings.seed)
         rough = None
-    other = _Run(run.problem.with_parameters(moved.at(place)), derived, None, run.on_progress)
+    other = _Run(run.problem.with_parameters(moved.at(place)), derived, run.checkpoint_of("again"), run.on_progress)
     best = min((item for item in (rough, other.gauss_newton()) if item is not None), key=lambda item: item.rms)
     name = "gauss-newton" if rough is None else "cma-es, gauss-newton"
     return replace(best, solver={**best.solver, "name": name, "remark": remark})
@@ -147,6 +147,7 @@ class _Run:
         if kept:
             state = GaussNewtonState.from_json(kept["solver"])
             problem.evaluations = int(kept["evaluations"])
+            self.start_cost = kept["start_cost"]
         search = GaussNewton(
             problem.residuals,
             low,
@@ -167,7 +168,14 @@ class _Run:
                 self.start_cost = search.start_cost
             if self.settings.max_seconds is not None and clock.seconds > self.settings.max_seconds and not search.done:
                 state.reason = "time"
-            store.save({"solver": state.to_json(), "seconds": clock.seconds, "evaluations": problem.evaluations})
+            store.save(
+                {
+                    "solver": state.to_json(),
+                    "seconds": clock.seconds,
+                    "evaluations": problem.evaluations,
+                    "start_cost": self.start_cost,
+                }
+            )
             self._say("gauss-newton", state.iteration, np.sqrt(state.square), clock.seconds)
         jacobian = search.final_jacobian()
         assert search.residual is not None
@@ -212,11 +220,13 @@ class _Run:
         stop = "converged" if result.stop.kind in ("converged", "stalled", "target") else result.stop.kind
         return self._solution(name, stop, len(steps), result.z, residual, jacobian, clock)
 
-    def _store(self, name: str) -> tuple[Checkpoint, dict[str, Any]]:
+    def checkpoint_of(self, name: str) -> Path | None:
+        """The file of a part of this search."""
         path = self._checkpoint
-        store = Checkpoint(
-            path.with_name(f"{path.stem}.{name}.json") if path else None, fingerprint_of(self.problem, self.settings)
-        )
+        return path.with_name(f"{path.stem}.{name}.json") if path else None
+
+    def _store(self, name: str) -> tuple[Checkpoint, dict[str, Any]]:
+        store = Checkpoint(self.checkpoint_of(name), fingerprint_of(self.problem, self.settings))
         return store, store.load()
 
     def _at(self, z: Float64[np.ndarray, "P"]) -> tuple[Float64[np.ndarray, "N"], Float64[np.ndarray, "P N"]]:

@@ -2,33 +2,36 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import shutil
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trueup.align import JointMap
 from trueup.core.atomic import make_folder
 from trueup.core.attribution import Attribution
-from trueup.core.episode import Episode
 from trueup.core.fit_result import FitResult
 from trueup.core.results import Ladder
 from trueup.dataset import Dataset
-from trueup.errors import DataError, MissingSignal, OutputExists, TrueupError
+from trueup.errors import OutputExists, TrueupError
 from trueup.robots import RobotSpec, find_model, load_robot
+from trueup.stages.folder import forget_explanation
 from trueup.stages.ladder import ladder_of
 from trueup.stages.measuring import Measurement, gap
+from trueup.stages.motions import Motions, motions_of
 from trueup.stages.progress import Track, silent
-from trueup.stages.replaying import STOCK, ReplaySummary, in_robot_names, replay_unless_same
+from trueup.stages.replaying import STOCK, ReplaySummary, replay_unless_same
 
 if TYPE_CHECKING:
-    from trueup.identify import IdentifyConfig, Nominal, OnModel
+    from trueup.identify import IdentifyConfig, OnModel
 
 FITTED = "mujoco/fitted"
-# State of the searches while they run; gone when the fit is written.
+# State of the searches; gone when everything is written.
 _CHECKPOINTS = "checkpoints"
 
 
@@ -41,7 +44,7 @@ class Identified:
         replayed: the replays of the stock and of the fitted model.
         measurement: gap of both.
         ladder: command, stock, fitted.
-        notes: what could not be done besides.
+        notes: what was left out, and what could not be done besides.
     """
 
     fit: FitResult
@@ -69,7 +72,8 @@ def fit(
 
     Fits on the train split, chooses among models on val, reports test. Writes fit.json, robot.fitted.yaml,
     model.fitted.xml, isaac.actuators.yaml, fit.samples.npz, and the files of `gap` and `close` for the runs
-    `mujoco/stock` and `mujoco/fitted`.
+    `mujoco/stock` and `mujoco/fitted`. Where the robot says no `replay.window_s`, both runs are replayed in the windows
+    of the fit (see `identify.judged`).
 
     Args:
         dataset: logs; any joint names that the robot's joint map knows.
@@ -80,62 +84,140 @@ def fit(
         seed: of all draws.
         jobs: threads; the number of cores if None.
         overwrite: replace the results that are in `out`.
-        resume: go on where an earlier call was interrupted.
+        resume: go on where an earlier call was interrupted; what is finished is not done again.
         track: shows progress of the replays.
         on_progress: called after every iteration of every model.
 
     Raises:
-        OutputExists: `out` holds results, and neither `overwrite` nor `resume` is given.
+        OutputExists: `out` holds results, and neither `overwrite` nor `resume` is given; or it holds a finished fit
+            that was made from other inputs, and `overwrite` is not given.
         NotIdentifiable: there is nothing to learn from these motions.
         TrueupError: what any step raises.
     """
-    from trueup.identify import identify as fit_robot
-    from trueup.identify import save_identification
+    from trueup.identify import identify, judged, save_identification
 
     out = Path(out)
     make_folder(out)
     if any(out.iterdir()) and not (overwrite or resume):
         raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
     checkpoints = out / _CHECKPOINTS
-    if overwrite and not resume:
+    if overwrite:
         shutil.rmtree(checkpoints, ignore_errors=True)
     path = find_model(robot, given=model, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")
     jobs = jobs or os.cpu_count() or 1
-    found = fit_robot(
-        by_split(dataset, robot),
-        robot,
-        path,
-        config=config,
-        jobs=jobs,
-        seed=seed,
-        checkpoints=checkpoints,
-        data_hash=dataset.hash,
-        on_progress=on_progress,
-    )
-    save_identification(found, out, seed=seed)
-    notes = _save_graybox(dataset, robot, found.nominal, out)
-    shutil.rmtree(checkpoints, ignore_errors=True)
+    given, robot = robot, judged(robot, config)
+    inputs = _digest(dataset, robot, path, config, seed)
+    result = _finished(out, inputs) if resume and not overwrite else None
+    motions = motions_of(dataset, robot)
+    # Before the fit, since what keeps a replay from working must not come to light after an hour of it.
     stock = replay_unless_same(dataset, robot, model=path, label=STOCK, jobs=jobs, track=track)
+    if result is None:
+        found = identify(
+            motions.by_split,
+            robot,
+            path,
+            config=config,
+            jobs=jobs,
+            seed=seed,
+            checkpoints=checkpoints,
+            data_hash=dataset.hash,
+            on_progress=on_progress,
+        )
+        data = {
+            **found.result.data,
+            "refused": _joined(motions.refused, found.result.data["refused"]),
+            "inputs": inputs,
+        }
+        found = replace(found, result=replace(found.result, data=data))
+        save_identification(found, out, seed=seed)
+        result = found.result
+    graybox = _save_graybox(motions, robot, path, out)
     fitted_robot = load_robot(out / "robot.fitted.yaml")
     fitted = replay_unless_same(dataset, fitted_robot, model=None, label=FITTED, jobs=jobs, track=track)
     measurement = gap(dataset, runs=[STOCK, FITTED], seed=seed, track=track)
-    seconds = sum(row.seconds for row in found.result.models) + fitted.seconds
+    seconds = sum(row.seconds for row in result.models) + fitted.seconds
     ladder = ladder_of(measurement, {"stock": (STOCK, stock.seconds), "fitted": (FITTED, seconds)})
+    if overwrite:
+        forget_explanation(out)
     measurement.save(out)
     ladder.save(out / "ladder.json")
-    return Identified(found.result, (stock, fitted), measurement, ladder, notes)
+    # Only here is nothing left that an interruption could cost.
+    shutil.rmtree(checkpoints, ignore_errors=True)
+    notes = (*_left_out_notes(result), *_window_note(given, robot), *graybox, *measurement.gap.settings["warnings"])
+    return Identified(result, (stock, fitted), measurement, ladder, notes)
 
 
-def _save_graybox(dataset: Dataset, robot: RobotSpec, nominal: Nominal, out: Path) -> tuple[str, ...]:
+def _digest(dataset: Dataset, robot: RobotSpec, model: Path, config: IdentifyConfig | None, seed: int) -> str:
+    """Hash of everything that decides about a fit."""
+    from trueup.identify import IdentifyConfig
+    from trueup.sim import MujocoSimulator
+
+    inputs = {
+        "data": dataset.hash,
+        "splits": dataset.splits,
+        "clean": dataset.select(drop_flagged=True),
+        "robot": robot.to_dict(),
+        "model": MujocoSimulator.from_robot(robot, model).fingerprint,
+        "config": (config or IdentifyConfig()).to_json(),
+        "seed": seed,
+    }
+    return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
+
+
+def _finished(out: Path, inputs: str) -> FitResult | None:
+    """The fit that an earlier call has finished; None if there is still one to finish.
+
+    Raises:
+        OutputExists: the earlier call has finished another one.
+    """
+    path = out / "fit.json"
+    if not path.is_file():
+        return None
+    result = FitResult.load(path)
+    if result.data.get("inputs") == inputs:
+        return result
+    if (out / _CHECKPOINTS).is_dir():
+        return None
+    raise OutputExists(
+        f"{path} was fitted to other data or splits, or with another robot, model, configuration or seed",
+        hint="Give --overwrite to replace it, or choose another --out.",
+    )
+
+
+def _joined(*reasons: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, str]]:
+    """Split -> motion -> why, of several."""
+    splits = dict.fromkeys(split for item in reasons for split in item)
+    return {split: {name: why for item in reasons for name, why in item.get(split, {}).items()} for split in splits}
+
+
+def _left_out_notes(result: FitResult) -> list[str]:
+    from trueup.identify.segments import left_out
+
+    return left_out(_joined(result.data["flagged"], result.data["refused"]))
+
+
+def _window_note(given: RobotSpec, robot: RobotSpec) -> list[str]:
+    if given.replay.window_s == robot.replay.window_s:
+        return []
+    note = (
+        f"{given.name} says no replay.window_s: models are judged, and {STOCK} and {FITTED} replayed, in windows of "
+        f"{robot.replay.window_s:g} s as the fit has them; robot.fitted.yaml says so"
+    )
+    return [note]
+
+
+def _save_graybox(motions: Motions, robot: RobotSpec, model: Path, out: Path) -> tuple[str, ...]:
     """Write graybox.json where the logs have a torque and a commanded position that a regression can use.
 
     Returns:
         Why there is none, else nothing.
     """
+    from trueup.identify import Nominal
     from trueup.identify.regression import GrayboxSettings, fit_graybox
 
     (out / "graybox.json").unlink(missing_ok=True)
-    episodes = [episode for logs in by_split(dataset, robot).values() for episode in logs]
+    nominal = Nominal(robot, model)
+    episodes = [episode for logs in motions.by_split.values() for episode in logs]
     settings = GrayboxSettings(
         delay_s=float(np.median(nominal.given.delay_s)), torque_limits=nominal.simulator.torque_limits
     )
@@ -169,10 +251,12 @@ def explain(
         TrueupError: what any step raises.
     """
     from trueup.identify import explain as attribute
+    from trueup.identify.segments import left_out
 
     path = find_model(robot, given=model, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")
-    return attribute(
-        by_split(dataset, robot),
+    motions = motions_of(dataset, robot)
+    found = attribute(
+        motions.by_split,
         robot,
         path,
         config=config,
@@ -181,38 +265,5 @@ def explain(
         data_hash=dataset.hash,
         on_progress=on_progress,
     )
-
-
-def by_split(dataset: Dataset, robot: RobotSpec) -> dict[str, list[Episode]]:
-    """The motions of a dataset in the robot's names, by split; without any split all are `train`.
-
-    A motion that cannot be brought into the robot's names is left out if others can.
-
-    Raises:
-        NameMismatch: the joints of the log are not the robot's.
-        DataError: no motion is usable.
-    """
-    joint_map = JointMap.from_dict(robot.joint_rules())
-    assigned = dict(dataset.splits)
-    if not any(assigned.values()):
-        assigned = dict.fromkeys(dataset.ids, "train")
-    if "train" not in assigned.values():
-        raise MissingSignal("the dataset has no train split to fit", available=sorted(set(assigned.values())))
-    found: dict[str, list[Episode]] = {}
-    refused: list[TrueupError] = []
-    for name in dataset.ids:
-        split = assigned.get(name, "")
-        if not split:
-            continue
-        try:
-            episode = in_robot_names(dataset.episode(name), joint_map)
-            episode.commanded()
-        except TrueupError as error:
-            refused.append(error)
-            continue
-        found.setdefault(split, []).append(episode)
-    if refused and not found.get("train"):
-        raise refused[0]
-    if not found:
-        raise DataError("the dataset has no episode in a split")
-    return found
+    unused = {split: why for split, why in motions.refused.items() if split in ("train", found.split)}
+    return replace(found, statements=(*left_out(unused), *found.statements))

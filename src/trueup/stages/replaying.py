@@ -126,8 +126,7 @@ def replay(
     joint_map = JointMap.from_dict(robot.joint_rules())
     wanted = tuple(dataset.ids if ids is None else ids)
     failed: dict[str, TrueupError] = {}
-    if wanted:  # names that do not fit concern all episodes: say it once, before anything is written
-        in_robot_names(dataset.episode(wanted[0]), joint_map)
+    _refuse_other_names(dataset, wanted, joint_map)
     with contextlib.ExitStack() as stack:
         writer = None
         if keeping:
@@ -181,13 +180,26 @@ def _readable(
             failed[name] = error
 
 
+def _refuse_other_names(dataset: Dataset, ids: Sequence[str], joint_map: JointMap) -> None:
+    """Names that fit no episode are said once, before anything is written."""
+    first: TrueupError | None = None
+    for name in ids:
+        try:
+            in_robot_names(dataset.episode(name), joint_map)
+        except TrueupError as error:
+            first = first or error
+            continue
+        return
+    if first is not None:
+        raise first
+
+
 def _inputs(robot: RobotSpec, simulator: MujocoSimulator, settings: Mapping[str, Any]) -> dict[str, Any]:
     """What decides about a motion of a run: if it is the same, the motion need not be simulated again."""
     return {"robot": robot.to_dict(), "model_sha256": simulator.fingerprint, "settings": dict(settings)}
 
 
 def _refuse_other_inputs(dataset: Dataset, label: str, inputs: Mapping[str, Any]) -> None:
-
     stored = dataset.run_info(label).get("inputs", {})
     plain = json.loads(json.dumps(inputs))  # as run.json keeps it: tuples are lists there
     changed = sorted(key for key in plain if stored.get(key) != plain[key])

@@ -14,7 +14,14 @@ from trueup.core.results import Estimate
 from trueup.errors import DataError, NotIdentifiable, TrueupError
 from trueup.identify.experiments.attempts import Attempt, read_attempts
 from trueup.identify.experiments.findings import ExperimentResult, Finding, Rejection, reasons_in_short, said
-from trueup.identify.experiments.joint_log import disturbances, excited_joints, joint_log, reason_of
+from trueup.identify.experiments.joint_log import (
+    Delay,
+    delay_to_json,
+    disturbances,
+    excited_joints,
+    joint_log,
+    reason_of,
+)
 from trueup.identify.experiments.onset import STILL_SPEED
 
 _DOUBT = 0.25  # share of the correction that stays in doubt: the law of the onset is not known exactly
@@ -24,7 +31,7 @@ def estimate_breakaway(
     episodes: Iterable[Episode],
     *,
     joints: Sequence[str] | None = None,
-    delay_s: float = 0.0,
+    delay_s: Delay = 0.0,
     still_speed: float = STILL_SPEED,
 ) -> ExperimentResult:
     """The torques that set standing joints in motion, from recorded ramps.
@@ -42,8 +49,8 @@ def estimate_breakaway(
     Args:
         episodes: command with `torque`, measured with `position` or `velocity`.
         joints: which joints; None finds them (see `excited_joints`).
-        delay_s: the command acts this much later [s]; a delay that is left out makes thresholds too large by slope
-            times delay.
+        delay_s: the command acts this much later [s], one number or joint -> its own; a delay that is left out makes
+            thresholds too large by slope times delay.
         still_speed: speed below which a joint stands [rad/s].
 
     Raises:
@@ -77,7 +84,7 @@ def estimate_breakaway(
         notes={joint: _notes(episodes, joint, items) for joint, items in attempts.items()},
         runs=tuple(item.to_json(efforts[joint]) for joint, items in attempts.items() for item in items),
         rejected=tuple(rejected),
-        settings={"delay_s": delay_s, "still_speed": still_speed},
+        settings={"delay_s": delay_to_json(delay_s), "still_speed": still_speed},
     )
 
 

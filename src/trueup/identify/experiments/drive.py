@@ -39,9 +39,9 @@ def drive(
 
     Returns:
         Command (`torque`) and all measured joint signals, from time 0. It is flagged `safety_stop` where a limit
-        ended it, `robot_failed` where the robot or the clock raised, went silent or sent values that are not
-        finite (the samples until then are kept; a single row of NaN if there are none), `late_ticks` where the
-        loop could not keep the rate.
+        ended it, `robot_failed` where the robot or the clock raised, went silent, sent values that are not finite
+        or would have been sent some (the samples until then are kept; a single row of NaN if there are none),
+        `late_ticks` where the loop could not keep the rate.
 
     Raises:
         MissingSignal: the robot reports no position.
@@ -55,14 +55,33 @@ def drive(
     return tape.episode(replace(meta, flags=(*meta.flags, *flags)))
 
 
-def bring_back(
-    robot: RobotIO, clock: Clock, joint: str, start: float, *, limits: Limits, settings: RunSettings
-) -> tuple[Flag, ...]:
-    """Bring a joint back to where it was, or wait until it stands if nothing holds it. Nothing is recorded.
+def drive_and_return(
+    robot: RobotIO,
+    clock: Clock,
+    joint: str,
+    program: Program,
+    *,
+    limits: Limits,
+    settings: RunSettings,
+    meta: EpisodeMeta,
+) -> Episode:
+    """As `drive`, then bring the joint back to where it was, or wait until it stands if nothing holds it.
 
     Returns:
-        A note `not_returned` if the joint did not come back, or did not come to rest.
+        The episode of `drive`, with a note `not_returned` if the joint did not come back, or did not come to rest.
     """
+    episode = drive(robot, clock, joint, program, limits=limits, settings=settings, meta=meta)
+    start = float(episode.measured["position"][0, robot.joints.index(joint)])
+    missed = _bring_back(robot, clock, joint, start, limits, settings)
+    return replace(episode, meta=replace(episode.meta, flags=(*episode.meta.flags, *missed)))
+
+
+def _bring_back(
+    robot: RobotIO, clock: Clock, joint: str, start: float, limits: Limits, settings: RunSettings
+) -> tuple[Flag, ...]:
+    """Nothing of the way back is recorded; where the start was never read, there is none."""
+    if not np.isfinite(start):
+        return (_not_returned(joint, "where it started was not read"),)
     returning = _Returning(joint, start, limits, settings.hold)
     meta = EpisodeMeta(f"{joint}_return")
     moved = drive(robot, clock, joint, returning, limits=limits, settings=settings, meta=meta)
@@ -70,11 +89,15 @@ def bring_back(
     if returning.done and not serious:
         return ()
     why = "; ".join(serious) or f"still {returning.missed:.3g} rad from its start after {returning.timeout_s:g} s"
-    return (Flag("not_returned", joint=joint, detail=f"the joint did not come back to rest: {why}", severity="note"),)
+    return (_not_returned(joint, why),)
+
+
+def _not_returned(joint: str, why: str) -> Flag:
+    return Flag("not_returned", joint=joint, detail=f"the joint did not come back to rest: {why}", severity="note")
 
 
 class _Returning:
-    """The program of `bring_back`: PD towards the start, or no torque; until the joint stands."""
+    """The program of the way back: PD towards the start, or no torque; until the joint stands."""
 
     def __init__(self, joint: str, start: float, limits: Limits, hold: PoseHold | None) -> None:
         self.hold = hold if hold is not None and joint in hold.kp else None
@@ -137,6 +160,9 @@ def _loop(
             return [_failure(f"the robot went silent: the same readings for {now - changed_s:.2g} s", tape)]
         torque = np.zeros(len(robot.joints)) if stop else _holding(robot.joints, tape, velocity, limits, settings)
         torque[column] = wanted or 0.0
+        if not np.isfinite(torque).all():
+            bad = [name for name, value in zip(robot.joints, torque, strict=True) if not np.isfinite(value)]
+            return [_failure(f"the torque to command is not finite for {', '.join(bad)}: nothing was sent", tape)]
         try:
             robot.write({"torque": torque})
         except Exception as error:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.protocols import Clock, RobotIO
 from trueup.errors import ConfigError
-from trueup.identify.experiments.drive import bring_back, drive
+from trueup.identify.experiments.drive import drive_and_return
 from trueup.identify.experiments.limits import Limits, RunSettings, check_joints
 
 # ES thesis, Table 3.3: the 28 trajectories of a Franka Emika Panda, joint -> torques [Nm].
@@ -149,10 +149,7 @@ def _recorded_pulses(
                 name = f"{joint}_torque{float(torque)}" + (f"_{repetition + 1:02d}" if repetition else "")
                 meta = EpisodeMeta(name, condition=condition)
                 pulse = _Pulse(plan, torque)
-                episode = drive(robot, clock, joint, pulse, limits=limits, settings=settings, meta=meta)
-                start = float(episode.measured["position"][0, robot.joints.index(joint)])
-                missed = bring_back(robot, clock, joint, start, limits=limits, settings=settings)
-                yield replace(episode, meta=replace(episode.meta, flags=(*episode.meta.flags, *missed)))
+                yield drive_and_return(robot, clock, joint, pulse, limits=limits, settings=settings, meta=meta)
 
 
 class _Pulse:

@@ -47,7 +47,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Rejection:
-    """An episode, or a part of it, that said nothing about a joint, and why."""
+    """An episode, or a part of it, that said nothing about a joint (any joint, if it is empty), and why."""
 
     episode: str
     joint: str
@@ -98,7 +98,10 @@ class ExperimentResult:
             if item.status != "ok"
         )
         notes = (f"{joint}: {note}" for joint, items in self.notes.items() for note in items)
-        rejected = (f"{item.episode}, {item.joint}: {item.reason}" for item in self.rejected)
+        rejected = (
+            f"{item.episode}, {item.joint}: {item.reason}" if item.joint else f"{item.episode}: {item.reason}"
+            for item in self.rejected
+        )
         return tuple(dict.fromkeys((*findings, *notes, *rejected)))
 
     def to_json(self) -> dict[str, Any]:

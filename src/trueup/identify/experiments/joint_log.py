@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -19,6 +19,8 @@ from trueup.errors import DataError, MissingSignal, NameMismatch
 from trueup.identify.experiments.findings import in_words
 
 TorqueSource = Literal["command", "measured"]
+# How much later commands act [s]: one number, or joint -> its own.
+Delay = float | Mapping[str, float]
 
 _LEAST_ROWS = 10
 _DISTURBED_RAD = 0.05  # a joint that is not excited and moves this far changes inertia and gravity of the one that is
@@ -53,7 +55,7 @@ class JointLog:
 
 
 def joint_log(
-    episode: Episode, joint: str, *, delay_s: float = 0.0, torque_source: TorqueSource = "command"
+    episode: Episode, joint: str, *, delay_s: Delay = 0.0, torque_source: TorqueSource = "command"
 ) -> JointLog:
     """One joint of an episode.
 
@@ -62,7 +64,7 @@ def joint_log(
     Args:
         episode: with `position` or `velocity` measured, and the torque that `torque_source` asks for.
         joint: joint name.
-        delay_s: the commanded torque acts this much later [s].
+        delay_s: the commanded torque acts this much later [s]; a joint that a mapping does not name has none.
         torque_source: `command`, or the `measured` torque where the drive does not follow its command.
 
     Raises:
@@ -78,7 +80,8 @@ def joint_log(
         raise MissingSignal(
             f"episode {episode.id!r} has no usable position or velocity of {joint!r}", available=measured.signals
         )
-    torque = _torque(episode, joint, delay_s, torque_source)
+    own_s = delay_s.get(joint, 0.0) if isinstance(delay_s, Mapping) else delay_s
+    torque = _torque(episode, joint, own_s, torque_source)
     good: Bool[np.ndarray, "T"] = np.isfinite(torque)
     for values in channels.values():
         good &= np.isfinite(values)
@@ -93,6 +96,11 @@ def joint_log(
         velocity=channels["velocity"][good] if "velocity" in channels else None,
         length=_length_unit(measured),
     )
+
+
+def delay_to_json(delay_s: Delay) -> Any:
+    """JSON types only."""
+    return dict(delay_s) if isinstance(delay_s, Mapping) else delay_s
 
 
 def excited_joints(episode: Episode, joints: Sequence[str] | None) -> tuple[str, ...]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.protocols import Clock, RobotIO
 from trueup.errors import ConfigError
-from trueup.identify.experiments.drive import bring_back, drive
+from trueup.identify.experiments.drive import drive_and_return
 from trueup.identify.experiments.limits import Limits, RunSettings, check_joints
 from trueup.identify.experiments.onset import PERSISTENCE, STILL_SPEED, Stillness, least_rest
 
@@ -119,10 +119,7 @@ def _ramps(
             for sign in (1, -1) if repetition % 2 == 0 else (-1, 1):
                 ramp = _Ramp(plan, slope, sign, limits.torque_nm[joint])
                 meta = EpisodeMeta(f"{joint}_ramp-{_NAMES[sign]}-{repetition + 1:02d}", condition="breakaway")
-                episode = drive(robot, clock, joint, ramp, limits=limits, settings=settings, meta=meta)
-                start = float(episode.measured["position"][0, robot.joints.index(joint)])
-                missed = bring_back(robot, clock, joint, start, limits=limits, settings=settings)
-                yield replace(episode, meta=replace(episode.meta, flags=(*episode.meta.flags, *missed)))
+                yield drive_and_return(robot, clock, joint, ramp, limits=limits, settings=settings, meta=meta)
 
 
 class _Ramp:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from trueup.errors import ConfigError, MissingSignal
-from trueup.identify.experiments.joint_log import JointLog, TorqueSource
+from trueup.identify.experiments.joint_log import Delay, JointLog, TorqueSource, delay_to_json
 from trueup.identify.experiments.onset import STILL_SPEED, encoder_step
 
 _SMOOTH_S = 0.01
@@ -31,7 +31,7 @@ class MotionSettings:
         signal: `position` or `velocity` alone; `auto` takes the position where there is one. Both are used without
             differentiating (see `motion_fit`).
         torque: `command`, or the `measured` torque where the drive does not follow its command.
-        delay_s: the commanded torque acts this much later [s].
+        delay_s: the commanded torque acts this much later [s], one number or joint -> its own.
         min_speed: slower than this is standing, or friction of another kind [rad/s]; None takes 0.03 rad/s (ES thesis
             3.1.2), 5 % of the largest speed, or what noise and encoder ask for, whatever is most.
         max_travel_rad: motion further than this from the start is left out, because gravity changes; None for all.
@@ -43,7 +43,7 @@ class MotionSettings:
 
     signal: Literal["auto", "position", "velocity"] = "auto"
     torque: TorqueSource = "command"
-    delay_s: float = 0.0
+    delay_s: Delay = 0.0
     min_speed: float | None = None
     max_travel_rad: float | None = None
     position_rad: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -54,12 +54,14 @@ class MotionSettings:
             value = getattr(self, name)
             if value is not None and not value > 0:
                 raise ConfigError(f"{name} must be positive", got=value)
-        if not self.delay_s >= 0:
+        delays = self.delay_s.values() if isinstance(self.delay_s, Mapping) else [self.delay_s]
+        if not all(delay_s >= 0 for delay_s in delays):
             raise ConfigError("delay_s must be >= 0", got=self.delay_s)
 
     def to_json(self) -> dict[str, Any]:
         """JSON types only."""
-        return {**asdict(self), "position_rad": {name: list(ends) for name, ends in self.position_rad.items()}}
+        ranges = {name: list(ends) for name, ends in self.position_rad.items()}
+        return {**asdict(self), "delay_s": delay_to_json(self.delay_s), "position_rad": ranges}
 
 
 @dataclass(frozen=True, eq=False)

@@ -149,12 +149,10 @@ def fit_facts(fit: FitResult) -> list[str]:
 
 
 def left_out(data: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Motions that were not fitted to, and why."""
-    return [
-        (str(name), str(why))
-        for key in ("flagged", "refused")
-        for name, why in (data.get(key).items() if isinstance(data.get(key), Mapping) else ())  # type: ignore[union-attr]
-    ]
+    """Motions that were neither fitted nor judged by: their split, and why."""
+    splits = [data[key] for key in ("flagged", "refused") if isinstance(data.get(key), Mapping)]
+    motions = [(split, own) for item in splits for split, own in item.items() if isinstance(own, Mapping)]
+    return [(str(name), f"{why} ({split})") for split, own in motions for name, why in own.items()]
 
 
 def _group(name: str, items: Sequence[FittedParameter], joints: Sequence[str]) -> ParameterGroup:

@@ -1,0 +1,46 @@
+"""A folder of results: what an earlier command has left must not stand in a report as if it belonged to a new one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from trueup.core.atomic import read_json
+from trueup.core.fit_result import FitResult
+from trueup.errors import OutputExists
+
+_ORIGIN = ("config", "data_hash", "seed")
+_FIT_FILES = (
+    *("fit.json", "graybox.json", "fit.samples.npz"),
+    *("model.fitted.xml", "robot.fitted.yaml", "isaac.actuators.yaml"),
+)
+
+
+def forget_explanation(folder: Path) -> None:
+    """Remove the attribution of a measurement that is replaced."""
+    (folder / "explain.json").unlink(missing_ok=True)
+
+
+def forget_fit(folder: Path) -> None:
+    """Remove what an identification left."""
+    for name in _FIT_FILES:
+        (folder / name).unlink(missing_ok=True)
+
+
+def forget_other_ladder(folder: Path) -> None:
+    """Remove a ladder that quotes another measurement than the one in the folder."""
+    ladder, gap = folder / "ladder.json", folder / "gap.json"
+    if ladder.is_file():
+        origins = [read_json(path)["provenance"] for path in (ladder, gap)]
+        if any(origins[0].get(key) != origins[1].get(key) for key in _ORIGIN):
+            ladder.unlink()
+
+
+def refuse_other_fit(folder: Path, data_hash: str) -> None:
+    """Refuse a folder with the fit of another dataset: it took long, and would be shown as one of this data.
+
+    Raises:
+        OutputExists: there is one.
+    """
+    path = folder / "fit.json"
+    if path.is_file() and FitResult.load(path).provenance.get("data_hash") != data_hash:
+        raise OutputExists(f"{folder} holds the fit of another dataset (fit.json)", hint="Choose another --out.")
