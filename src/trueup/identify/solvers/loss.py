@@ -12,6 +12,7 @@ LossName = Literal["linear", "soft_l1"]
 
 # Median of the absolute values of a normal variable of standard deviation 1, inverted.
 _NORMAL = 1.4826
+_LEAST = 1e-3
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,9 @@ class Loss:
         """The loss near a residual, with c at `scale` of its robust standard deviations."""
         if name == "linear":
             return Loss()
-        return Loss(scale * _NORMAL * float(np.median(np.abs(residual))) + 1e-300)
+        size = np.abs(residual)
+        # Where most residuals are exactly zero, as in a simulated log at rest, the others would not count at all.
+        return Loss(max(scale * _NORMAL * float(np.median(size)), _LEAST * float(size.max()), 1e-150))
 
     def cost(self, residual: Float64[np.ndarray, "N"]) -> float:
         """The sum over all residuals."""
