@@ -6,11 +6,21 @@ import numpy as np
 import pytest
 
 from identify.recovery_cases import SERVO, TORQUE, Truth, arm, nominal_of
+from trueup.core.fit_result import FitResult
 from trueup.core.parameters import ParameterSet
 from trueup.core.results import Estimate
 from trueup.errors import DataError
-from trueup.identify import Nominal, Problem, SegmentRule, SolveSettings, make_segments, solve
-from trueup.identify.config import make_parameters
+from trueup.identify import (
+    IdentifyConfig,
+    Nominal,
+    Problem,
+    SegmentRule,
+    SolveSettings,
+    identify,
+    make_segments,
+    solve,
+)
+from trueup.identify.config import SolverChoice, make_parameters
 from trueup.identify.costs import PenalizedSquares, roles_of
 from trueup.identify.solution import fingerprint_of
 from trueup.identify.solvers import GaussNewtonSettings
@@ -329,3 +339,22 @@ def test_a_rescue_is_said(small):
     problem = Replaced(small, lambda y: np.full(small.size, np.nan) if np.abs(y).max() < 0.05 else smooth(y))
     _, statements = judged(problem, solve(problem, SolveSettings()))
     assert any("diverges at the start" in line for line in statements)
+
+
+def test_starts_and_their_agreement_reach_the_result(tmp_path):
+    robot, nominal = nominal_of(tmp_path, SERVO)
+    truth = Truth(robot, nominal, {"damping[shoulder]": 0.9, "damping[elbow]": 0.5})
+    logs = {"train": [truth.log(1, seconds=3.0)], "val": [truth.log(2, seconds=3.0)]}
+    config = IdentifyConfig(fit={"damping": "all"}, models={}, solver=SolverChoice(starts=2))
+    found = identify(logs, robot, tmp_path / "arm.xml", config=config)
+    assert "2 of 2 starts end in the same best place" in found.result.statements
+    found.result.save(tmp_path / "fit.json")
+    assert FitResult.load(tmp_path / "fit.json").solver["starts"] == "2 of 2 starts end in the same best place"
+
+
+def test_a_spent_budget_still_gives_the_start(small):
+    problem = Replaced(small, stairs(small.size))
+    for solver in ("auto", "gauss-newton", "cma-es"):
+        found = solve(problem, SolveSettings(solver=solver, max_seconds=1e-9))
+        assert found.solver["stop"] == "time"
+        assert np.isfinite(found.rms)
