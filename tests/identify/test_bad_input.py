@@ -231,7 +231,7 @@ class Interrupted(Exception):
     """Ctrl-C, in a form that a test can raise."""
 
 
-@pytest.mark.parametrize("solver", ["gauss-newton", "cma-es", "evolution"])
+@pytest.mark.parametrize("solver", ["auto", "gauss-newton", "cma-es", "evolution"])
 def test_an_interrupted_fit_resumes_to_the_same_result(servo, tmp_path, solver):
     logs = logs_of(servo)["train"]
     segments, _ = make_segments(logs, servo.nominal.simulator, SegmentRule())

@@ -6,7 +6,7 @@ from collections import deque
 import numpy as np
 import pytest
 
-from trueup.errors import ConfigError, DataError
+from trueup.errors import ConfigError
 from trueup.identify import solvers
 from trueup.identify.solvers import (
     AskTell,
@@ -15,16 +15,12 @@ from trueup.identify.solvers import (
     Evaluation,
     EvolutionSettings,
     EvolutionStrategy,
-    LocalSolution,
-    MultiStart,
     Roles,
-    SolverResult,
     Space,
     Stop,
-    compare_solutions,
+    compare_ends,
     draw_starts,
     minimize,
-    screen_starts,
 )
 
 
@@ -593,9 +589,6 @@ def test_settings_and_roles_that_make_no_sense_are_refused():
         lambda: EvolutionStrategy(box(3), roles, feasible=lambda _: False),
         lambda: draw_starts(box(2), 0),
         lambda: draw_starts(box(2), 2, spread=0.0),
-        lambda: MultiStart(box(2), np.zeros((0, 2))),
-        lambda: MultiStart(box(2), np.full((1, 2), 9.0)),
-        lambda: screen_starts(np.zeros((1, 2)), rosenbrock, keep=0),
     ):
         with pytest.raises(ConfigError):
             wrong()
@@ -608,19 +601,18 @@ def test_every_public_name_is_there():
 # Several starts
 
 
-@pytest.mark.parametrize("method", ["sobol", "latin"])
 @pytest.mark.parametrize("count", [1, 2, 7, 33])
-def test_starts_are_seeded_inside_and_spread_evenly(method, count):
+def test_starts_are_seeded_inside_and_spread_evenly(count):
     space = box(5, low=-1.0, high=3.0)
-    starts = draw_starts(space, count, method=method, seed=4)
+    starts = draw_starts(space, count, seed=4)
     assert starts.shape == (count, 5)
     np.testing.assert_array_equal(starts[0], space.start)
     assert np.all((space.low <= starts) & (starts <= space.high))
-    np.testing.assert_array_equal(starts, draw_starts(space, count, method=method, seed=4))
+    np.testing.assert_array_equal(starts, draw_starts(space, count, seed=4))
     if count == 33:
-        assert not np.array_equal(starts, draw_starts(space, count, method=method, seed=5))
+        assert not np.array_equal(starts, draw_starts(space, count, seed=5))
         cells = np.floor((starts[1:] + 1.0) / 4.0 * 32)
-        for column in cells.T:  # both put one point into each of 32 slices of every axis
+        for column in cells.T:  # one point into each of 32 slices of every axis
             assert sorted(column) == list(range(32))
 
 
@@ -632,32 +624,30 @@ def test_starts_around_the_start_stay_near_it_and_inside():
     assert starts.min() < 1.0
 
 
-def test_screening_keeps_the_start_and_the_cheapest():
-    starts = np.array([[5.0], [3.0], [1.0], [2.0], [0.0]])
+def ends_of(space, starts, evaluate):
+    found = [
+        minimize(
+            CmaEs(Space(space.low, space.high, start, 0.2 * space.scale, space.names), CmaSettings(step=0.1)),
+            evaluate,
+            max_evaluations=1500,
+        )
+        for start in starts
+    ]
+    return np.array([result.z for result in found]), np.array([result.cost for result in found])
 
-    def evaluate(z):
-        return Evaluation(np.where(z[:, 0] == 0.0, np.nan, z[:, 0]))
 
-    np.testing.assert_array_equal(screen_starts(starts, evaluate, keep=3), [[5.0], [1.0], [2.0]])
-    np.testing.assert_array_equal(screen_starts(starts, evaluate, keep=9), [[5.0], [1.0], [2.0], [3.0]])
-
-
-def search_from(space, evaluate):
-    def solve(start):
-        around = Space(space.low, space.high, start, 0.2 * space.scale, space.names)
-        return minimize(CmaEs(around, CmaSettings(step=0.1)), evaluate, max_evaluations=1500)
-
-    return solve
+def compared(space, z, cost):
+    return compare_ends(space, z, cost, cost_tolerance=0.01, place_tolerance=0.05)
 
 
 def test_starts_that_agree_say_so():
-    minimum, evaluate = bowl(3)
+    _, evaluate = bowl(3)
     space = box(3)
-    result = MultiStart(space, draw_starts(space, 4)).run(search_from(space, evaluate))
-    assert result.agreement.verdict == "agree"
-    assert result.agreement.same == 4
-    assert result.agreement.spread.max() < 0.05
-    np.testing.assert_allclose(result.best.z, minimum, atol=1e-3)
+    agreement = compared(space, *ends_of(space, draw_starts(space, 4), evaluate))
+    assert agreement.verdict == "agree"
+    assert agreement.same == 4
+    assert agreement.spread.max() < 0.05
+    assert agreement.text == "4 of 4 starts end in the same best place"
 
 
 def test_a_parameter_without_effect_is_named():
@@ -666,68 +656,36 @@ def test_a_parameter_without_effect_is_named():
     def evaluate(z):
         return Evaluation(1.0 + (z[:, 0] - 0.3) ** 2)
 
-    result = MultiStart(space, draw_starts(space, 4)).run(search_from(space, evaluate))
-    assert result.agreement.verdict == "not-unique"
-    assert "payload not determined" in result.agreement.text
-    assert "gain" not in result.agreement.text
-    assert result.agreement.spread[1] > 0.5
+    agreement = compared(space, *ends_of(space, draw_starts(space, 4), evaluate))
+    assert agreement.verdict == "not-unique"
+    assert "payload not determined" in agreement.text
+    assert "gain" not in agreement.text
+    assert agreement.spread[1] > 0.5
 
 
-def test_local_minima_are_told_apart_and_the_best_wins():
-
+def test_local_minima_are_told_apart():
     def evaluate(z):
         return Evaluation(1.0 + (z[:, 0] ** 2 - 1.0) ** 2 + 0.3 * z[:, 0])
 
     space = box(1, start=1.0)
-    starts = np.array([[1.0], [1.5], [-1.5], [0.5]])
-    result = MultiStart(space, starts).run(search_from(space, evaluate))
-    assert result.agreement.verdict == "local-minima"
-    assert (result.agreement.same, result.agreement.worse) == (1, 3)
-    assert result.best.z[0] == pytest.approx(-1.035, abs=0.01)
-    np.testing.assert_array_equal(result.best.start, [-1.5])
+    agreement = compared(space, *ends_of(space, np.array([[1.0], [1.5], [-1.5], [0.5]]), evaluate))
+    assert agreement.verdict == "local-minima"
+    assert (agreement.same, agreement.worse) == (1, 3)
 
 
-def test_the_spread_is_that_of_the_solutions_as_good_as_the_best():
-    ends = [(0.0, 1.0), (1.0, 1.005), (0.02, 1.2), (5.0, 9.0), (7.0, np.inf)]
-    found = [LocalSolution(np.zeros(1), np.array([z]), cost, 1, Stop("converged", "")) for z, cost in ends]
-    agreement = compare_solutions(box(1, scale=2.0), found, cost_tolerance=0.01, place_tolerance=0.05)
+def test_the_spread_is_that_of_the_ends_as_good_as_the_best():
+    z, cost = np.array([[0.0], [1.0], [0.02], [5.0], [7.0]]), np.array([1.0, 1.005, 1.2, 9.0, np.inf])
+    agreement = compared(box(1, scale=2.0), z, cost)
     assert agreement.verdict == "not-unique"
     assert (agreement.same, agreement.elsewhere, agreement.worse, agreement.failed) == (2, 1, 1, 1)
     assert agreement.spread[0] == pytest.approx(0.5)
+    assert agreement.text.endswith("; 1 of 5 failed")
 
 
-def test_starts_that_fail_are_counted_and_do_not_end_the_run():
+def test_starts_that_fail_are_counted():
     space = box(1)
-
-    def solve(start):
-        if start[0] < 0.0:
-            raise DataError("diverged")
-        return SolverResult(start, np.nan if start[0] > 1.0 else 1.0, 3, Stop("converged", "done"))
-
-    run = MultiStart(space, np.array([[-1.0], [1.5], [0.5]])).run(solve)
-    assert run.agreement.verdict == "single"
-    assert run.agreement.failed == 2
-    assert "diverged" in run.solutions[0].stop.text
-    assert run.best is run.solutions[2]
-    nothing = MultiStart(space, np.array([[-1.0], [1.5]])).run(solve)
-    assert nothing.agreement.verdict == "failed"
-    assert nothing.best.cost == np.inf
-
-
-def test_a_resumed_multi_start_is_the_uninterrupted_one():
-    space = box(3)
-    _, evaluate = bowl(3)
-    starts = draw_starts(space, 4, seed=2)
-    solve, states = search_from(space, evaluate), []
-    whole = MultiStart(space, starts)
-    full = whole.run(solve, on_solution=lambda _: states.append(json.dumps(whole.state(), allow_nan=False)))
-    calls = []
-    resumed = MultiStart(space, starts)
-    resumed.restore(json.loads(states[1]))
-    rest = resumed.run(lambda start: calls.append(start) or solve(start))
-    assert len(calls) == 2
-    assert resumed.state() == whole.state()
-    assert rest.best.cost == full.best.cost
-    assert rest.agreement.text == full.agreement.text
-    with pytest.raises(ConfigError, match="other starts"):
-        MultiStart(space, draw_starts(space, 4, seed=3)).restore(json.loads(states[1]))
+    one = compared(space, np.array([[-1.0], [1.5], [0.5]]), np.array([np.inf, np.nan, 1.0]))
+    assert (one.verdict, one.failed) == ("single", 2)
+    assert "2 of 3 failed" in one.text
+    nothing = compared(space, np.array([[-1.0], [1.5]]), np.full(2, np.inf))
+    assert (nothing.verdict, nothing.failed) == ("failed", 2)

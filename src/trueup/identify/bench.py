@@ -223,6 +223,9 @@ class Bench:
             on_progress=None if report is None else lambda progress: report(name, progress),
         )
         splits = self._scorer.splits
+        if start is not None and "remark" in start.solver:
+            # It holds for all that goes on from there.
+            solution = replace(solution, solver={"remark": start.solver["remark"], **solution.solver})
         return Attempt(
             ModelRow(
                 name=name,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -16,7 +16,11 @@ from trueup.core.atomic import read_json, write_json
 from trueup.core.parameters import ParameterSet
 from trueup.errors import DataError
 from trueup.identify.problem import Problem
-from trueup.identify.solvers import GaussNewtonSettings
+from trueup.identify.segments import Segment
+from trueup.identify.solvers import Agreement, GaussNewtonSettings
+
+# A delay lets commands act that were given before the motion begins.
+_EARLIER_S = 1.0
 
 SolverName = Literal["auto", "gauss-newton", "cma-es", "evolution"]
 
@@ -28,7 +32,7 @@ class Progress:
     Attributes:
         phase: `start`, `gauss-newton`, …
         iteration: so far.
-        rms: root mean square of the weighted residual.
+        rms: root mean square of the weighted residual at the best place so far.
         evaluations: candidates simulated so far.
         seconds: since the fit began [s].
     """
@@ -51,7 +55,8 @@ class SolveSettings:
         solver: `auto` chooses and says why.
         gauss_newton: its settings.
         max_evaluations: of the derivative-free solvers.
-        max_seconds: stop a search after this long [s], with the best so far; None for no limit.
+        max_seconds: stop a search after this long [s], with the best so far; None for no limit. Each start has as
+            long.
         starts: searches from so many places; the best one counts, and whether the others agree is said.
         seed: of the derivative-free solvers and the starts.
     """
@@ -71,10 +76,11 @@ class Solution:
     Attributes:
         parameters: with the start that was used.
         z: best parameters, (P,).
-        residual: at z, (N,).
-        jacobian: at z, (P, N).
-        rms: root mean square of the weighted residual.
+        residual: at z, (N,); under a robust loss, that of the least-squares fit that is as certain.
+        jacobian: at z, (P, N), likewise.
+        rms: root mean square of the weighted residual, outliers included.
         solver: name, stop (`converged`, or what ended it early), iterations, evaluations, seconds, and remarks.
+        agreement: whether searches from other starts end here, too; None if there was one start.
     """
 
     parameters: ParameterSet
@@ -83,6 +89,7 @@ class Solution:
     jacobian: Float64[np.ndarray, "P N"]
     rms: float
     solver: dict[str, Any]
+    agreement: Agreement | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -120,14 +127,25 @@ class Checkpoint:
 
 def fingerprint_of(problem: Problem, settings: SolveSettings) -> str:
     """Hash of everything that decides about a search: logs, model, parameters, weights, settings."""
+    delays_s = np.array(problem.nominal.given.delay_s)
     digest = hashlib.sha256(problem.nominal.simulator.fingerprint.encode())
-    for segment in problem.segments:
-        digest.update(segment.plan.measured["position"].tobytes())
-        digest.update(np.packbits(segment.counts).tobytes())
+    for array in (delays_s, problem.columns, *(array for segment in problem.segments for array in _arrays(segment))):
+        digest.update(f"{array.dtype} {array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
     plain = {
         "parameters": [parameter.to_json() for parameter in problem.parameters],
+        "motions": [segment.episode_id for segment in problem.segments],
         "weights": {"signals": dict(problem.weights.signals), "joints": dict(problem.weights.joints)},
         "settings": asdict(settings),
     }
     digest.update(json.dumps(plain, sort_keys=True).encode())
     return digest.hexdigest()
+
+
+def _arrays(segment: Segment) -> Iterator[np.ndarray]:
+    """What is simulated, and what it is compared with."""
+    plan = segment.plan
+    now, earlier = plan.request(), plan.request(_EARLIER_S)
+    yield from (plan.starts, plan.measured.time_s, segment.counts, now.position, now.velocity)
+    yield from (request.command[name] for request in (now, earlier) for name in sorted(request.command))
+    yield from (plan.measured[name] for name in sorted(plan.measured.signals))

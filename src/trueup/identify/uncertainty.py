@@ -12,6 +12,7 @@ from trueup.core.fit_result import Direction, FittedParameter, Identified, White
 from trueup.core.parameters import Parameter, ParameterSet
 from trueup.identify.problem import Problem
 from trueup.identify.quantities import quantity
+from trueup.identify.solvers import Loss
 
 _Z95 = 1.959964
 # Posterior over prior variance: above the first the prior speaks, below the second the data do.
@@ -20,6 +21,8 @@ _NO, _YES = 0.5, 0.05
 _WIDE = 0.5
 _PARTNER = 0.9
 _AT_BOUND = 1e-6
+# As good as no prior, in z.
+_FLAT = 100.0
 
 
 # MJCF keeps six digits; what is written and what is reported must be the same number.
@@ -81,25 +84,49 @@ def memory_of(series: Sequence[Float64[np.ndarray, "_"]]) -> float:
 
 def noise_of(problem: Problem, residual: Float64[np.ndarray, "N"]) -> Noise:
     """What kind of noise the residual would be."""
-    variance, memory = np.empty_like(residual), np.empty_like(residual)
+    memory = np.empty_like(residual)
     blocks = list(problem.by_segment(residual))
     effective = 0.0
-    tau: dict[tuple[str, int], float] = {}
-    square: dict[tuple[str, int], float] = {}
+    tau: dict[str, list[float]] = {}
     for signal in {name for _, name, _ in blocks}:
         pieces = [values for _, name, values in blocks if name == signal]
-        for column in range(problem.columns.size):
-            tau[signal, column] = memory_of([piece[:, column] for piece in pieces])
-            square[signal, column] = float(np.mean(np.concatenate([piece[:, column] for piece in pieces]) ** 2))
-            effective += sum(piece.shape[0] for piece in pieces) / tau[signal, column]
-    place = 0
-    for _, signal, values in blocks:
-        width = values.shape[1]
-        span = slice(place, place + values.size)
-        variance[span] = np.tile([square[signal, column] for column in range(width)], values.shape[0])
-        memory[span] = np.tile([tau[signal, column] for column in range(width)], values.shape[0])
-        place += values.size
-    return Noise(variance, memory, max(1.0, effective))
+        tau[signal] = [memory_of([piece[:, column] for piece in pieces]) for column in range(problem.columns.size)]
+        effective += sum(piece.shape[0] for piece in pieces) * float(np.sum(1.0 / np.array(tau[signal])))
+    for _, signal, values in problem.by_segment(memory):
+        values[:] = tau[signal]
+    return Noise(_column_means(problem, residual**2), memory, max(1.0, effective))
+
+
+def _column_means(problem: Problem, values: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "N"]:
+    """The mean over all entries of the same signal and joint, in place of each of them."""
+    means = np.empty_like(values)
+    blocks = list(problem.by_segment(values))
+    mean = {
+        signal: np.concatenate([own for _, name, own in blocks if name == signal]).mean(axis=0)
+        for signal in {name for _, name, _ in blocks}
+    }
+    for _, signal, own in problem.by_segment(means):
+        own[:] = mean[signal]
+    return means
+
+
+def as_least_squares(
+    problem: Problem, residual: Float64[np.ndarray, "N"], loss: Loss
+) -> tuple[Float64[np.ndarray, "N"], Float64[np.ndarray, "N"]]:
+    """The least-squares fit that is as certain as a robust one.
+
+    Near its minimum, an estimate by a loss with derivative psi scatters like one by least squares whose residuals
+    are psi(r) / sqrt(m) and whose derivatives are sqrt(m) times as large, m being the mean of psi' by signal and
+    joint: its variance is E[psi^2] / E[psi']^2 (Huber 1964, "Robust estimation of a location parameter").
+
+    Returns:
+        The residual, (N,), and the factor of the columns of the Jacobian, (N,); the residual itself and ones for
+        least squares.
+    """
+    weights = loss.weights(residual)
+    # psi = r w, and the derivative of that is w^3.
+    slope = np.sqrt(_column_means(problem, weights**3))
+    return residual * weights / slope, slope
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +153,7 @@ class Posterior:
     @property
     def correlation(self) -> Float64[np.ndarray, "P P"]:
         """Correlations."""
-        scale = np.maximum(self.std, 1e-300)
+        scale = np.maximum(self.std, 1e-150)
         return np.asarray(np.clip(self.covariance / np.outer(scale, scale), -1.0, 1.0))
 
     def of_model(self) -> Posterior:
@@ -179,7 +206,8 @@ def posterior_of(
     """
     noise = noise_of(problem, residual)
     _, std = problem.parameters.prior
-    precision = np.diag(std**-2.0)
+    # A parameter without prior that the data do not show could be anything, which a pseudo-inverse would take for zero.
+    precision = np.diag(np.minimum(std, _FLAT) ** -2.0)
     weight = noise.weight
     data = jacobian @ jacobian.T
     bread = data + weight * precision

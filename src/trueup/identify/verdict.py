@@ -10,6 +10,8 @@ from trueup.identify.solution import Solution
 from trueup.identify.uncertainty import Posterior
 
 _SHOWN_CORRELATION = 0.3
+# Starts that disagree: the data leave something open, or the search depends on luck.
+_DISAGREEMENT: dict[str, FitStatus] = {"not-unique": "not-identifiable", "local-minima": "not-converged"}
 
 
 def verdict(
@@ -24,11 +26,17 @@ def verdict(
     """The worst that applies, and everything that must be said."""
     status: FitStatus = "ok"
     statements = list(beforehand)
+    agreement = solution.agreement
+    disagreement = _DISAGREEMENT.get(agreement.verdict) if agreement is not None else None
+    if agreement is not None:
+        statements.append(agreement.text)
     # A law that ended on zero is one that the robot does not have: no cause for alarm.
     absent = {item.name for item in parameters if item.at_bound == "low" and item.low == 0.0}
     gone = [item.name for item in parameters if item.frozen and item.value == 0.0 != item.nominal]
     free = [item for item in parameters if not item.frozen]
     unknown = [item for item in free if item.identified == "no" and item.name not in absent]
+    if disagreement == "not-identifiable":
+        status = disagreement
     if unknown:
         status = "not-identifiable"
         names = ", ".join(item.name for item in unknown[:6]) + (", …" if len(unknown) > 6 else "")
@@ -42,6 +50,10 @@ def verdict(
         statements.append(
             "ended on a bound: " + ", ".join(f"{item.name} = {item.value:.4g} {item.unit}" for item in stuck)
         )
+    if disagreement == "not-converged":
+        status = disagreement
+    if "remark" in solution.solver:
+        statements.append(str(solution.solver["remark"]))
     if solution.solver["stop"] not in ("converged",):
         status = "not-converged"
         statements.append(

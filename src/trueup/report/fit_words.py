@@ -90,7 +90,7 @@ _ALERTS = {
     "not-converged": (
         "bad",
         "✕ Not converged",
-        "The search stopped before it converged: these numbers are no result.",
+        "The search stopped early, or others that began elsewhere did not follow it: these numbers are no result.",
         "Run again with --resume, or allow more iterations in the configuration.",
     ),
     "no-better": (

@@ -1,5 +1,7 @@
 """Solvers over plain vectors: Gauss-Newton, derivative-free ones behind ask and tell, and several starts."""
 
+from trueup.identify.solvers.agreement import Agreement as Agreement
+from trueup.identify.solvers.agreement import compare_ends as compare_ends
 from trueup.identify.solvers.ask_tell import AskTell as AskTell
 from trueup.identify.solvers.ask_tell import Evaluation as Evaluation
 from trueup.identify.solvers.ask_tell import SolverResult as SolverResult
@@ -14,14 +16,9 @@ from trueup.identify.solvers.evolution_settings import Roles as Roles
 from trueup.identify.solvers.gauss_newton import GaussNewton as GaussNewton
 from trueup.identify.solvers.gauss_newton import GaussNewtonSettings as GaussNewtonSettings
 from trueup.identify.solvers.gauss_newton import GaussNewtonState as GaussNewtonState
-from trueup.identify.solvers.multi_start import Agreement as Agreement
-from trueup.identify.solvers.multi_start import LocalSolution as LocalSolution
-from trueup.identify.solvers.multi_start import MultiStart as MultiStart
-from trueup.identify.solvers.multi_start import MultiStartResult as MultiStartResult
-from trueup.identify.solvers.multi_start import compare_solutions as compare_solutions
+from trueup.identify.solvers.loss import Loss as Loss
 from trueup.identify.solvers.space import Space as Space
 from trueup.identify.solvers.starts import draw_starts as draw_starts
-from trueup.identify.solvers.starts import screen_starts as screen_starts
 
 __all__ = [
     "Agreement",
@@ -34,16 +31,13 @@ __all__ = [
     "GaussNewton",
     "GaussNewtonSettings",
     "GaussNewtonState",
-    "LocalSolution",
-    "MultiStart",
-    "MultiStartResult",
+    "Loss",
     "Roles",
     "SolverResult",
     "Space",
     "Step",
     "Stop",
-    "compare_solutions",
+    "compare_ends",
     "draw_starts",
     "minimize",
-    "screen_starts",
 ]

@@ -146,7 +146,7 @@ def minimize(
 ) -> SolverResult:
     """Drive a solver until it stops or a budget is spent.
 
-    Budgets are looked at between batches: the last batch may go beyond them.
+    Budgets are looked at between batches: the last batch may go beyond them, and the first is always evaluated.
 
     Args:
         solver: new, or restored from a checkpoint; its evaluations before that count.
@@ -165,7 +165,9 @@ def minimize(
     steps = list(history)
     while True:
         cost, seconds = solver.best[1], clock() - began
-        stop = solver.stop or _spent(solver.evaluations, cost, seconds, max_evaluations, max_seconds, target_cost)
+        stop = solver.stop
+        if stop is None and solver.evaluations:
+            stop = _spent(solver.evaluations, cost, seconds, max_evaluations, max_seconds, target_cost)
         if stop is not None:
             break
         z = solver.ask()

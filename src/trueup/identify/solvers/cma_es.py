@@ -26,6 +26,10 @@ from trueup.identify.solvers.space import Space
 
 # Rounding may differ between machines; replayed candidates that are further apart come from another `cma`.
 _REPLAY_TOLERANCE = 1e-6
+# Standard deviations below so many typical scales change nothing.
+_STEP_TOLERANCE = 1e-7
+# Generations in a row in which every candidate failed.
+_FAILED_LIMIT = 10
 _SENTENCES = {
     "tolfun": "the costs of the last generations differ by less than the tolerance",
     "tolfunhist": "the costs of the last generations differ by less than the tolerance",
@@ -52,17 +56,11 @@ class CmaSettings:
             threads leaves none idle.
         step: standard deviation of the first candidates, in typical scales.
         cost_tolerance: stop when costs differ by less than this share of the first finite best cost.
-        step_tolerance: stop when all standard deviations are below so many typical scales.
-        max_generations: `cma`'s own limit, 100 + 150 (P + 3)^2 / sqrt(population), when None.
-        failed_limit: give up after so many generations in a row in which every candidate failed.
     """
 
     population: int | None = None
     step: float = 0.3
     cost_tolerance: float = 1e-9
-    step_tolerance: float = 1e-7
-    max_generations: int | None = None
-    failed_limit: int = 10
 
     def __post_init__(self) -> None:
         if self.population is not None and self.population < 3:
@@ -158,7 +156,7 @@ class CmaEs:
             self._failed_in_a_row += 1
             if self._best_cost < math.inf:
                 self._strategy.sigma *= 0.5
-            if self._failed_in_a_row >= self._settings.failed_limit:
+            if self._failed_in_a_row >= _FAILED_LIMIT:
                 self._stop = Stop("failed", f"every candidate failed in {self._failed_in_a_row} generations in a row")
             return
         self._failed_in_a_row = 0
@@ -224,7 +222,7 @@ def _new_strategy(space: Space, settings: CmaSettings, seed: int) -> Any:
         "bounds": [low.tolist(), high.tolist()],
         "randn": lambda *shape: rng.standard_normal(shape),
         "seed": math.nan,
-        "tolx": settings.step_tolerance,
+        "tolx": _STEP_TOLERANCE,
         "verbose": -10,
         "verb_log": 0,
         "verb_disp": 0,
@@ -232,8 +230,6 @@ def _new_strategy(space: Space, settings: CmaSettings, seed: int) -> Any:
     }
     if settings.population is not None:
         options["popsize"] = settings.population
-    if settings.max_generations is not None:
-        options["maxiter"] = settings.max_generations
     with _quiet():
         import cma
 

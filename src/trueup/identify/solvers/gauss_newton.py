@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 from scipy.optimize import lsq_linear
 
 from trueup.errors import DataError
+from trueup.identify.solvers.loss import Loss, LossName
 
 Residuals = Callable[[Float64[np.ndarray, "C P"]], Float64[np.ndarray, "C N"]]
 Support = Callable[[int], Bool[np.ndarray, "N"]]
@@ -45,7 +46,7 @@ class GaussNewtonSettings:
     steps: tuple[float, ...] = (0.02, 0.002)
     tolerance: float = 1e-4
     max_step: float = 1.5
-    loss: Literal["linear", "soft_l1"] = "linear"
+    loss: LossName = "linear"
     loss_scale: float = 3.0
 
 
@@ -57,30 +58,40 @@ class GaussNewtonState:
         z: best parameters so far, (P,).
         cost: their cost, prior included.
         square: sum of squares of their residual alone.
+        start_cost: cost of the residual at the start, without the prior.
         damping: of the last good step.
         stage: index into the steps.
         iteration: Jacobians so far.
         history: cost after each iteration.
         reason: why the search ended, empty while it goes on.
+        jacobian_z: where the last Jacobian was taken, (P,); None before the first of a stage.
     """
 
     z: Float64[np.ndarray, "P"]
     cost: float = np.inf
     square: float = np.inf
+    start_cost: float = np.inf
     damping: float = 1e-2
     stage: int = 0
     iteration: int = 0
     history: list[float] = field(default_factory=list)
     reason: str = ""
+    jacobian_z: Float64[np.ndarray, "P"] | None = None
 
     def to_json(self) -> dict[str, Any]:
         """JSON types only."""
-        return {**vars(self), "z": self.z.tolist()}
+        place = self.jacobian_z
+        return {**vars(self), "z": self.z.tolist(), "jacobian_z": None if place is None else place.tolist()}
 
     @staticmethod
     def from_json(tree: dict[str, Any]) -> GaussNewtonState:
         """What `to_json` wrote."""
-        return GaussNewtonState(**{**tree, "z": np.array(tree["z"], dtype=np.float64)})
+        place = tree["jacobian_z"]
+        arrays = {
+            "z": np.array(tree["z"], dtype=np.float64),
+            "jacobian_z": None if place is None else np.array(place, dtype=np.float64),
+        }
+        return GaussNewtonState(**{**tree, **arrays})
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +143,6 @@ class GaussNewton:
 
     Attributes:
         residual: at the best parameters, None before the first step.
-        start_cost: sum of squares at the start, None before the first step.
     """
 
     def __init__(
@@ -160,9 +170,8 @@ class GaussNewton:
         self._logarithmic = np.zeros(low.size, dtype=bool) if logarithmic is None else logarithmic
         self.settings = settings or GaussNewtonSettings()
         self.residual: Float64[np.ndarray, "N"] | None = None
-        self.start_cost: float | None = None
-        self._outlier = np.inf
-        self._latest: tuple[float, Float64[np.ndarray, "P"], Float64[np.ndarray, "P N"]] | None = None
+        self._loss = Loss()
+        self._latest: Float64[np.ndarray, "P N"] | None = None
 
     @property
     def done(self) -> bool:
@@ -177,10 +186,10 @@ class GaussNewton:
         """
         state = self.state
         r = self._start() if self.residual is None else self.residual
-        if self.start_cost is None:
-            self.start_cost = float(r @ r)
         # What counts as an outlier shrinks with the residual; within an iteration it is fixed.
-        self._outlier = self.settings.loss_scale * 1.4826 * float(np.median(np.abs(r))) + 1e-300
+        self._loss = self.loss_of(r)
+        if state.iteration == 0:
+            state.start_cost = self._loss.cost(r)
         weight = self._prior_weight(r)
         early = state.stage + 1 < len(self.settings.steps)
         if early:
@@ -188,7 +197,7 @@ class GaussNewton:
             weight *= _EARLY_PRIOR
         state.cost = self._cost(r, state.z, weight)
         jacobian = self.jacobian(self.settings.steps[state.stage])
-        self._latest = self.settings.steps[state.stage], state.z, jacobian
+        self._latest, state.jacobian_z = jacobian, state.z
         finished = False
         for reused in range(1 + _REUSES):
             move = self._best_move(jacobian, weight, fresh=reused == 0)
@@ -211,18 +220,12 @@ class GaussNewton:
 
     def _best_move(self, jacobian: Float64[np.ndarray, "P N"], weight: float, *, fresh: bool) -> _Move | None:
         """The best of several steps, None if none goes down; with an old Jacobian, only if it promises enough."""
-        state, r = self.state, self.residual
-        assert r is not None
-        jw, rw = jacobian, r
-        if self.settings.loss != "linear":
-            root = np.sqrt(self._loss_weights(r))
-            jw, rw = jacobian * root, r * root
-        normal = jw @ jw.T + weight * np.diag(self._precision)
-        gradient = jw @ rw + weight * self._precision * (state.z - self._mean)
+        state = self.state
+        normal, gradient = self._normal(jacobian, weight)
         for factors in _DAMPINGS if fresh else _DAMPINGS[:1]:
             dampings = [min(max(state.damping * factor, _LEAST_DAMPING), _MOST_DAMPING) for factor in factors]
             steps = [self._bounded_step(normal, gradient, damping) for damping in dampings]
-            expected = [-float(2.0 * gradient @ step + step @ normal @ step) for step in steps]
+            expected = [_expected(normal, gradient, step) for step in steps]
             if not fresh and max(expected) < self.settings.tolerance * state.cost:
                 return None
             z = np.array([self._moved(step) for step in steps])
@@ -232,6 +235,19 @@ class GaussNewton:
             if costs[best] < state.cost:
                 return _Move(steps[best], z[best], tried[best], costs[best], dampings[best], expected[best])
         return None
+
+    def _normal(
+        self, jacobian: Float64[np.ndarray, "P N"], weight: float
+    ) -> tuple[Float64[np.ndarray, "P P"], Float64[np.ndarray, "P"]]:
+        """Half of the curvature and of the slope of the cost."""
+        r = self.residual
+        assert r is not None
+        jw, rw = jacobian, r
+        if self.settings.loss != "linear":
+            root = np.sqrt(self._loss.weights(r))
+            jw, rw = jacobian * root, r * root
+        normal = jw @ jw.T + weight * np.diag(self._precision)
+        return normal, jw @ rw + weight * self._precision * (self.state.z - self._mean)
 
     def _moved(self, step: Float64[np.ndarray, "P"]) -> Float64[np.ndarray, "P"]:
         z = self.state.z + np.where(self._logarithmic, np.log1p(np.where(self._logarithmic, step, 0.0)), step)
@@ -254,8 +270,12 @@ class GaussNewton:
         A parameter at its upper bound is moved down; one whose candidate cannot be simulated is moved the other way,
         and has derivative zero if that fails too.
         """
-        z, r = self.state.z, self.residual
-        assert r is not None
+        assert self.residual is not None
+        return self._differences(self.state.z, self.residual, step)
+
+    def _differences(
+        self, z: Float64[np.ndarray, "P"], r: Float64[np.ndarray, "N"], step: float
+    ) -> Float64[np.ndarray, "P N"]:
         signs = np.where(z + step <= self.high, 1.0, -1.0)
         signs[(signs < 0) & (z - step < self.low)] = 1.0
         # One row per color: parameters of one color change different residuals.
@@ -286,13 +306,11 @@ class GaussNewton:
     def _cost(self, r: Float64[np.ndarray, "N"], z: Float64[np.ndarray, "P"], weight: float) -> float:
         if not np.isfinite(r).all():
             return float("inf")
-        prior = weight * float(self._precision @ (z - self._mean) ** 2)
-        if self.settings.loss == "linear":
-            return float(r @ r) + prior
-        return float(2 * self._outlier**2 * np.sum(np.sqrt(1 + (r / self._outlier) ** 2) - 1)) + prior
+        return self._loss.cost(r) + weight * float(self._precision @ (z - self._mean) ** 2)
 
-    def _loss_weights(self, r: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "N"]:
-        return np.asarray(1 / np.sqrt(1 + (r / self._outlier) ** 2))
+    def loss_of(self, residual: Float64[np.ndarray, "N"]) -> Loss:
+        """How the residuals count near a place where they are these."""
+        return Loss.of(residual, self.settings.loss, self.settings.loss_scale)
 
     def _bounded_step(
         self, normal: Float64[np.ndarray, "P P"], gradient: Float64[np.ndarray, "P"], damping: float
@@ -316,7 +334,7 @@ class GaussNewton:
     def _advance(self, *, finished: bool) -> None:
         state = self.state
         if finished and state.stage + 1 < len(self.settings.steps):
-            state.stage, state.damping = state.stage + 1, 1e-2
+            state.stage, state.damping, state.jacobian_z = state.stage + 1, 1e-2, None
         elif finished:
             state.reason = "converged"
         if not state.reason and state.iteration >= self.settings.max_iterations:
@@ -326,8 +344,28 @@ class GaussNewton:
         """Derivatives at the best parameters, for the covariance; simulates them again where the last are from afar."""
         if self.residual is None:
             self._start()
-        if self._latest is not None:
-            step, z, jacobian = self._latest
-            if step == self.settings.steps[-1] and np.abs(self.state.z - z).max() < _NEARBY:
-                return jacobian
-        return self.jacobian(self.settings.steps[-1])
+        state, step = self.state, self.settings.steps[-1]
+        place, last = state.jacobian_z, state.stage + 1 == len(self.settings.steps)
+        if place is None or not last or np.abs(state.z - place).max() >= _NEARBY:
+            return self.jacobian(step)
+        if self._latest is None:
+            # A resumed search has the same derivatives as one that was not interrupted.
+            self._latest = self._differences(place, self._residuals(place[None])[0], step)
+        return self._latest
+
+    def promised(self, jacobian: Float64[np.ndarray, "P N"]) -> float:
+        """By what share one more step would lower the cost if the residual were linear: hardly any at a minimum."""
+        r = self.residual
+        assert r is not None
+        self._loss = self.loss_of(r)
+        weight = self._prior_weight(r)
+        normal, gradient = self._normal(jacobian, weight)
+        step = self._bounded_step(normal, gradient, _LEAST_DAMPING)
+        return _expected(normal, gradient, step) / max(self._cost(r, self.state.z, weight), 1e-300)
+
+
+def _expected(
+    normal: Float64[np.ndarray, "P P"], gradient: Float64[np.ndarray, "P"], step: Float64[np.ndarray, "P"]
+) -> float:
+    """By how much the cost falls in a step if the residual is linear."""
+    return -float(2.0 * gradient @ step + step @ normal @ step)

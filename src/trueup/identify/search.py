@@ -1,0 +1,255 @@
+"""One solver on one problem, driven to its end, with a checkpoint after every iteration."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from trueup.errors import DataError
+from trueup.identify.costs import PenalizedSquares, joint_errors, roles_of
+from trueup.identify.problem import Problem
+from trueup.identify.solution import Checkpoint, OnProgress, Progress, Solution, SolveSettings, fingerprint_of
+from trueup.identify.solvers import (
+    AskTell,
+    CmaEs,
+    Evaluation,
+    EvolutionStrategy,
+    GaussNewton,
+    GaussNewtonState,
+    Loss,
+    Space,
+    Step,
+    minimize,
+)
+from trueup.identify.start import idle_names
+from trueup.identify.uncertainty import as_least_squares, noise_of
+
+# A search that takes less than this off the start's cost has not moved; at a minimum no more than this is to be gained.
+HARDLY = 0.01
+# Derivatives over a distance so many times as long differ by less than this share of their size, or show no slope.
+_LONGER, _SAME = 10.0, 0.5
+
+
+class Clock:
+    """Seconds of a search, those before an interruption included."""
+
+    def __init__(self) -> None:
+        self._began = time.perf_counter()
+
+    @property
+    def seconds(self) -> float:
+        """So far [s]."""
+        return time.perf_counter() - self._began
+
+    def forward(self, seconds: float) -> None:
+        """Count at least so many seconds that were spent before."""
+        self._began = min(self._began, time.perf_counter() - seconds)
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """Where Gauss-Newton ended.
+
+    Attributes:
+        solution: the end.
+        gained: share that the search took off the cost of the residual at its start.
+        search: in its last state.
+    """
+
+    solution: Solution
+    gained: float
+    search: GaussNewton
+
+
+def space_of(problem: Problem) -> Space:
+    """Where a solver may look for the free parameters, in z."""
+    low, high = problem.parameters.bounds
+    free = problem.parameters.free
+    return Space(low, high, problem.parameters.start, np.ones(len(free)), tuple(item.name for item in free))
+
+
+class Search:
+    """A problem with settings, checkpoint and clock, for one solver after the other.
+
+    Args:
+        problem: what to solve; its count of evaluations goes on from that of the checkpoint.
+        settings: how to search.
+        clock: shared by searches that follow each other.
+        checkpoint: path that the name of the phase is put into; None keeps nothing.
+        on_progress: called after every iteration.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        settings: SolveSettings,
+        clock: Clock,
+        *,
+        checkpoint: Path | None,
+        on_progress: OnProgress | None,
+    ) -> None:
+        self.problem, self.settings, self.clock = problem, settings, clock
+        self._checkpoint, self._on_progress = checkpoint, on_progress
+
+    def moved_to(self, problem: Problem) -> Search:
+        """The same for the problem with another start; time and checkpoints are shared."""
+        return Search(problem, self.settings, self.clock, checkpoint=self._checkpoint, on_progress=self._on_progress)
+
+    def gauss_newton(self, phase: str = "gauss-newton") -> Descent:
+        """By derivatives.
+
+        Raises:
+            DataError: the start cannot be simulated.
+        """
+        store, kept = self._open(phase)
+        state = GaussNewtonState.from_json(kept["solver"]) if kept else GaussNewtonState(self.problem.parameters.start)
+        search = self._derivatives(state)
+        while not search.done:
+            search.step()
+            limit_s = self.settings.max_seconds
+            if limit_s is not None and self.clock.seconds > limit_s and not search.done:
+                state.reason = "time"
+            store.save({"solver": state.to_json(), **self._spent()})
+            self._say(phase, state.iteration, float(np.sqrt(state.square)))
+        jacobian = search.final_jacobian()
+        solution = self._solution("gauss-newton", state.reason, state.iteration, search, jacobian)
+        assert search.residual is not None
+        left = search.loss_of(search.residual).cost(search.residual)
+        return Descent(solution, 1.0 - left / max(state.start_cost, 1e-300), search)
+
+    def at_minimum(self, descent: Descent) -> bool:
+        """Whether Gauss-Newton ended at a minimum that its derivatives can see.
+
+        There they show every parameter, promise nothing, and are the same over a longer distance. Where one is missing,
+        or an artefact of a jump, there may be a way down that they do not show.
+        """
+        search, residual = descent.search, descent.search.residual
+        assert residual is not None
+        jacobian = search.final_jacobian()
+        weight = noise_of(self.problem, descent.solution.residual).weight + 1e-100
+        if search.promised(jacobian) > HARDLY or idle_names(self.problem, descent.solution.jacobian, weight):
+            return False
+        longer = search.jacobian(_LONGER * self.settings.gauss_newton.steps[-1])
+        away = np.linalg.norm(longer - jacobian, axis=1)
+        return bool(np.all(away <= _SAME * np.linalg.norm(jacobian, axis=1)))
+
+    def derivative_free(self, name: str) -> Solution:
+        """By ask and tell: `cma-es` or `evolution`.
+
+        Raises:
+            DataError: no candidate could be simulated.
+        """
+        problem, settings, space = self.problem, self.settings, space_of(self.problem)
+        store, kept = self._open(name)
+        steps = [Step(*step) for step in kept.get("history", ())]
+        squares = PenalizedSquares(problem, kept.get("observations"))
+        errors = joint_errors(problem) if name == "evolution" else squares
+        solver: AskTell = CmaEs(space, seed=settings.seed)
+        if name == "evolution":
+            solver = EvolutionStrategy(space, roles_of(problem), seed=settings.seed)
+        if kept:
+            solver.restore(kept["solver"])
+        lowest, rms = solver.best[1], float(kept.get("rms", np.inf))
+        earlier_s = self.clock.seconds - (steps[-1].seconds if steps else 0.0)
+
+        def evaluate(z: Float64[np.ndarray, "C P"]) -> Evaluation:
+            nonlocal lowest, rms
+            residuals = problem.residuals(z)
+            found = errors(z, residuals)
+            best = int(np.argmin(np.where(found.failed, np.inf, found.cost)))
+            if found.cost[best] < lowest:
+                lowest, rms = float(found.cost[best]), float(np.linalg.norm(residuals[best]))
+            return found
+
+        def on_step(step: Step) -> None:
+            steps.append(step)
+            history = [[item.evaluations, item.cost, item.seconds] for item in steps]
+            state = {"solver": solver.state(), "history": history, "rms": rms, "observations": squares.observations}
+            store.save({**state, **self._spent()})
+            self._say(name, len(steps), rms)
+
+        result = minimize(
+            solver,
+            evaluate,
+            on_step=on_step,
+            max_evaluations=settings.max_evaluations,
+            max_seconds=None if settings.max_seconds is None else settings.max_seconds - earlier_s,
+            history=tuple(steps),
+        )
+        if not np.isfinite(result.cost):
+            raise DataError("no candidate could be simulated", got=result.stop.text)
+        search = self._derivatives(GaussNewtonState(result.z))
+        jacobian = search.final_jacobian()
+        stop = "converged" if result.stop.kind in ("converged", "stalled", "target") else result.stop.kind
+        return self._solution(name, stop, len(steps), search, jacobian)
+
+    def _open(self, phase: str) -> tuple[Checkpoint, dict[str, Any]]:
+        """The checkpoint of a phase and what it holds; clock and count of evaluations go on from there."""
+        path = self._checkpoint
+        if path is None:
+            return Checkpoint(None, ""), {}
+        store = Checkpoint(path.with_name(f"{path.stem}.{phase}.json"), fingerprint_of(self.problem, self.settings))
+        kept = store.load()
+        if kept:
+            self.clock.forward(float(kept["seconds"]))
+            self.problem.evaluations = max(self.problem.evaluations, int(kept["evaluations"]))
+        return store, kept
+
+    def _spent(self) -> dict[str, Any]:
+        return {"seconds": self.clock.seconds, "evaluations": self.problem.evaluations}
+
+    def _loss(self, residual: Float64[np.ndarray, "N"]) -> Loss:
+        settings = self.settings.gauss_newton
+        return Loss.of(residual, settings.loss, settings.loss_scale)
+
+    def _weight(self, residual: Float64[np.ndarray, "N"]) -> float:
+        """What a prior is weighed against."""
+        counted, _ = as_least_squares(self.problem, residual, self._loss(residual))
+        return noise_of(self.problem, counted).weight
+
+    def _derivatives(self, state: GaussNewtonState) -> GaussNewton:
+        problem = self.problem
+        low, high = problem.parameters.bounds
+        mean, std = problem.parameters.prior
+        return GaussNewton(
+            problem.residuals,
+            low,
+            high,
+            state,
+            prior_mean=mean,
+            prior_std=std,
+            prior_weight=self._weight,
+            logarithmic=np.array([parameter.transform == "log" for parameter in problem.parameters.free]),
+            colors=problem.colors(),
+            support=problem.support,
+            settings=self.settings.gauss_newton,
+        )
+
+    def _say(self, phase: str, iteration: int, rms: float) -> None:
+        if self._on_progress is not None:
+            self._on_progress(Progress(phase, iteration, rms, self.problem.evaluations, self.clock.seconds))
+
+    def _solution(
+        self, name: str, stop: str, iterations: int, search: GaussNewton, jacobian: Float64[np.ndarray, "P N"]
+    ) -> Solution:
+        assert search.residual is not None
+        counted, factor = as_least_squares(self.problem, search.residual, self._loss(search.residual))
+        return Solution(
+            parameters=self.problem.parameters,
+            z=search.state.z,
+            residual=counted,
+            jacobian=jacobian * factor,
+            rms=float(np.linalg.norm(search.residual)),
+            solver={
+                "name": name,
+                "stop": stop,
+                "iterations": iterations,
+                "evaluations": self.problem.evaluations,
+                "seconds": round(self.clock.seconds, 3),
+            },
+        )
