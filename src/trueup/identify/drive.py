@@ -54,9 +54,9 @@ def drive_of(spec: mujoco.MjSpec, model: mujoco.MjModel, channels: Sequence[Chan
     if any(model.actuator_plugin[row] >= 0 for row in rows):
         return _pid_drive(spec, model, channels[0], limit)
     gains, biases = model.actuator_gaintype[rows], model.actuator_biastype[rows]
-    if not (np.all(gains == _FIXED_GAIN) and np.all(np.isin(biases, _LINEAR_BIAS))):
-        return Drive(torque_limit=limit)
     gear, bias = model.actuator_gear[rows, 0], model.actuator_biasprm[rows, :3]
+    if not (gear.all() and np.all(gains == _FIXED_GAIN) and np.all(np.isin(biases, _LINEAR_BIAS))):
+        return Drive(torque_limit=limit)
     kp, kv = -float(gear**2 @ bias[:, 1]), -float(gear**2 @ bias[:, 2])
     gain = float(gear[0] * model.actuator_gainprm[rows[0], 0])
     follows_torque = channels[0].signal == "torque"
