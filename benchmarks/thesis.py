@@ -207,7 +207,7 @@ def _joint_by_joint(choice: SolverChoice) -> Callable[[Problem], tuple[dict[str,
         stops, trajectories = [], 0
         for joint, link in [*zip(reversed(JOINTS), reversed(LINKS), strict=True)] * _ROUNDS:
             others = [item.name for item in problem.parameters if item.target not in (joint, link)]
-            parameters = problem.parameters.at(values).freeze(others)
+            parameters = problem.parameters.at(values).hold(others)
             segments = [own for own in problem.segments if own.episode_id.startswith(f"{joint}_")]
             weights = Weights({"position": 1.0}, {other: float(other == joint) for other in JOINTS})
             own = Problem(problem.nominal, parameters, segments, weights=weights, jobs=problem.jobs)

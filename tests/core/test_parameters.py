@@ -29,14 +29,6 @@ def test_values_stay_inside_the_bounds_in_spite_of_rounding():
     assert parameter.from_z(99.0) == 7.0
 
 
-@given(st.floats(0.2, 9.0))
-def test_the_slope_is_the_derivative_of_the_value_by_z(value):
-    for parameter in (log(), linear(low=0.0, high=10.0)):
-        z, step = parameter.to_z(value), 1e-6
-        slope = (parameter.from_z(z + step) - parameter.from_z(z - step)) / (2 * step)
-        assert parameter.slope(value) == pytest.approx(slope, rel=1e-5)
-
-
 @pytest.mark.parametrize(
     ("options", "match"),
     [
@@ -85,7 +77,20 @@ def test_names_are_unique_and_unknown_ones_listed():
         ParameterSet((log(),))["armature[a]"]
 
 
-def test_freezing_keeps_the_start():
-    parameters = ParameterSet((log(), linear())).freeze(["damping[a]"])
-    assert [parameter.name for parameter in parameters.free] == ["torque_offset[a]"]
-    assert parameters.at({"damping[a]": 5.0})["damping[a]"].value == 1.0
+def test_what_is_frozen_is_left_as_the_model_has_it():
+    parameters = ParameterSet(
+        (log(nominal=0.0), linear(nominal=0.2), log("torque_limit[a]"), log("kp[a]", frozen=True))
+    )
+    left = parameters.freeze(parameters.names)
+    assert left["damping[a]"].value == 0.0, "the model may say 0 where a fit cannot"
+    assert left["torque_offset[a]"].untouched
+    assert left.names == ("damping[a]", "torque_offset[a]", "kp[a]"), "what the model has not stays out"
+    assert not left["kp[a]"].untouched, "kept at a value that the user has chosen"
+    assert left.at({"damping[a]": 5.0})["damping[a]"].value == 0.0
+
+
+def test_what_is_held_keeps_its_value():
+    held = ParameterSet((log(nominal=0.5), linear())).hold(["damping[a]"])
+    assert [parameter.name for parameter in held.free] == ["torque_offset[a]"]
+    assert held.at({"damping[a]": 5.0})["damping[a]"].value == 1.0
+    assert not held["damping[a]"].untouched

@@ -74,11 +74,21 @@ def test_every_key_of_the_configuration_is_explained():
     }
 
 
-@pytest.mark.parametrize("follows", ["position", "torque"])
-def test_the_defaults_are_those_of_the_page(follows):
+@pytest.mark.parametrize(
+    ("follows", "controller"),
+    [
+        ("position", None),
+        ("position", ControllerSpec(kind="velocity-integrator", kp=60.0, kv=1.0)),
+        ("PID", ControllerSpec(kind="pid", kp=60.0, kv=1.0, ki=5.0)),
+        ("velocity", ControllerSpec(kind="velocity", kv=5.0)),
+        ("torque", ControllerSpec(kind="torque")),
+    ],
+)
+def test_the_defaults_are_those_of_the_page(follows, controller):
     robot = load_robot("demo_arm")
-    if follows == "torque":
-        robot = replace(robot, controller=ControllerSpec(kind="torque"))
+    if controller is not None:
+        joints = tuple(replace(joint, torque_limit=10.0) for joint in robot.joints)
+        robot = replace(robot, controller=controller, joints=joints)
     resolved = IdentifyConfig().resolved(Nominal(robot, find_model(robot)))
     (row,) = (row for row in table("torque") if row[0].startswith(follows))
     assert code(row[1]) == list(resolved.fit)

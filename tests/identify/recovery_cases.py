@@ -101,7 +101,7 @@ class Truth:
         time_s, drawn = wave(seconds, rate_hz, seed, size=size, top_hz=top_hz)
         command = drawn if command is None else command(time_s)
         rest = np.zeros_like(command)
-        unit = {"position": "rad", "torque": "Nm"}[signal]
+        unit = {"position": "rad", "velocity": "rad/s", "torque": "Nm"}[signal]
         asked = TimeSeries(time_s, JOINTS, {signal: command}, same_units({signal: unit}, JOINTS))
         begin = command if signal == "position" else rest
         units = same_units({"position": "rad", "velocity": "rad/s"}, JOINTS)
@@ -127,8 +127,7 @@ def fit(truth, logs, quantities, *, start=None, window_s=None, steps=(0.02, 0.00
     settings = SolveSettings(gauss_newton=GaussNewtonSettings(steps=steps, tolerance=tolerance))
     solution = solve(problem, settings)
     posterior = posterior_of(problem, solution.z, solution.residual, solution.jacobian)
-    nominal = {parameter.name: parameter.value for parameter in parameters}
-    return {item.name: item for item in fitted_parameters(posterior, nominal)}, solution
+    return {item.name: item for item in fitted_parameters(posterior)}, solution
 
 
 def nominal_of(folder, controller=SERVO, *, floating=False):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -76,7 +77,10 @@ def test_a_frozen_joint_is_named_and_left_alone(servo, tmp_path):
     found = identify(logs, servo.robot, tmp_path / "arm.xml", config=config())
     assert any("elbow does not move although it is commanded" in line for line in found.result.statements)
     assert found.result["damping[elbow]"].frozen
-    assert found.result["damping[elbow]"].value == found.result["damping[elbow]"].nominal
+    given, fitted = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml")), found.candidate().compile()
+    assert fitted.dof_damping[1] == given.dof_damping[1] == 0.2
+    assert fitted.dof_frictionloss[1] == given.dof_frictionloss[1] == 0.15
+    assert fitted.dof_damping[0] != given.dof_damping[0]
     assert not found.result["damping[shoulder]"].frozen
 
 

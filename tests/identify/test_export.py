@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 import yaml
 
-from identify.recovery_cases import SERVO, TORQUE, Truth, nominal_of
+from identify.recovery_cases import ARM, SERVO, TORQUE, Truth, nominal_of
 from trueup.core.fit_result import FitResult
 from trueup.errors import DataError, FormatError
-from trueup.identify import IdentifyConfig, identify, save_identification
+from trueup.identify import IdentifyConfig, Nominal, identify, save_identification
 from trueup.identify.config import SolverChoice
-from trueup.robots import load_robot
+from trueup.identify.export import isaac_yaml
+from trueup.robots import ControllerSpec, JointSpec, RobotSpec, load_robot
 from trueup.sim import MujocoSimulator, ReplaySettings, install_friction, replay_episode
 
 FILES = ("fit.json", "model.fitted.xml", "robot.fitted.yaml", "isaac.actuators.yaml", "fit.samples.npz")
@@ -104,6 +105,83 @@ def test_isaac_names_and_samples(tmp_path):
     low, high = found.result["damping[elbow]"].interval
     inside = np.mean((samples["damping[elbow]"] > low) & (samples["damping[elbow]"] < high))
     assert inside == pytest.approx(0.95, abs=0.03)
+
+
+def settings_of(nominal):
+    """What Isaac is told of a model as it came, and the text of it."""
+    text = isaac_yaml(nominal.candidate())
+    return yaml.safe_load(text)["actuators"], text
+
+
+def test_isaac_is_told_what_a_geared_drive_does_at_the_joint(tmp_path):
+    path = tmp_path / "arm.xml"
+    drives = (
+        '<actuator><position name="s" joint="shoulder" kp="10" kv="0.2" gear="5" forcerange="-2 2"/>'
+        '<velocity name="e" joint="elbow" kv="3" gear="-2"/></actuator>'
+    )
+    path.write_text(ARM.replace("</mujoco>", f"{drives}</mujoco>"))
+    joints = (JointSpec("shoulder"), JointSpec("elbow"))
+    robot = RobotSpec("arm", joints, "arm.xml", controller=ControllerSpec(kind="model", command="position"))
+    actuators, text = settings_of(Nominal(robot, path))
+    model = mujoco.MjModel.from_xml_path(str(path))
+
+    def torque(position=(0.0, 0.0), velocity=(0.0, 0.0)):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = position, velocity
+        mujoco.mj_forward(model, data)
+        return data.qfrc_actuator.copy()
+
+    assert actuators["shoulder"]["stiffness"] == pytest.approx(torque((-1e-3, 0))[0] / 1e-3) == 250.0
+    assert actuators["shoulder"]["damping"] == pytest.approx(torque(velocity=(-1e-3, 0))[0] / 1e-3) == 5.0
+    assert actuators["shoulder"]["effort_limit"] == pytest.approx(torque((-1.0, 0))[0]) == 10.0
+    assert actuators["elbow"]["stiffness"] == 0.0
+    assert actuators["elbow"]["damping"] == pytest.approx(torque(velocity=(0, -1e-3))[1] / 1e-3) == 12.0
+    assert "effort_limit" not in actuators["elbow"]
+    assert "-0.0" not in text
+
+
+@pytest.mark.parametrize("kind", ["position", "pd", "pid"])
+def test_isaac_is_told_the_limit_that_stands_on_the_joint(tmp_path, kind):
+    robot, _ = nominal_of(tmp_path, ControllerSpec(kind=kind, kp=40.0, kv=1.0, ki=5.0 if kind == "pid" else 0.0))
+    limited = RobotSpec(
+        "arm",
+        tuple(JointSpec(joint.name, torque_limit=87.0) for joint in robot.joints),
+        "arm.xml",
+        controller=robot.controller,
+    )
+    actuators, text = settings_of(Nominal(limited, tmp_path / "arm.xml"))
+    assert actuators["elbow"]["effort_limit"] == 87.0
+    assert actuators["elbow"]["stiffness"] == 40.0
+    assert actuators["elbow"]["damping"] == 1.0
+    assert ("integral gain of 5" in text) == (kind == "pid")
+    assert "-0.0" not in text
+
+
+def test_a_fitted_limit_wins_over_that_of_the_description(tmp_path):
+    robot, _ = nominal_of(tmp_path)
+    limited = RobotSpec(
+        "arm", tuple(JointSpec(joint.name, torque_limit=20.0) for joint in robot.joints), "arm.xml", controller=SERVO
+    )
+    log = Truth(robot, Nominal(limited, tmp_path / "arm.xml"), {}).log(1, seconds=3.0)
+    fit = {"damping": "all", "torque_limit": {"start": 30.0, "frozen": True}}
+    config = IdentifyConfig(fit=fit, models={}, solver=SolverChoice(max_iterations=2))
+    found = identify({"train": [log]}, limited, tmp_path / "arm.xml", config=config)
+    save_identification(found, tmp_path)
+    again = load_robot(tmp_path / "robot.fitted.yaml")
+    assert MujocoSimulator.from_robot(again, tmp_path / "model.fitted.xml").torque_limits == {
+        "shoulder": 30.0,
+        "elbow": 30.0,
+    }
+
+
+def test_a_fitted_pid_travels_in_the_file(tmp_path):
+    pid = ControllerSpec(kind="pid", kp=50.0, kv=2.0, ki=30.0)
+    _, out, log = identified(tmp_path, pid, {"kp[elbow]": 80.0}, {"kp": "all"}, rate_hz=125.0, seconds=3.0)
+    robot = load_robot(out / "robot.fitted.yaml")
+    ours = replay_episode(log, MujocoSimulator.from_robot(robot, out / "model.fitted.xml"), ReplaySettings.of(robot))
+    plain = plain_positions(out / "model.fitted.xml", log, robot.delay_s)
+    np.testing.assert_allclose(ours["position"], plain, atol=1e-6)
+    assert np.sqrt(np.mean((plain - log.measured["position"])[50:] ** 2)) < 2e-3
 
 
 def test_fit_json_comes_back_and_broken_ones_are_refused(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.errors import ConfigError, DataError, FormatError, MissingSignal, NameMismatch, UnitError
-from trueup.identify.regression import GrayboxResult, GrayboxSettings, fit_graybox, servo_starts
+from trueup.identify.regression import GrayboxResult, GrayboxSettings, fit_graybox
 from trueup.identify.regression.smoothing import smooth
 from trueup.lab import record_demo
 
@@ -251,10 +251,6 @@ def test_a_joint_that_stands_still_has_a_stiffness_but_no_friction():
     assert fit.final.coefficients["K_p"].value == pytest.approx(40.0, rel=0.01)
     assert "hardly moved" in fit.block("friction").left_out
     assert fit.final.coefficients["K_d"].status == "not identifiable"
-    start = servo_starts(fit_graybox(episodes))["a"]
-    assert start.stiffness == pytest.approx(40.0, rel=0.01)
-    assert start.damping is None
-    assert start.friction is None
 
 
 def test_damping_and_viscous_friction_are_one_when_no_velocity_is_commanded():
@@ -325,7 +321,6 @@ def test_an_absolute_torque_is_refused():
     assert "absolute value" in fit.blocks[0].left_out
     assert fit.final is None
     assert fit.interval_method == "none"
-    assert servo_starts(fit_graybox(episodes))["a"].stiffness is None
 
 
 def test_a_delay_of_the_command_is_taken_into_account():
@@ -337,19 +332,6 @@ def test_a_delay_of_the_command_is_taken_into_account():
     wrong = final(fit_graybox(episodes, settings=GrayboxSettings(command_velocity="zero")))
     assert right["K_p"].value == pytest.approx(40.0, rel=0.01)
     assert abs(wrong["K_p"].value - 40.0) > 2.0
-
-
-def test_start_values_have_physical_signs():
-    start = servo_starts(fit_graybox(motions()))["a"]
-    assert start.stiffness == pytest.approx(TRUTH["K_p"], rel=0.02)
-    assert start.damping == pytest.approx(TRUTH["K_d"] - TRUTH["K_v"], rel=0.02)
-    assert start.friction == pytest.approx(-TRUTH["K_c"], rel=0.1)
-    assert start.offset == pytest.approx(TRUTH["tau_0"], abs=0.05)
-    driving = servo_starts(fit_graybox(motions(truth={"K_c": 0.4, "K_v": 4.0, "K_p": -40.0})))["a"]
-    assert driving.stiffness is None
-    assert driving.friction == 0.0
-    assert driving.damping == 0.0
-    assert len(driving.notes) >= 3
 
 
 def test_the_servo_of_a_simulated_arm_is_found_through_its_sensors():

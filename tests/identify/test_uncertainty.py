@@ -68,7 +68,7 @@ def test_without_data_the_prior_stands(small):
     posterior = posterior_of(small, small.parameters.start, residual, np.zeros((2, small.size)))
     _, std = small.parameters.prior
     np.testing.assert_allclose(posterior.std, std, rtol=1e-6)
-    items = fitted_parameters(posterior, {p.name: p.value for p in small.parameters})
+    items = fitted_parameters(posterior)
     assert [item.identified for item in items] == ["no", "no"]
     assert items[0].prior_share == pytest.approx(1.0)
     assert "not identifiable" in items[0].sentence
@@ -83,7 +83,7 @@ def test_two_parameters_that_act_alike_are_named_together(small):
     one = rng.standard_normal(small.size)
     jacobian = np.stack([one, one * (1 + 1e-9)])
     posterior = posterior_of(small, small.parameters.start, 0.01 * rng.standard_normal(small.size), jacobian)
-    items = fitted_parameters(posterior, {p.name: p.value for p in small.parameters})
+    items = fitted_parameters(posterior)
     assert all(item.identified != "yes" for item in items)
     assert "damping[elbow]" in items[0].sentence
     worst = open_directions(posterior)[0]

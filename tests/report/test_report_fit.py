@@ -252,7 +252,7 @@ def test_a_broken_fit_is_a_clear_error(copied, change):
         ("at_bound", "both"),
         ("unit", None),
         ("frozen", 1),
-        ("nominal", None),
+        ("nominal", "none"),
     ],
 )
 def test_a_broken_parameter_is_a_clear_error(copied, key, value):
@@ -261,6 +261,18 @@ def test_a_broken_parameter_is_a_clear_error(copied, key, value):
     (copied / "fit.json").write_text(json.dumps(fit))
     with pytest.raises(DataError, match=r"fit\.json"):
         build_report(copied)
+
+
+def test_a_number_that_the_model_does_not_have_is_shown_as_added(copied):
+    fit = make_fit(JOINTS).to_json()
+    name = fit["parameters"][0]["name"]
+    fit["parameters"][0] |= {"nominal": None, "transform": "log", "at_bound": "", "frozen": False}
+    (copied / "fit.json").write_text(json.dumps(fit))
+    page = build_report(copied)
+    item = FitResult.load(copied / "fit.json")[name]
+    assert change_words(item) == "added"
+    assert not any(panel.factors for panel in interval_panels([item]))
+    assert '<td class="nominal">none</td>' in section(page, "parameters")
 
 
 def test_a_parameter_that_stands_twice_is_refused(copied):

@@ -36,7 +36,7 @@ def parameter_table(fit: FitResult) -> Table:
         style = "red" if item.at_bound and item.low != item.value != 0.0 else _STYLE[item.identified]
         table.add_row(
             escape(item.name),
-            f"{item.nominal:.4g}",
+            "none" if item.nominal is None else f"{item.nominal:.4g}",
             f"{item.value:.4g}",
             f"[{low:.3g}, {high:.3g}]",
             item.unit,

@@ -26,7 +26,7 @@ class FittedParameter:
         name: `QUANTITY[TARGET]`.
         value: fitted value.
         unit: of all numbers here.
-        nominal: what the model said before.
+        nominal: what the model said before; None if it has no such number.
         start: where the fit started.
         low: lower bound.
         high: upper bound.
@@ -44,7 +44,7 @@ class FittedParameter:
     name: str
     value: float
     unit: str
-    nominal: float
+    nominal: float | None
     start: float
     low: float
     high: float

@@ -21,7 +21,7 @@ class Parameter:
 
     Attributes:
         name: `QUANTITY[TARGET]`, e.g. `damping[joint1]`.
-        value: where the fit starts.
+        value: where the fit starts; of a frozen parameter, what it is kept at.
         unit: of value and bounds.
         low: lower bound, inclusive.
         high: upper bound, inclusive.
@@ -31,6 +31,7 @@ class Parameter:
             parameter says: within a factor of e, most likely.
         prior_mean: centre of the prior [unit]; the start if None.
         frozen: kept at `value`.
+        nominal: what the model says, outside the bounds and 0 on a `log` scale too; None if it has no such number.
 
     Raises:
         ConfigError: bounds contradict each other, the transform, or the start.
@@ -46,6 +47,7 @@ class Parameter:
     prior_std: float | None = None
     prior_mean: float | None = None
     frozen: bool = False
+    nominal: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse what no solver could work with."""
@@ -58,7 +60,7 @@ class Parameter:
                 expected="low < high",
                 hint="To keep a parameter at its value, set frozen: true.",
             )
-        if self.transform == "log" and (self.low <= 0 or self.value <= 0):
+        if self.transform == "log" and not self.frozen and (self.low <= 0 or self.value <= 0):
             raise ConfigError(
                 f"parameter {self.name!r} is positive by nature",
                 got=f"value {self.value:g}, low {self.low:g} {self.unit}",
@@ -83,6 +85,11 @@ class Parameter:
         """The part of the name in brackets: a joint, a body, or empty."""
         return self.name.partition("[")[2].removesuffix("]")
 
+    @property
+    def untouched(self) -> bool:
+        """Whether the model keeps its own number."""
+        return self.frozen and self.value == self.nominal
+
     def to_z(self, value: float) -> float:
         """The value as solvers see it."""
         return float(np.log(value)) if self.transform == "log" else value / self.scale
@@ -91,10 +98,6 @@ class Parameter:
         """The value of a solver's number, kept inside the bounds in spite of rounding."""
         value = float(np.exp(z)) if self.transform == "log" else z * self.scale
         return min(max(value, self.low), self.high) if not self.frozen else self.value
-
-    def slope(self, value: float) -> float:
-        """Derivative of the value by z."""
-        return value if self.transform == "log" else self.scale
 
     def to_json(self) -> dict[str, Any]:
         """A dictionary that `Parameter(**d)` reads back."""
@@ -191,8 +194,23 @@ class ParameterSet:
         return ParameterSet(tuple(moved))
 
     def freeze(self, names: Iterable[str]) -> ParameterSet:
-        """The same parameters with these frozen at their start."""
+        """The same parameters with the free ones among these left as the model has them.
+
+        What the model does not have at all is left out. Those that were frozen before keep their value.
+        """
+        chosen = set(names)
+        left = (_as_the_model(parameter) if parameter.name in chosen else parameter for parameter in self)
+        return ParameterSet(tuple(parameter for parameter in left if parameter is not None))
+
+    def hold(self, names: Iterable[str]) -> ParameterSet:
+        """The same parameters with these kept at their value."""
         chosen = set(names)
         return ParameterSet(
             tuple(replace(parameter, frozen=True) if parameter.name in chosen else parameter for parameter in self)
         )
+
+
+def _as_the_model(parameter: Parameter) -> Parameter | None:
+    if parameter.frozen:
+        return parameter
+    return None if parameter.nominal is None else replace(parameter, value=parameter.nominal, frozen=True)

@@ -64,6 +64,19 @@ SI_UNIT = MappingProxyType(
 )
 
 
+def joint_unit(unit: str, length_unit: str) -> str:
+    """The unit of a joint's number, given that of a hinge, for a joint in `rad` or `m`.
+
+    >>> joint_unit("Nm s/rad", "m")
+    'N s/m'
+    """
+    if length_unit == "rad":
+        return unit
+    for hinge, slide in (("kg m^2", "kg"), ("kg m2", "kg"), ("Nm", "N"), ("rad", "m")):
+        unit = unit.replace(hinge, slide)
+    return unit
+
+
 def si_factor(unit: str) -> tuple[str, float]:
     """The SI unit of the same quantity, and the factor into it.
 

@@ -105,7 +105,7 @@ def explain(
         weights = Weights(settled.signals, settled.joints)
         problem = Problem(nominal, off_bounds(parameters.at(values)), segments, weights=weights, jobs=jobs)
         # Only what is new is looked for from afar.
-        new = problem.parameters.freeze(name for name in problem.parameters.names if name.partition("[")[0] not in own)
+        new = problem.parameters.hold(name for name in problem.parameters.names if name.partition("[")[0] not in own)
         if new.free:
             swept = swept_start(problem.with_parameters(new))
             problem = problem.with_parameters(

@@ -203,7 +203,7 @@ class Bench:
         """Fit one model; `left_out` stays as the nominal model has it, `absent` stays at zero."""
         began = time.perf_counter()
         parameters = freeze_still(make_parameters(fit, self.nominal, self.motions), self.seen).freeze(left_out)
-        parameters = parameters.at(dict.fromkeys(absent, 0.0)).freeze(absent)
+        parameters = parameters.at(dict.fromkeys(absent, 0.0)).hold(absent)
         settings = self._settings
         if start is None:
             problem = self._started(self._problem(parameters))

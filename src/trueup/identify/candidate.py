@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Literal
 
 import mujoco
 import numpy as np
 
 from trueup.errors import ConfigError
+from trueup.identify.drive import Drive, drive_of
 from trueup.identify.inertial import Inertial, apply_inertial, inertial_of
 from trueup.robots import ControllerSpec, RobotSpec
 from trueup.sim import MujocoSimulator
+from trueup.sim.controllers import Channel
 from trueup.sim.friction import harden_friction, has_friction, install
 from trueup.sim.model import compile_spec, load_spec
 
@@ -70,6 +73,10 @@ class Candidate:
             install()
         return model
 
+    def drive(self, joint: str, model: mujoco.MjModel) -> Drive:
+        """What drives a joint of this candidate, compiled to `model`."""
+        return drive_of(self.spec, model, self.nominal.channels(joint))
+
     @property
     def delays(self) -> np.ndarray:
         """Delays in the robot's joint order, (J,) [s]."""
@@ -122,9 +129,17 @@ class Nominal:
             self._inertials[body] = inertial_of(self.model, body)
         return self._inertials[body]
 
-    def actuators(self, joint: str) -> tuple[str, ...]:
-        """Names of the actuators that follow the commands of a joint."""
-        return tuple(channel.actuator for channel in self.simulator.channels if channel.joint == joint)
+    def channels(self, joint: str) -> tuple[Channel, ...]:
+        """How the commands of a joint reach its actuators."""
+        return tuple(channel for channel in self.simulator.channels if channel.joint == joint)
+
+    def drive(self, joint: str) -> Drive:
+        """What drives a joint of the nominal model."""
+        return drive_of(self.spec, self.model, self.channels(joint))
+
+    def length_unit(self, joint: str) -> Literal["rad", "m"]:
+        """Unit of a joint's position."""
+        return "m" if self.model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"
 
     @property
     def bodies(self) -> tuple[str, ...]:
@@ -150,13 +165,6 @@ class Nominal:
         if not self.bodies:
             raise ConfigError(f"{self.path}: no body moves, so nothing can carry a payload")
         return self.bodies[-1], (0.0, 0.0, 0.0)
-
-    def compiled(self, spec: mujoco.MjSpec) -> MujocoSimulator:
-        """A simulator on another version of the model."""
-        model = compile_spec(spec, self.path)
-        if has_friction(model):
-            install()
-        return MujocoSimulator(model, self.robot, self.simulator.channels)
 
 
 def _with_model_controller(robot: RobotSpec) -> RobotSpec:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,9 +22,13 @@ _SERVO_FIT = ("delay_s", "kp", "damping", "frictionloss", "armature", "torque_of
 _SERVO_MODELS = {
     "gravity": ("mass",),
     "drive": ("kv", "torque_limit"),
+    "integral": ("ki",),
     "stribeck": ("stribeck", "stribeck_velocity"),
     "load": ("load",),
 }
+# A velocity servo has no other gain, and its error in speed tells it from friction.
+_VELOCITY_FIT = ("delay_s", "kv", "damping", "frictionloss", "armature", "torque_offset")
+_VELOCITY_MODELS = {**_SERVO_MODELS, "drive": ("torque_limit",)}
 # Open loop: the torque is known, so masses and inertias can be told from friction.
 # (Incremental encoders are zeroed where the arm happens to hang: each recording has zeros of its own.)
 _TORQUE_FIT = (
@@ -142,12 +147,17 @@ class IdentifyConfig:
         return build(IdentifyConfig, read_yaml(path), str(path))
 
     def resolved(self, nominal: Nominal) -> IdentifyConfig:
-        """With the defaults for this robot's controller filled in."""
-        torque = nominal.robot.controller.signal == "torque"
-        fit = self.fit or dict.fromkeys(_TORQUE_FIT if torque else _SERVO_FIT, "all")
+        """With the defaults for this robot's controller filled in: of what its drives and its model have.
+
+        Raises:
+            ConfigError: `models` names a quantity that no scored joint has.
+        """
+        usual_fit, usual_models = _usual(nominal)
+        fit = self.fit or dict.fromkeys(usual_fit, "all")
         models = self.models
         if models is None:
-            models = ({} if self.fit else _TORQUE_MODELS) if torque else ({} if self.fit else _SERVO_MODELS)
+            models = {} if self.fit else usual_models
+        make_parameters(dict.fromkeys(chain.from_iterable(models.values()), "all"), nominal)
         data = replace(self.data, window_s=self.window_s(nominal.robot))
         return replace(self, fit=fit, models=models, data=data)
 
@@ -162,6 +172,24 @@ class IdentifyConfig:
         return asdict(self)
 
 
+def _usual(nominal: Nominal) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]]]:
+    """What is fitted, and what is tried on top, if nobody says."""
+    fit: tuple[str, ...]
+    if nominal.robot.controller.signal == "torque":
+        fit, models = _TORQUE_FIT, _TORQUE_MODELS
+    elif _all(quantity("kp"), nominal):
+        fit, models = _SERVO_FIT, _SERVO_MODELS
+    else:
+        fit, models = _VELOCITY_FIT, _VELOCITY_MODELS
+    there = {name: _there(own, nominal) for name, own in models.items()}
+    return _there(fit, nominal), {name: own for name, own in there.items() if own}
+
+
+def _there(names: Sequence[str], nominal: Nominal) -> tuple[str, ...]:
+    """Those that the model and its drives have."""
+    return tuple(name for name in names if quantity(name).of == "motion" or _all(quantity(name), nominal))
+
+
 def make_parameters(fit: Mapping[str, Any], nominal: Nominal, motions: Sequence[str] = ()) -> ParameterSet:
     """The parameters that a `fit:` section asks for, started from what the model says.
 
@@ -171,7 +199,8 @@ def make_parameters(fit: Mapping[str, Any], nominal: Nominal, motions: Sequence[
         motions: ids of the motions, for what differs from recording to recording.
 
     Raises:
-        ConfigError: an unknown quantity, target or key, or bounds that contradict each other.
+        ConfigError: an unknown quantity, target or key, one that a joint's drive does not have, or bounds that
+            contradict each other.
     """
     return ParameterSet(
         tuple(
@@ -185,45 +214,75 @@ def _chosen(kind: Quantity, choice: Any, nominal: Nominal, motions: Sequence[str
     unknown = [key for key in options if key not in _CHOICE_KEYS]
     if unknown:
         raise ConfigError(f"fit: {kind.name} has unknown keys {unknown}", available=_CHOICE_KEYS)
-    known = kind.targets(nominal, motions)
-    targets = _targets(kind, options.pop("targets", "all"), nominal, known, shared=options.pop("shared", False))
-    changed = {("value" if key == "start" else key): value for key, value in options.items()}
+    choice, shared = options.pop("targets", "all"), options.pop("shared", False)
+    frozen = options.pop("frozen", False)
+    if not isinstance(frozen, bool):
+        raise ConfigError(f"fit: {kind.name}: frozen", got=repr(frozen), expected="true or false")
+    numbers: dict[str, Any] = {key: _number(kind, key, value) for key, value in options.items()}
+    start = numbers.pop("start", None)
+    able = kind.holders(nominal, motions)
+    if kind.addable and start is not None:
+        able = kind.targets(nominal, motions)
     parameters = []
-    for target in targets:
-        parameter = kind.parameter(nominal, target)
-        for key, value in changed.items():
-            if key != "frozen" and (isinstance(value, bool) or not isinstance(value, int | float)):
-                shown = "start" if key == "value" else key
-                raise ConfigError(
-                    f"fit: {kind.name}: {shown} must be a number",
-                    got=repr(value),
-                    hint="YAML reads 1e-3 as text; write 1.0e-3." if isinstance(value, str) else None,
-                )
-        moved: dict[str, Any] = {key: value if key == "frozen" else float(value) for key, value in changed.items()}
-        if "value" not in moved:
-            low, high = moved.get("low", parameter.low), moved.get("high", parameter.high)
+    for target in _targets(kind, choice, nominal, motions, able, shared=shared):
+        parameter = kind.parameter(nominal, target, start=start)
+        low, high = numbers.get("low", parameter.low), numbers.get("high", parameter.high)
+        if start is not None:
+            value = start
+        elif frozen:
+            # Only what is added lacks a number of the model's, and that needs a start.
+            value = parameter.value if parameter.nominal is None else parameter.nominal
+        else:
             # A start that only the default put outside the user's bounds follows them.
-            moved["value"] = min(max(parameter.value, low), high) if low <= high else parameter.value
-        parameters.append(replace(parameter, **moved))
+            value = min(max(parameter.value, low), high) if low <= high else parameter.value
+        parameters.append(replace(parameter, value=value, frozen=frozen, **numbers))
     return parameters
 
 
-def _targets(kind: Quantity, choice: Any, nominal: Nominal, known: Sequence[str], *, shared: Any) -> Sequence[str]:
+def _number(kind: Quantity, key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ConfigError(
+            f"fit: {kind.name}: {key} must be a number",
+            got=repr(value),
+            hint="YAML reads 1e-3 as text; write 1.0e-3." if isinstance(value, str) else None,
+        )
+    return float(value)
+
+
+def _all(kind: Quantity, nominal: Nominal, able: Sequence[str] | None = None) -> list[str]:
+    """What `all` means: those of `able` (of what the model has, if None) that enter the score."""
+    names = kind.holders(nominal) if able is None else able
+    return [name for name in names if kind.of != "joint" or name in nominal.robot.scored_joints]
+
+
+def _targets(
+    kind: Quantity, choice: Any, nominal: Nominal, motions: Sequence[str], able: Sequence[str], *, shared: Any
+) -> Sequence[str]:
+    known = kind.targets(nominal, motions)
     if not isinstance(shared, bool) or (shared and choice not in ("all", None)):
         raise ConfigError(
             f"fit: {kind.name}: shared",
             got=f"shared: {shared!r} with targets: {choice!r}",
             expected="true or false, and no targets, since the whole robot shares it",
         )
-    if shared:
-        return [""]
+    if shared and kind.of == "motion":
+        raise ConfigError(
+            f"fit: {kind.name}: shared", got="shared: true", hint="Every recording has its own; joint_offset is shared."
+        )
     if choice in ("all", None):
-        scored = nominal.robot.scored_joints
-        return [name for name in known if kind.of != "joint" or name in scored]
+        found = _all(kind, nominal, able)
+        if not found and kind.needs:
+            raise ConfigError(f"fit: {kind.name} needs {kind.needs}", got="no scored joint that has one")
+        return [""] if shared else found
     wanted = [choice] if isinstance(choice, str) else choice
     if not isinstance(wanted, list | tuple) or not all(isinstance(name, str) for name in wanted):
         raise ConfigError(f"fit: {kind.name}", got=repr(choice), expected="`all`, a list of names, or a mapping")
     strangers = [name for name in wanted if name not in known]
     if strangers:
         raise ConfigError(f"fit: {kind.name}: {strangers} are not a {kind.of} of the robot", available=known)
+    without = [name for name in wanted if name not in able]
+    if without:
+        raise ConfigError(
+            f"fit: {kind.name} needs {kind.needs}", got=f"{without}", available=_all(kind, nominal, able) or None
+        )
     return list(wanted)

@@ -13,9 +13,10 @@ import yaml
 
 from trueup.core.atomic import replacing, write_text
 from trueup.identify.candidate import Candidate
+from trueup.identify.drive import Drive
 from trueup.identify.identification import Identification
 from trueup.identify.uncertainty import rounded
-from trueup.robots import JointGains, RobotSpec
+from trueup.robots import JointFriction, JointGains, RobotSpec
 from trueup.sim import friction_of
 
 MODEL_FILE = "model.fitted.xml"
@@ -55,11 +56,19 @@ def save_model(candidate: Candidate, path: Path) -> None:
 
 
 def fitted_robot(candidate: Candidate) -> RobotSpec:
-    """The robot's description for the fitted model: everything is in the model, except for the delays."""
-    robot = candidate.nominal.robot
+    """The robot's description for the fitted model: everything is in the model, except for the delays.
+
+    A torque limit of the description would win over the model's, so it follows the fitted one.
+    """
+    robot, model = candidate.nominal.robot, candidate.compile()
+    limits = {joint: candidate.drive(joint, model).torque_limit for joint in robot.joint_names}
     delays = {joint: JointGains(delay_s=rounded(delay)) for joint, delay in candidate.delay_s.items() if delay}
     return replace(
         robot,
+        joints=tuple(
+            joint if joint.torque_limit is None else replace(joint, torque_limit=rounded(limits[joint.name] or 0.0))
+            for joint in robot.joints
+        ),
         model=MODEL_FILE,
         controller=replace(robot.controller, delay_s=0.0, per_joint=delays),
         description=f"{robot.description or robot.name}, identified by trueup",
@@ -86,33 +95,45 @@ def robot_yaml(robot: RobotSpec) -> str:
 def isaac_yaml(candidate: Candidate) -> str:
     """Actuator settings in the names of Isaac Lab: stiffness, damping, armature, friction, effort limits.
 
-    MuJoCo's `kp` is `stiffness`, the servo's `kv` is `damping`, the joint's `damping` is `viscous_friction`, its
-    `frictionloss` is `dynamic_friction`, and `friction` (the static one) adds the Stribeck excess; delays are in
-    seconds, since Isaac counts physics steps.
+    All are those of the joint, whatever the gear. `kp` is `stiffness`, the servo's `kv` is `damping`, the joint's
+    `damping` is `viscous_friction`, its `frictionloss` is `dynamic_friction`, and `friction` (the static one) adds the
+    Stribeck excess; delays are in seconds, since Isaac counts physics steps.
     """
     model = candidate.compile()
     actuators = {}
     for joint in candidate.nominal.robot.joint_names:
-        names = candidate.nominal.actuators(joint)
-        rows = [int(model.actuator(name).id) for name in names]
+        drive = candidate.drive(joint, model)
         dof = int(model.jnt_dofadr[model.joint(joint).id])
         law = friction_of(candidate.spec, joint)
         entry: dict[str, Any] = {
-            "stiffness": rounded(-model.actuator_biasprm[rows[0], 1]),
-            "damping": rounded(-sum(model.actuator_biasprm[row, 2] for row in rows)),
+            "stiffness": rounded(drive.kp or 0.0),
+            "damping": rounded(drive.kv or 0.0),
             "armature": rounded(model.dof_armature[dof]),
             "friction": rounded(model.dof_frictionloss[dof] + law.stribeck),
             "dynamic_friction": rounded(model.dof_frictionloss[dof]),
             "viscous_friction": rounded(model.dof_damping[dof]),
         }
-        if all(model.actuator_forcelimited[row] for row in rows):
-            entry["effort_limit"] = rounded(np.abs(model.actuator_forcerange[rows]).max())
+        if drive.torque_limit is not None:
+            entry["effort_limit"] = rounded(drive.torque_limit)
         entry["delay_s"] = rounded(candidate.delay_s[joint])
-        if replace(law, stribeck=0.0, stribeck_velocity=type(law)().stribeck_velocity) != type(law)():
-            entry["note"] = "the fitted friction law has parts that Isaac does not know; see model.fitted.xml"
+        notes = _unknown_to_isaac(drive, law)
+        if notes:
+            entry["note"] = f"{' and '.join(notes)}: Isaac does not know this; see model.fitted.xml"
         actuators[joint] = entry
     head = "# Actuator settings identified by trueup, in Isaac Lab's names. SI units.\n"
     return head + yaml.safe_dump({"actuators": actuators}, sort_keys=False, allow_unicode=True)
+
+
+def _unknown_to_isaac(drive: Drive, law: JointFriction) -> list[str]:
+    plain = JointFriction()
+    notes = []
+    if drive.ki is not None:
+        notes.append(f"an integral gain of {rounded(drive.ki)}")
+    if drive.torque_offset:
+        notes.append(f"a constant torque of {rounded(drive.torque_offset)}")
+    if replace(law, stribeck=0.0, stribeck_velocity=plain.stribeck_velocity) != plain:
+        notes.append("parts of the friction law")
+    return notes
 
 
 def save_samples(found: Identification, path: Path, *, seed: int) -> None:

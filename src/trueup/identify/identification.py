@@ -12,7 +12,7 @@ from trueup.core.parameters import ParameterSet
 from trueup.core.provenance import provenance
 from trueup.identify.bench import Bench, OnModel
 from trueup.identify.candidate import Candidate, Nominal
-from trueup.identify.config import IdentifyConfig, make_parameters
+from trueup.identify.config import IdentifyConfig
 from trueup.identify.problem import Problem
 from trueup.identify.scoring import Scorer, judged
 from trueup.identify.uncertainty import Posterior, fitted_parameters, open_directions, whiteness_of
@@ -81,8 +81,7 @@ def identify(
     bench = Bench(nominal, episodes, config, jobs=jobs, seed=seed, checkpoints=checkpoints, on_progress=on_progress)
     best, attempts = bench.climb()
     solution, problem, posterior = best.solution, bench.problem_of(best), bench.posterior_of(best).of_model()
-    start = make_parameters(dict.fromkeys(best.row.quantities, "all") | dict(bench.config.fit), nominal)
-    parameters = fitted_parameters(posterior, {item.name: item.value for item in start})
+    parameters = fitted_parameters(posterior)
     rows = tuple(bench.scored_row(item, chosen=item is best) for item in attempts)
     soft = Scorer(Nominal(robot, model, hard_friction=False), bench.usable, jobs=jobs, seed=seed)
     errors = {

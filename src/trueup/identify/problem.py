@@ -78,6 +78,7 @@ class Problem:
         self._writers = [
             (quantity(parameter.quantity).write, place, parameter)
             for parameter in parameters
+            if not parameter.untouched
             for place in quantity(parameter.quantity).places(nominal, parameter.target)
         ]
         self._rows = {segment: self._counted(segment) for segment in self.segments}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -159,8 +159,7 @@ class Posterior:
     def of_model(self) -> Posterior:
         """The same without what belongs to single recordings: their uncertainty stays in that of the others."""
         kept = [index for index, item in enumerate(self.parameters.free) if quantity(item.quantity).of != "motion"]
-        names = {self.parameters.free[index].name for index in kept}
-        own = tuple(item for item in self.parameters if item.frozen or item.name in names)
+        own = tuple(item for item in self.parameters if quantity(item.quantity).of != "motion")
         # Information about the others is what is left when the recordings' own numbers are unknown.
         gone = [index for index in range(self.z.size) if index not in kept]
         data = self.data[np.ix_(kept, kept)]
@@ -269,19 +268,17 @@ def absent_names(posterior: Posterior) -> list[str]:
     ]
 
 
-def fitted_parameters(posterior: Posterior, nominal: Mapping[str, float]) -> tuple[FittedParameter, ...]:
+def fitted_parameters(posterior: Posterior) -> tuple[FittedParameter, ...]:
     """Each parameter with value, interval, and a sentence."""
     values = posterior.parameters.values(posterior.z)
     free = {parameter.name: index for index, parameter in enumerate(posterior.parameters.free)}
     return tuple(
-        _fitted(posterior, parameter, free.get(parameter.name), values[parameter.name], nominal[parameter.name])
+        _fitted(posterior, parameter, free.get(parameter.name), values[parameter.name])
         for parameter in posterior.parameters
     )
 
 
-def _fitted(
-    posterior: Posterior, parameter: Parameter, index: int | None, value: float, nominal: float
-) -> FittedParameter:
+def _fitted(posterior: Posterior, parameter: Parameter, index: int | None, value: float) -> FittedParameter:
     share: float | None = None
     interval, at_bound, identified, sentence = (value, value), "", "no", "kept at its value, not fitted"
     if index is not None:
@@ -293,9 +290,9 @@ def _fitted(
         sentence = _sentence(posterior, index, identified, at_bound)
     return FittedParameter(
         name=parameter.name,
-        value=rounded(value),
+        value=value if parameter.untouched else rounded(value),
         unit=parameter.unit,
-        nominal=nominal,
+        nominal=parameter.nominal,
         start=parameter.value,
         low=parameter.low,
         high=parameter.high,

@@ -117,7 +117,8 @@ def check_types(path: Path, *pairs: tuple[object, Any]) -> None:
 def _check_parameter(item: FittedParameter, path: Path) -> None:
     check_types(path, *((text, str) for text in (item.name, item.unit, item.sentence, item.cause, item.transform)))
     ends = list(item.interval)
-    numbers = [item.value, item.nominal, item.start, item.low, item.high, *ends]
+    said = [] if item.nominal is None else [item.nominal]
+    numbers = [item.value, *said, item.start, item.low, item.high, *ends]
     check_types(path, *((number, int | float) for number in numbers), (item.prior_share, int | float | None))
     check_types(path, (item.frozen, bool))
     if len(ends) != 2 or not all(math.isfinite(number) for number in numbers):

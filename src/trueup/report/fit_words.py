@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from trueup.core.fit_result import FitResult, FittedParameter
-from trueup.report.numbers import plural, significant
+from trueup.report.numbers import plain, plural, significant
 
 CAUSES = ("delay", "gains", "friction", "gravity", "inertia")
 QUANTITIES = {
     "delay_s": "delay of the command",
     "kp": "stiffness of the servo",
     "kv": "damping of the servo",
+    "ki": "integral gain of the servo",
     "torque_gain": "torque per commanded torque",
     "torque_limit": "torque limit",
     "damping": "viscous friction",
@@ -148,18 +149,25 @@ def shown_value(item: FittedParameter) -> float:
 
 
 def change_words(item: FittedParameter) -> str:
-    """`×0.51` for what is positive by nature, else the difference; empty where nothing changed."""
+    """`×0.51` for what is positive by nature, else the difference; `added` to a model that has no such number."""
     value = shown_value(item)
     if value == item.nominal:
         return "unchanged"
+    if item.nominal is None:
+        return "added"
     if is_factor(item):
         return f"×{significant(value / item.nominal)}"
     return significant(value - item.nominal, sign=True)
 
 
+def nominal_words(item: FittedParameter) -> str:
+    """What the model said."""
+    return "none" if item.nominal is None else plain(item.nominal)
+
+
 def is_factor(item: FittedParameter) -> bool:
     """Whether its change is a factor: on a log scale, and the model has it."""
-    return item.transform == "log" and min(item.nominal, item.value, *item.interval) > 0.0
+    return item.transform == "log" and min(item.nominal or 0.0, item.value, *item.interval) > 0.0
 
 
 def as_sentence(text: str) -> str:

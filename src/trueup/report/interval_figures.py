@@ -10,9 +10,9 @@ from typing import Any
 from trueup.core.fit_result import FittedParameter
 from trueup.report.chooser import Figure
 from trueup.report.figures import reference_line, rounded
-from trueup.report.fit_words import KINDS, is_factor, kind_of, shown_value, split_name
+from trueup.report.fit_words import KINDS, is_factor, kind_of, nominal_words, shown_value, split_name
 from trueup.report.labels import plot_text
-from trueup.report.numbers import plain, pretty_unit, significant, with_unit
+from trueup.report.numbers import pretty_unit, significant, with_unit
 from trueup.report.palette import KIND_STYLES, Style
 
 # Intervals that reach farther than this factor are cut: the data say nothing there anyway.
@@ -82,10 +82,11 @@ def _row(item: FittedParameter, *, factors: bool) -> IntervalRow:
     value, (low, high) = shown_value(item), item.interval
     ends = f"{significant(low)} to {significant(high)}"
     shown = with_unit(significant(value), item.unit)
-    hint = f"{with_unit(plain(item.nominal), item.unit)} → {shown} ({ends}), {KINDS[kind_of(item)][1]}"
+    said = item.nominal or 0.0
+    hint = f"{with_unit(nominal_words(item), item.unit)} → {shown} ({ends}), {KINDS[kind_of(item)][1]}"
 
     def relative(number: float) -> float:
-        return number / item.nominal if factors else number - item.nominal
+        return number / said if factors else number - said
 
     return IntervalRow(
         split_name(item.name)[1] or _ROBOT,

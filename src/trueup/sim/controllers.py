@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
+import numpy as np
 
 from trueup.errors import ConfigError, NameMismatch
 from trueup.robots import ControllerSpec, JointSpec
@@ -68,6 +70,27 @@ def attach_controller(
             actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
             actuator.forcerange = [-joint.torque_limit, joint.torque_limit]
     return tuple(channel for own in channels.values() for channel in own)
+
+
+def torque_limit_of(model: mujoco.MjModel, joint: str, actuators: Sequence[str]) -> float | None:
+    """Largest torque [Nm or N] that reaches a joint: its own limit, or that of all its actuators if that is smaller.
+
+    Args:
+        model: compiled.
+        joint: its name.
+        actuators: names of those that drive it.
+
+    Returns:
+        None where nothing is limited.
+    """
+    index, rows = model.joint(joint).id, [model.actuator(name).id for name in actuators]
+    limits = []
+    if model.jnt_actfrclimited[index]:
+        limits.append(float(np.abs(model.jnt_actfrcrange[index]).max()))
+    if rows and all(model.actuator_forcelimited[rows]):
+        forces = np.abs(model.actuator_forcerange[rows]).max(axis=1)
+        limits.append(float(forces @ np.abs(model.actuator_gear[rows, 0])))
+    return min(limits, default=None)
 
 
 def _own_channels(spec: mujoco.MjSpec, joint: str, signal: str) -> list[Channel]:

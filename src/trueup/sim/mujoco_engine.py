@@ -6,6 +6,7 @@ import hashlib
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 
 import mujoco
@@ -16,7 +17,7 @@ from mujoco import batch, rollout
 from trueup.core.protocols import RolloutRequest, RolloutResult
 from trueup.errors import ConfigError, DataError, MissingSignal
 from trueup.robots import RobotSpec, SimulationSpec
-from trueup.sim.controllers import Channel, attach_controller
+from trueup.sim.controllers import Channel, attach_controller, torque_limit_of
 from trueup.sim.friction import has_friction, install, set_friction
 from trueup.sim.model import compile_spec, load_spec
 
@@ -138,21 +139,13 @@ class MujocoSimulator:
     @property
     def torque_limits(self) -> dict[str, float]:
         """Joint name -> largest torque of its actuators [Nm or N]; joints without a limit are left out."""
-        limits: dict[str, float] = {}
-        for spec in self.robot.joints:
-            joint = self.model.joint(spec.name).id
-            if spec.torque_limit is not None:
-                limits[spec.name] = spec.torque_limit
-            elif self.model.jnt_actfrclimited[joint]:
-                limits[spec.name] = float(np.abs(self.model.jnt_actfrcrange[joint]).max())
-            else:
-                own = [
-                    self.model.actuator(channel.actuator).id for channel in self.channels if channel.joint == spec.name
-                ]
-                if all(self.model.actuator_forcelimited[actuator] for actuator in own):
-                    forces = np.abs(self.model.actuator_forcerange[own]).max(axis=1)
-                    limits[spec.name] = float(forces @ np.abs(self.model.actuator_gear[own, 0]))
-        return limits
+        own = {
+            joint: torque_limit_of(
+                self.model, joint, [channel.actuator for channel in self.channels if channel.joint == joint]
+            )
+            for joint in self.joints
+        }
+        return {joint: limit for joint, limit in own.items() if limit is not None}
 
     def rollout(self, request: RolloutRequest) -> RolloutResult:
         """Simulate B motions of N steps.
@@ -187,9 +180,11 @@ class MujocoSimulator:
         count = request.position.shape[0]
         control = self._controls(request.command)
         steps = control.shape[1]
-        state, sensors = rollout.rollout(
-            model, self._data[: max(1, min(self.threads, count))], self._states(request), control
-        )
+        states = self._states(request)
+        if self.model.nplugin and isinstance(model, list):
+            state, sensors = _rollout_apart(model, states, control)
+        else:
+            state, sensors = rollout.rollout(model, self._data[: max(1, min(self.threads, count))], states, control)
         position = np.empty((count, steps + 1, len(layout.joints)))
         velocity, torque = np.empty_like(position), np.empty_like(position)
         position[:, 0], velocity[:, 0] = request.position, request.velocity
@@ -271,6 +266,18 @@ class MujocoSimulator:
             got=f"{row * self.timestep_s:.3f} s after its start, at a time step of {self.timestep_s} s",
             hint="Take a smaller simulation.timestep_s in robot.yaml, or lower gains.",
         )
+
+
+def _rollout_apart(
+    models: list[mujoco.MjModel], states: Float64[np.ndarray, "B S"], control: Float64[np.ndarray, "B N U"]
+) -> tuple[Float64[np.ndarray, "B N S"], Float64[np.ndarray, "B N D"]]:
+    """The same rollout with data of its own for each model: a plugin reads its numbers only when data are made."""
+    groups = [list(rows) for _, rows in groupby(range(len(models)), key=lambda row: id(models[row]))]
+    parts = [
+        rollout.rollout(models[rows[0]], [mujoco.MjData(models[rows[0]])], states[rows], control[rows])
+        for rows in groups
+    ]
+    return np.concatenate([state for state, _ in parts]), np.concatenate([sensors for _, sensors in parts])
 
 
 def _set_options(spec: mujoco.MjSpec, simulation: SimulationSpec) -> None:

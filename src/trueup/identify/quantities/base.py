@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from trueup.core.parameters import Parameter
+from trueup.core.units import joint_unit
 from trueup.identify.candidate import Candidate, Nominal
 
 # Where a part of the gap comes from; the order in which attribution takes them away.
@@ -24,28 +25,29 @@ class Quantity:
 
     Attributes:
         name: as in `fit:` of the configuration and before the bracket of a parameter's name.
-        unit: of the value, for a hinge.
+        unit: of the value for a hinge; `parameter` gives a slide its own.
         of: whether there is one per joint, one per body, one per robot, or one per joint of each motion (what differs
             from recording to recording, and is no part of the model).
         cause: the part of the gap that it explains.
-        read: the nominal value for a target.
+        read: the nominal value for a target; None if the model has no such number there.
         write: sets the value for a target.
         transform: `log` for what is positive by nature.
-        start: where the fit starts if the model says zero.
-        low: smallest lower bound.
-        high: largest upper bound.
-        span: bounds reach from nominal / span to nominal * span, `log` only.
+        start: where the fit starts if the model says less, `log` only: next to zero there is no way up.
+        low: smallest lower bound; lower only if the model's value is.
+        high: largest upper bound; higher only if the model's value is.
+        span: bounds reach from start / span to start * span, `log` only.
         scale: what counts as a large change, `linear` only.
         prior_std: width of the default prior, in z.
         excite: what kind of motion shows it; `{target}` is filled in.
-        changes_controller: whether it can be fitted only for joints with a servo.
+        needs: what a joint must have to be read, in words.
+        addable: whether a start from the user puts it into a model that has none.
     """
 
     name: str
     unit: str
     of: Literal["joint", "body", "robot", "motion"]
     cause: Cause
-    read: Callable[[Nominal, str], float]
+    read: Callable[[Nominal, str], float | None]
     write: Callable[[Candidate, str, float], None]
     excite: str
     transform: Literal["linear", "log"] = "linear"
@@ -55,10 +57,11 @@ class Quantity:
     span: float = 100.0
     scale: float = 1.0
     prior_std: float = 2.0
-    changes_controller: bool = False
+    needs: str = ""
+    addable: bool = False
 
     def targets(self, nominal: Nominal, motions: Sequence[str] = ()) -> tuple[str, ...]:
-        """Names of what it can be fitted for."""
+        """Names of all joints, bodies or joints in motions, whether the model has the number there or not."""
         match self.of:
             case "motion":
                 return tuple(
@@ -71,26 +74,45 @@ class Quantity:
             case _:
                 return ("",)
 
+    def holders(self, nominal: Nominal, motions: Sequence[str] = ()) -> tuple[str, ...]:
+        """Those targets whose number the model has: what it can be fitted for."""
+        return tuple(name for name in self.targets(nominal, motions) if self.read(nominal, name) is not None)
+
     def places(self, nominal: Nominal, target: str) -> tuple[str, ...]:
         """What a parameter is written to: its target; all of them for one that the whole robot shares."""
-        return (target,) if target else self.targets(nominal)
+        return (target,) if target else self.holders(nominal) or self.targets(nominal)
 
-    def parameter(self, nominal: Nominal, target: str) -> Parameter:
-        """The parameter for one target, or for all together (empty), started from what the model says of the first."""
-        value = self.read(nominal, self.places(nominal, target)[0])
+    def parameter(self, nominal: Nominal, target: str, *, start: float | None = None) -> Parameter:
+        """The parameter for one target, or for all together (empty).
+
+        Args:
+            nominal: the model as it came; of several targets, the first one speaks for all.
+            target: one of `targets`, or empty.
+            start: where to start if the model has no such number.
+        """
+        places = self.places(nominal, target)
+        said = self.read(nominal, places[0])
+        value = said if said is not None else start or 0.0
         low, high = self.low, self.high
         if self.transform == "log":
             value = max(value, self.start, low)
             low, high = max(low, value / self.span), min(high, value * self.span)
-        value = min(max(value, low), high)
-        name = f"{self.name}[{target}]" if target else self.name
+        if said is not None and (said > 0.0 or self.transform == "linear"):
+            low, high = min(low, said), max(high, said)
         return Parameter(
-            name=name,
+            name=f"{self.name}[{target}]" if target else self.name,
             value=value,
-            unit=self.unit,
+            unit=self._unit(nominal, places),
             low=low,
             high=high,
             transform=self.transform,
             scale=self.scale,
             prior_std=self.prior_std,
+            nominal=said,
         )
+
+    def _unit(self, nominal: Nominal, places: Sequence[str]) -> str:
+        if self.of not in ("joint", "motion"):
+            return self.unit
+        units = {joint_unit(self.unit, nominal.length_unit(place.rpartition(":")[2])) for place in places}
+        return units.pop() if len(units) == 1 else "mixed"

@@ -6,8 +6,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from trueup.identify.candidate import Candidate, Nominal
+from trueup.identify.drive import Drive
 from trueup.identify.quantities.base import Quantity
 from trueup.sim import friction_of, set_friction
+
+_Read = Callable[[Nominal, str], float | None]
+_Write = Callable[[Candidate, str, float], None]
 
 
 def _dof(nominal: Nominal, joint: str) -> int:
@@ -38,10 +42,10 @@ def _write_armature(candidate: Candidate, joint: str, value: float) -> None:
     candidate.spec.joint(joint).armature = value
 
 
-def _law(name: str) -> tuple[Callable[[Nominal, str], float], Callable[[Candidate, str, float], None]]:
+def _law(name: str) -> tuple[_Read, _Write]:
     """Reader and writer of one number of `JointFriction`."""
 
-    def read(nominal: Nominal, joint: str) -> float:
+    def read(nominal: Nominal, joint: str) -> float | None:
         return float(getattr(friction_of(nominal.spec, joint), name))
 
     def write(candidate: Candidate, joint: str, value: float) -> None:
@@ -49,6 +53,20 @@ def _law(name: str) -> tuple[Callable[[Nominal, str], float], Callable[[Candidat
         set_friction(candidate.spec, joint, replace(law, **{name: value}))
 
     return read, write
+
+
+def _law_of(name: str, has: Callable[[Drive], bool]) -> tuple[_Read, _Write]:
+    """The same for joints whose drive carries the law out."""
+    read, write = _law(name)
+    return lambda nominal, joint: read(nominal, joint) if has(nominal.drive(joint)) else None, write
+
+
+def _position_servo(drive: Drive) -> bool:
+    return drive.kp is not None and not drive.plugin
+
+
+def _motor(drive: Drive) -> bool:
+    return drive.torque_gain is not None and drive.kv is None
 
 
 _SLOW = "let {target} creep, stop and reverse at low speed"
@@ -162,7 +180,6 @@ FRICTION: tuple[Quantity, ...] = (
         *_law("sigmoid_slope"),
         _SLOW,
         transform="log",
-        start=5.0,
         low=0.1,
         high=1000.0,
         prior_std=1.5,
@@ -183,33 +200,35 @@ FRICTION: tuple[Quantity, ...] = (
         "rad",
         "joint",
         "friction",
-        *_law("dead_band"),
+        *_law_of("dead_band", _position_servo),
         "let {target} stop in many poses, from both directions",
         low=0.0,
         high=0.2,
         scale=0.005,
-        changes_controller=True,
+        needs="a position servo other than a plugin",
     ),
     Quantity(
         "static_positive",
         "Nm",
         "joint",
         "friction",
-        *_law("static_positive"),
+        *_law_of("static_positive", _motor),
         "ramp the torque of {target} up until it breaks away",
         low=0.0,
         high=100.0,
         scale=0.5,
+        needs="a drive that follows torque",
     ),
     Quantity(
         "static_negative",
         "Nm",
         "joint",
         "friction",
-        *_law("static_negative"),
+        *_law_of("static_negative", _motor),
         "ramp the torque of {target} down until it breaks away",
         low=0.0,
         high=100.0,
         scale=0.5,
+        needs="a drive that follows torque",
     ),
 )

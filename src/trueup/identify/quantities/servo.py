@@ -2,80 +2,99 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 
 from trueup.identify.candidate import Candidate, Nominal
+from trueup.identify.drive import pid_instance
 from trueup.identify.quantities.base import Quantity
 
 
 def _spec_actuators(candidate: Candidate, joint: str) -> list[mujoco.MjsActuator]:
-    return [candidate.spec.actuator(name) for name in candidate.nominal.actuators(joint)]
+    return [candidate.spec.actuator(channel.actuator) for channel in candidate.nominal.channels(joint)]
 
 
-def _row(nominal: Nominal, joint: str) -> int:
-    return int(nominal.model.actuator(nominal.actuators(joint)[0]).id)
+def _gear(candidate: Candidate, joint: str) -> float:
+    """Joint torque per torque of the actuators; those of one joint share it."""
+    return float(candidate.nominal.model.actuator(candidate.nominal.channels(joint)[0].actuator).gear[0])
 
 
-def _rows(nominal: Nominal, joint: str) -> list[int]:
-    return [int(nominal.model.actuator(name).id) for name in nominal.actuators(joint)]
+def _term(name: str) -> Callable[[Nominal, str], float | None]:
+    """Reader of one term of a joint's `Drive`."""
+
+    def read(nominal: Nominal, joint: str) -> float | None:
+        found: float | None = getattr(nominal.drive(joint), name)
+        return found
+
+    return read
 
 
-def _read_kp(nominal: Nominal, joint: str) -> float:
-    return float(-nominal.model.actuator_biasprm[_row(nominal, joint), 1])
+def _write_pid(candidate: Candidate, joint: str, key: str, value: float) -> bool:
+    """Write a gain of a PID plugin; False if the joint's drive is none."""
+    plugin = pid_instance(candidate.spec, candidate.nominal.channels(joint)[0].actuator)
+    if plugin is None:
+        return False
+    plugin.config = {**plugin.config, key: repr(value / _gear(candidate, joint) ** 2)}
+    return True
 
 
 def _write_kp(candidate: Candidate, joint: str, value: float) -> None:
+    if _write_pid(candidate, joint, "kp", value):
+        return
     actuator = _spec_actuators(candidate, joint)[0]
     # A command that the model scales (gain other than kp) keeps its scale.
-    ratio = actuator.gainprm[0] / -actuator.biasprm[1] if actuator.biasprm[1] else 1.0
-    actuator.gainprm[0] = ratio * value
-    actuator.biasprm[1] = -value
-
-
-def _read_kv(nominal: Nominal, joint: str) -> float:
-    return float(-sum(nominal.model.actuator_biasprm[row, 2] for row in _rows(nominal, joint)))
+    ratio = actuator.gainprm[0] / -actuator.biasprm[1]
+    own = value / _gear(candidate, joint) ** 2
+    actuator.gainprm[0] = ratio * own
+    actuator.biasprm[1] = -own
 
 
 def _write_kv(candidate: Candidate, joint: str, value: float) -> None:
+    if _write_pid(candidate, joint, "kd", value):
+        return
     actuator = _spec_actuators(candidate, joint)[-1]
+    own = value / _gear(candidate, joint) ** 2
     # A damping actuator that follows a commanded velocity keeps following it.
-    follows = actuator.biasprm[1] == 0 and actuator.gainprm[0] == -actuator.biasprm[2] != 0
-    actuator.biasprm[2] = -value
-    if follows:
-        actuator.gainprm[0] = value
+    if candidate.nominal.channels(joint)[-1].signal == "velocity" and actuator.biasprm[1] == 0:
+        ratio = actuator.gainprm[0] / -actuator.biasprm[2] if actuator.biasprm[2] else 1.0
+        actuator.gainprm[0] = ratio * own
+    actuator.biasprm[2] = -own
 
 
-def _read_torque_offset(nominal: Nominal, joint: str) -> float:
-    return float(nominal.model.actuator_biasprm[_row(nominal, joint), 0])
+def _write_ki(candidate: Candidate, joint: str, value: float) -> None:
+    _write_pid(candidate, joint, "ki", value)
 
 
 def _write_torque_offset(candidate: Candidate, joint: str, value: float) -> None:
     actuator = _spec_actuators(candidate, joint)[0]
     actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-    actuator.biasprm[0] = value
-
-
-def _read_torque_gain(nominal: Nominal, joint: str) -> float:
-    row = _row(nominal, joint)
-    return float(nominal.model.actuator_gainprm[row, 0] * nominal.model.actuator_gear[row, 0])
+    actuator.biasprm[0] = value / _gear(candidate, joint)
 
 
 def _write_torque_gain(candidate: Candidate, joint: str, value: float) -> None:
-    actuator = _spec_actuators(candidate, joint)[0]
-    actuator.gainprm[0] = value / actuator.gear[0]
-
-
-def _read_torque_limit(nominal: Nominal, joint: str) -> float:
-    row = _row(nominal, joint)
-    limited = bool(nominal.model.actuator_forcelimited[row])
-    return float(abs(nominal.model.actuator_forcerange[row]).max()) if limited else 0.0
+    _spec_actuators(candidate, joint)[0].gainprm[0] = value / _gear(candidate, joint)
 
 
 def _write_torque_limit(candidate: Candidate, joint: str, value: float) -> None:
-    for actuator in _spec_actuators(candidate, joint):
-        actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-        actuator.forcerange = [-value, value]
+    """Move every limit that there is by the same factor: an asymmetric range stays so, and the smallest one rules."""
+    model, target = candidate.nominal.model, candidate.spec.joint(joint)
+    said = candidate.nominal.drive(joint).torque_limit
+    own = _spec_actuators(candidate, joint)
+    if said is None:
+        target.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        target.actfrcrange = [-value, value]
+        if len(own) == 1:
+            # Once more, as `attach_controller` does and for its reason.
+            own[0].forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+            own[0].forcerange = np.array([-value, value]) / abs(_gear(candidate, joint))
+        return
+    if model.jnt_actfrclimited[model.joint(joint).id]:
+        target.actfrcrange = np.asarray(target.actfrcrange) * (value / said)
+    for actuator in own:
+        if model.actuator_forcelimited[model.actuator(actuator.name).id]:
+            actuator.forcerange = np.asarray(actuator.forcerange) * (value / said)
 
 
 def _read_delay(nominal: Nominal, joint: str) -> float:
@@ -89,7 +108,8 @@ def _write_delay(candidate: Candidate, joint: str, value: float) -> None:
 def _write_joint_offset(candidate: Candidate, joint: str, value: float) -> None:
     # MuJoCo's `ref` is what the joint reads in the pose that the model draws; stops stay where they are.
     target = candidate.spec.joint(joint)
-    change = -value - target.ref
+    in_degrees = target.compiler.degree and candidate.nominal.length_unit(joint) == "rad"
+    change = (np.rad2deg(-value) if in_degrees else -value) - target.ref
     target.ref += change
     target.range = np.asarray(target.range) + change
     target.springref += change
@@ -104,7 +124,8 @@ def _zero(_nominal: Nominal, _target: str) -> float:
 
 
 def _read_joint_offset(nominal: Nominal, joint: str) -> float:
-    return float(-nominal.spec.joint(joint).ref)
+    model = nominal.model
+    return 0.0 - float(model.qpos0[model.joint(joint).qposadr[0]])
 
 
 SERVO: tuple[Quantity, ...] = (
@@ -125,66 +146,79 @@ SERVO: tuple[Quantity, ...] = (
         "Nm/rad",
         "joint",
         "gains",
-        _read_kp,
+        _term("kp"),
         _write_kp,
         "load {target} by gravity in several poses, or accelerate it hard",
         transform="log",
-        start=1.0,
         span=500.0,
-        changes_controller=True,
+        needs="a position servo",
     ),
     Quantity(
         "kv",
         "Nm s/rad",
         "joint",
         "gains",
-        _read_kv,
+        _term("kv"),
         _write_kv,
         "drive {target} into its torque limit at speed; elsewhere the servo's damping acts as viscous friction does",
         transform="log",
         start=0.1,
         span=500.0,
-        changes_controller=True,
+        needs="a servo",
+    ),
+    Quantity(
+        "ki",
+        "Nm/(rad s)",
+        "joint",
+        "gains",
+        _term("ki"),
+        _write_ki,
+        "hold {target} under different loads for seconds",
+        transform="log",
+        span=500.0,
+        needs="a PID controller with an integral gain",
     ),
     Quantity(
         "torque_offset",
         "Nm",
         "joint",
         "gravity",
-        _read_torque_offset,
+        _term("torque_offset"),
         _write_torque_offset,
         "move {target} slowly in both directions through several poses",
         low=-50.0,
         high=50.0,
         scale=0.5,
         prior_std=1.0,
+        needs="a drive other than a plugin",
     ),
     Quantity(
         "torque_gain",
         "1",
         "joint",
         "gains",
-        _read_torque_gain,
+        _term("torque_gain"),
         _write_torque_gain,
         "move {target} against known gravity with large and small torques",
         transform="log",
-        start=1.0,
         low=0.05,
         high=20.0,
         span=3.0,
         prior_std=0.3,
+        needs="a drive that follows torque",
     ),
     Quantity(
         "torque_limit",
         "Nm",
         "joint",
         "gains",
-        _read_torque_limit,
+        _term("torque_limit"),
         _write_torque_limit,
         "command {target} so fast that its drive saturates",
         transform="log",
-        start=10.0,
         span=20.0,
+        needs="a torque limit in the model, or a `start`",
+        addable=True,
     ),
     Quantity(
         "joint_offset",

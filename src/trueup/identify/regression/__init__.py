@@ -9,8 +9,6 @@ from trueup.identify.regression.graybox_result import Coefficient as Coefficient
 from trueup.identify.regression.graybox_result import GrayboxResult as GrayboxResult
 from trueup.identify.regression.graybox_result import JointFit as JointFit
 from trueup.identify.regression.graybox_result import Score as Score
-from trueup.identify.regression.graybox_start import ServoStart as ServoStart
-from trueup.identify.regression.graybox_start import servo_starts as servo_starts
 from trueup.identify.regression.inverse_dynamics import InverseDynamicsSettings as InverseDynamicsSettings
 from trueup.identify.regression.inverse_dynamics import fit_inverse_dynamics as fit_inverse_dynamics
 from trueup.identify.regression.inverse_dynamics import inverse_dynamics_from_episodes as inverse_dynamics_from_episodes
@@ -34,12 +32,10 @@ __all__ = [
     "JointFit",
     "JointFriction",
     "Score",
-    "ServoStart",
     "TorqueStart",
     "base_structure",
     "fit_graybox",
     "fit_inverse_dynamics",
     "inverse_dynamics_from_episodes",
-    "servo_starts",
     "torque_start",
 ]

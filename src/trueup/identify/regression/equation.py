@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float64
 
+from trueup.core.units import joint_unit
 from trueup.identify.regression.base_parameters import BaseStructure, find_base
 from trueup.identify.regression.linkage import Linkage
 from trueup.identify.regression.pseudo_inertia import PARAMETER_UNITS
@@ -37,11 +38,8 @@ def term_names(linkage: Linkage) -> tuple[str, ...]:
 
 def term_units(linkage: Linkage) -> tuple[str, ...]:
     """The units of `term_names`."""
-    per_joint = {
-        "rad": {"armature": "kg m^2", "damping": "Nm s/rad", "frictionloss": "Nm", "offset": "Nm"},
-        "m": {"armature": "kg", "damping": "N s/m", "frictionloss": "N", "offset": "N"},
-    }
-    joint_units = (per_joint[unit][term] for term in JOINT_TERMS for unit in linkage.length_units)
+    hinge = {"armature": "kg m^2", "damping": "Nm s/rad", "frictionloss": "Nm", "offset": "Nm"}
+    joint_units = (joint_unit(hinge[term], unit) for term in JOINT_TERMS for unit in linkage.length_units)
     return (*(PARAMETER_UNITS * len(linkage.links)), *joint_units)
 
 

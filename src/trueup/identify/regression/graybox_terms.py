@@ -16,6 +16,8 @@ from types import MappingProxyType
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from trueup.core.units import joint_unit
+
 BLOCKS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "pd": ("tau_0", "K_p", "K_d"),
@@ -23,6 +25,20 @@ BLOCKS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "payload": ("K_payload",),
         "posture": ("K_Psin", "K_Pcos"),
         "coupling": ("K_Pdq", "K_Pddq"),
+    }
+)
+_HINGE_UNITS: Mapping[str, str] = MappingProxyType(
+    {
+        "tau_0": "Nm",
+        "K_p": "Nm/rad",
+        "K_d": "Nm s/rad",
+        "K_v": "Nm s/rad",
+        "K_c": "Nm",
+        "K_payload": "Nm/kg",
+        "K_Psin": "Nm/kg",
+        "K_Pcos": "Nm/kg",
+        "K_Pdq": "Nm s/(rad kg)",
+        "K_Pddq": "Nm s^2/(rad kg)",
     }
 )
 _PAYLOAD_BLOCKS = ("payload", "posture", "coupling")
@@ -98,19 +114,7 @@ def term_names(blocks: tuple[str, ...]) -> tuple[str, ...]:
 
 def unit(name: str, length_unit: str) -> str:
     """The unit of a coefficient for a joint in rad or m."""
-    torque = "Nm" if length_unit == "rad" else "N"
-    return {
-        "tau_0": torque,
-        "K_p": f"{torque}/{length_unit}",
-        "K_d": f"{torque} s/{length_unit}",
-        "K_v": f"{torque} s/{length_unit}",
-        "K_c": torque,
-        "K_payload": f"{torque}/kg",
-        "K_Psin": f"{torque}/kg",
-        "K_Pcos": f"{torque}/kg",
-        "K_Pdq": f"{torque} s/({length_unit} kg)",
-        "K_Pddq": f"{torque} s^2/({length_unit} kg)",
-    }[name]
+    return joint_unit(_HINGE_UNITS[name], length_unit)
 
 
 def unusable(rows: JointRows) -> str:

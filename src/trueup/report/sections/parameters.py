@@ -15,6 +15,7 @@ from trueup.report.fit_words import (
     as_sentence,
     change_words,
     kind_of,
+    nominal_words,
     shown_value,
     split_name,
     sure_sentence,
@@ -179,7 +180,7 @@ def _row(item: FittedParameter) -> ParameterRow:
     item_value, (low, high) = shown_value(item), item.interval
     return ParameterRow(
         head=split_name(item.name)[1] or item.name,
-        nominal=plain(item.nominal),
+        nominal=nominal_words(item),
         value=plain(item_value) if item.at_bound else significant(item_value),
         interval=f"{significant(low)} to {significant(high)}",
         change=change_words(item),
