@@ -280,7 +280,7 @@ def test_the_evolution_strategy_knows_the_joint_of_an_encoder_zero(tmp_path):
 
 def judged(problem, solution):
     posterior = posterior_of(problem, solution.z, solution.residual, solution.jacobian)
-    items = fitted_parameters(posterior, {item.name: item.value for item in problem.parameters})
+    items = fitted_parameters(posterior)
     errors = {
         "nominal": {"val": Estimate(2.0, "rad", 1.9, 2.1)},
         "fitted": {"val": Estimate(1.0, "rad", 0.9, 1.1)},
