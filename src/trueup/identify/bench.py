@@ -26,6 +26,8 @@ from trueup.identify.uncertainty import Posterior, absent_names, noise_of, open_
 
 # A richer model must make motions that it was not fitted to better by this share.
 _WORTH = 0.01
+# A search of a model that is only compared ends when an iteration lowers the cost by less than this share.
+_ROUGH = 0.005
 
 # Name of the model, then how its search goes on.
 OnModel = Callable[[str, Progress], None]
@@ -86,23 +88,26 @@ class Bench:
 
     def climb(self) -> tuple[Attempt, list[Attempt]]:
         """Fit the base model, then richer ones, then without what the motions do not show; the best, and all."""
-        best = self._attempt("base", self.config.fit)
+        models = self.config.models or {}
+        best = self._attempt("base", self.config.fit, rough=bool(models))
         attempts, fit = [best], dict(self.config.fit)
         # What changes nothing near the solution is left out from here on; far from it, nothing can be told.
         idle = [] if self.chosen_by_user else self._idle(best)
-        for name, extra in (self.config.models or {}).items():
+        for name, extra in models.items():
             richer = {**fit, **dict.fromkeys(extra, "all")}
             joined = name if best.row.name == "base" else f"{best.row.name}+{name}"
-            attempts.append(self._attempt(joined, richer, best.solution, left_out=idle))
+            attempts.append(self._attempt(joined, richer, best.solution, left_out=idle, rough=True))
             if _better(attempts[-1], best):
                 best, fit = attempts[-1], richer
-        more = [] if self.chosen_by_user else [name for name in self._idle(best) if name not in idle]
-        if more and len(more) < len(best.solution.parameters.free):
-            # What the richer models have brought, and changes nothing either; the motion stays as it is.
-            idle = [*idle, *more]
-            again = self._attempt(f"{best.row.name}, again", fit, best.solution, left_out=idle)
-            again = replace(again, row=replace(again.row, name=best.row.name))
-            attempts[attempts.index(best)] = best = again
+        if models:
+            # What the richer models have brought, and changes nothing either, goes; the motion stays as it is.
+            more = [] if self.chosen_by_user else self._idle(best)
+            if len(more) < len(best.solution.parameters.free):
+                idle = [*idle, *more]
+            finished = self._attempt(f"{best.row.name}, to the end", fit, best.solution, left_out=idle)
+            seconds = best.row.seconds + finished.row.seconds
+            finished = replace(finished, row=replace(finished.row, name=best.row.name, seconds=round(seconds, 2)))
+            attempts[attempts.index(best)] = best = finished
         known = self.posterior_of(best).of_model()
         surplus = [] if self.chosen_by_user else open_names(known)
         if surplus and len(surplus) < len(best.solution.parameters.free):
@@ -199,12 +204,17 @@ class Bench:
         *,
         left_out: Sequence[str] = (),
         absent: Sequence[str] = (),
+        rough: bool = False,
     ) -> Attempt:
-        """Fit one model; `left_out` stays as the nominal model has it, `absent` stays at zero."""
+        """Fit one model; `left_out` stays as the nominal model has it, `absent` at zero; `rough` to compare with."""
         began = time.perf_counter()
         parameters = freeze_still(make_parameters(fit, self.nominal, self.motions), self.seen).freeze(left_out)
         parameters = parameters.at(dict.fromkeys(absent, 0.0)).hold(absent)
         settings = self._settings
+        if rough:
+            newton = settings.gauss_newton
+            newton = replace(newton, tolerance=max(newton.tolerance, _ROUGH))
+            settings = replace(settings, gauss_newton=newton)
         if start is None:
             problem = self._started(self._problem(parameters))
         else:
