@@ -88,7 +88,9 @@ def attribution_table(attribution: Attribution) -> Table:
         table.add_column(labels.get(cause, cause), justify="right")
     for joint, shares in {**attribution.shares, "all joints": attribution.shares_total}.items():
         cells = [shares[cause] for cause in (*attribution.causes, UNEXPLAINED)]
-        table.add_row(escape(joint), *("" if math.isnan(share) else f"{round(100 * share, 1) + 0.0:.1f} %" for share in cells))
+        table.add_row(
+            escape(joint), *("" if math.isnan(share) else f"{round(100 * share, 1) + 0.0:.1f} %" for share in cells)
+        )
     return table
 
 
