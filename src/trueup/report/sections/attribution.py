@@ -99,6 +99,7 @@ def steps_table(attribution: Attribution) -> Table:
 
 
 def _share_cell(share: float, cause: str) -> Cell:
-    if cause == UNEXPLAINED or not share < 0:
+    # What is shown as zero made nothing worse.
+    if cause == UNEXPLAINED or not share < -0.0005:
         return Cell(percent(share, sign=False))
     return Cell(percent(share), note="made it worse", tone="worse")
