@@ -55,3 +55,35 @@ def test_parameters_that_move_nothing_are_left_as_the_model_has_them(tmp_path):
         limit = found.result[f"torque_limit[{joint}]"]
         assert limit.frozen
         assert limit.value == limit.nominal == 90.0
+
+
+@pytest.mark.parametrize("models", [{}, {"load": ("load",)}], ids=["base alone", "with another model"])
+def test_motions_that_show_nothing_give_a_status_and_no_error(models, tmp_path):
+    robot, nominal = nominal_of(tmp_path, SERVO)
+    truth = Truth(robot, nominal, {})
+    logs = {
+        split: [truth.log(seed, seconds=3.0, size=0.02, noise=0.3, name=f"{split}{seed}")]
+        for seed, split in enumerate(("train", "val"))
+    }
+    found = identify(logs, robot, tmp_path / "arm.xml", config=IdentifyConfig(models=models))
+    assert found.result.status in ("not-identifiable", "no-better")
+
+
+def test_effort_and_start_of_the_chosen_model_are_those_of_its_whole_search(tmp_path):
+    robot, nominal = nominal_of(tmp_path, SERVO)
+    truth = Truth(robot, nominal, {"kp[shoulder]": 60.0, "kp[elbow]": 60.0})
+    fit = {"kp": {"start": 10.0}, "damping": "all"}
+    told = []
+    found = identify(
+        logs_of(truth, "train", "val"),
+        robot,
+        tmp_path / "arm.xml",
+        config=IdentifyConfig(fit=fit, models={"load": ("load",)}, data=DataChoice(budget_s=6.0)),
+        on_progress=lambda name, progress: told.append((name, progress.evaluations)),
+    )
+    base = max(count for name, count in told if name == "base")
+    end = max(count for name, count in told if name == "base, to the end")
+    assert found.result.solver["evaluations"] >= base + end
+    assert [row.name for row in found.result.models if row.chosen] == ["base"]
+    assert found.result["kp[shoulder]"].value == pytest.approx(60.0, rel=0.05)
+    assert abs(found.result["kp[shoulder]"].start - 60.0) > 1.0

@@ -12,6 +12,7 @@ from trueup.identify import IdentifyConfig, Nominal, Problem, SegmentRule, ident
 from trueup.identify.config import SolverChoice, make_parameters
 from trueup.identify.export import save_model
 from trueup.robots import ControllerSpec, JointSpec, RobotSpec
+from trueup.sim import MujocoSimulator
 
 VELOCITY = ControllerSpec(kind="velocity", kv=5.0)
 PID = ControllerSpec(kind="pid", kp=50.0, kv=2.0, ki=30.0)
@@ -366,3 +367,22 @@ def test_zeros_of_single_recordings_can_be_chosen_and_frozen(tmp_path, choice):
 def test_zeros_of_single_recordings_cannot_be_shared(tmp_path):
     with pytest.raises(ConfigError, match="encoder_zero: shared"):
         make_parameters({"encoder_zero": {"shared": True}}, nominal_of(tmp_path, TORQUE)[1], ["log1"])
+
+
+def test_a_shared_number_that_is_frozen_is_written_to_every_joint(tmp_path):
+    _, nominal = nominal_of(tmp_path, SERVO)
+    first, second = nominal.model.dof_frictionloss
+    assert first != second
+    parameters = make_parameters({"frictionloss": {"shared": True, "start": float(first), "frozen": True}}, nominal)
+    model = Problem(nominal, parameters, ()).candidate({}).compile()
+    np.testing.assert_allclose(model.dof_frictionloss, first)
+
+
+def test_a_shared_limit_holds_for_joints_that_had_none(tmp_path):
+    robot, path = arm(tmp_path)
+    limited = replace(robot.joints[1], torque_limit=20.0)
+    nominal = Nominal(replace(robot, joints=(robot.joints[0], limited)), path)
+    parameters = make_parameters({"torque_limit": {"shared": True, "start": 9.0}}, nominal)
+    model = Problem(nominal, parameters, ()).candidate({}).compile()
+    limits = MujocoSimulator(model, nominal.robot, nominal.simulator.channels).torque_limits
+    assert limits == pytest.approx({"shoulder": 9.0, "elbow": 9.0})

@@ -22,7 +22,7 @@ from trueup.identify import (
 )
 from trueup.identify.config import SolverChoice, make_parameters
 from trueup.identify.costs import PenalizedSquares, roles_of
-from trueup.identify.solution import fingerprint_of
+from trueup.identify.solution import Checkpoint, fingerprint_of
 from trueup.identify.solvers import GaussNewtonSettings
 from trueup.identify.uncertainty import fitted_parameters, posterior_of
 from trueup.identify.verdict import verdict
@@ -358,3 +358,11 @@ def test_a_spent_budget_still_gives_the_start(small):
         found = solve(problem, SolveSettings(solver=solver, max_seconds=1e-9))
         assert found.solver["stop"] == "time"
         assert np.isfinite(found.rms)
+
+
+def test_a_checkpoint_of_a_search_that_has_found_nothing_is_read_back(tmp_path):
+    state = {"rms": np.inf, "history": [[12, -np.inf, 0.5], [24, np.nan, 1.0]], "solver": {"name": "Infinite", "n": 3}}
+    Checkpoint(tmp_path / "fit.json", "same").save(state)
+    read = Checkpoint(tmp_path / "fit.json", "same").load()
+    np.testing.assert_equal(read, state)
+    assert Checkpoint(tmp_path / "fit.json", "other").load() == {}

@@ -171,7 +171,7 @@ def test_a_fit_that_was_killed_between_two_models_goes_on_with_the_second(rig, t
         resume=True,
         on_progress=lambda name, progress: steps.append((name, progress.iteration)),
     )
-    assert {name for name, _ in steps} == {"friction"}
+    assert {name for name, _ in steps} == {"friction", "base, to the end"}
     assert steps[0][1] == 2
     whole = fit(data, truth.robot, tmp_path / "whole", model=model, config=config, jobs=1)
     resumed = json.loads((out / "fit.json").read_text())

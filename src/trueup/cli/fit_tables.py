@@ -19,7 +19,7 @@ _STYLE = {"yes": "", "weakly": "yellow", "no": "red"}
 _HINT = {
     "not-identifiable": "Record motions that show these parameters (see the remarks in the table), or freeze them.",
     "at-bound": "Widen the bound in the configuration, or doubt the structure of the model.",
-    "not-converged": "Raise max_iterations, max_evaluations, max_seconds or starts of the solver, and run again.",
+    "not-converged": "Allow more iterations, evaluations, seconds or starts (solver: …); run again with --overwrite.",
     "no-better": "Check that robot, model and logs belong together: joint map, units, delays, payload.",
 }
 

@@ -76,7 +76,8 @@ def explain(
         fit.setdefault("mass", "all")
     sorted_out = {split: usable(own, keep_flagged=settled.data.keep_flagged) for split, own in episodes.items()}
     logs = {split: own for split, (own, _) in sorted_out.items()}
-    split = next((name for name in ("test", "val", "train") if logs.get(name)), None)
+    scorers = {id(own): Scorer(own, logs, jobs=jobs, seed=seed) for own in (soft, hard)}
+    split = next((name for name in ("test", "val", "train") if name in scorers[id(soft)].splits), None)
     if split is None or not logs.get("train"):
         raise NotIdentifiable("there is no motion to fit", hint="Give --splits at import.")
     seen = excitation_of(
@@ -87,7 +88,6 @@ def explain(
     segments, refused = make_segments(logs["train"], soft.simulator, rule)
     motions = [segment.episode_id for segment in segments]
     settings = replace(settled.solver.settings(seed), solver="gauss-newton", starts=1)
-    scorers = {id(own): Scorer(own, {split: logs[split]}, jobs=jobs, seed=seed) for own in (soft, hard)}
 
     scores = scorers[id(soft)].score(ParameterSet(()), {}, split)
     unit = scorers[id(soft)].unit
@@ -126,9 +126,10 @@ def explain(
                 time.perf_counter() - began,
             )
         )
-    unused = {name: dict(sorted_out[name][1]) for name in dict.fromkeys(("train", split))}
+    unused: dict[str, dict[str, str]] = {name: dict(own[1]) for name, own in sorted_out.items()}
     unused["train"] |= {name: error.summary for name, error in refused.items()}
-    unused[split] |= scorers[id(soft)].refused.get(split, {})
+    for name, own_refused in scorers[id(soft)].refused.items():
+        unused[name] |= own_refused
     statements = [
         *left_out(unused),
         *seen.statements,

@@ -92,7 +92,7 @@ class Bench:
         best = self._attempt("base", self.config.fit, rough=bool(models))
         attempts, fit = [best], dict(self.config.fit)
         # What changes nothing near the solution is left out from here on; far from it, nothing can be told.
-        idle = [] if self.chosen_by_user else self._idle(best)
+        idle = self._idle(best)
         for name, extra in models.items():
             richer = {**fit, **dict.fromkeys(extra, "all")}
             joined = name if best.row.name == "base" else f"{best.row.name}+{name}"
@@ -101,22 +101,15 @@ class Bench:
                 best, fit = attempts[-1], richer
         if models:
             # What the richer models have brought, and changes nothing either, goes; the motion stays as it is.
-            more = [] if self.chosen_by_user else self._idle(best)
-            if len(more) < len(best.solution.parameters.free):
-                idle = [*idle, *more]
-            finished = self._attempt(f"{best.row.name}, to the end", fit, best.solution, left_out=idle)
-            seconds = best.row.seconds + finished.row.seconds
-            finished = replace(finished, row=replace(finished.row, name=best.row.name, seconds=round(seconds, 2)))
+            idle = [*idle, *(name for name in self._idle(best) if name not in idle)]
+            finished = self._to_the_end(best, fit, idle)
             attempts[attempts.index(best)] = best = finished
         known = self.posterior_of(best).of_model()
+        absent = absent_names(known)
         surplus = [] if self.chosen_by_user else open_names(known)
-        if surplus and len(surplus) < len(best.solution.parameters.free):
+        if surplus and len(surplus) + len(absent) < len(known.parameters.free):
             leaner = self._attempt(
-                f"{best.row.name}, known only",
-                fit,
-                best.solution,
-                left_out=[*idle, *surplus],
-                absent=absent_names(known),
+                f"{best.row.name}, known only", fit, best.solution, left_out=[*idle, *surplus], absent=absent
             )
             attempts.append(leaner)
             if _as_good(leaner, best):
@@ -205,12 +198,13 @@ class Bench:
         left_out: Sequence[str] = (),
         absent: Sequence[str] = (),
         rough: bool = False,
+        starts: int | None = None,
     ) -> Attempt:
         """Fit one model; `left_out` stays as the nominal model has it, `absent` at zero; `rough` to compare with."""
         began = time.perf_counter()
         parameters = freeze_still(make_parameters(fit, self.nominal, self.motions), self.seen).freeze(left_out)
         parameters = parameters.at(dict.fromkeys(absent, 0.0)).hold(absent)
-        settings = self._settings
+        settings = replace(self._settings, starts=starts or self._settings.starts)
         if rough:
             newton = settings.gauss_newton
             newton = replace(newton, tolerance=max(newton.tolerance, _ROUGH))
@@ -253,11 +247,33 @@ class Bench:
         begin = regressed_start(problem, self._train) if self._signal == "torque" else swept_start(problem)
         return problem.with_parameters(begin)
 
+    def _to_the_end(self, rough: Attempt, fit: Mapping[str, Any], left_out: Sequence[str]) -> Attempt:
+        """The same model from where a rough search ended; what is told of both is told as of one."""
+        name = rough.row.name
+        end = self._attempt(f"{name}, to the end", fit, rough.solution, left_out=left_out, starts=1)
+        first, last = rough.solution, end.solution
+        spent = {key: first.solver[key] + last.solver[key] for key in ("iterations", "evaluations", "seconds")}
+        begun = {item.name: item.value for item in first.parameters.free}
+        solution = replace(
+            last,
+            parameters=last.parameters.at(begun),
+            solver={**first.solver, "stop": last.solver["stop"], **spent},
+            agreement=first.agreement,
+        )
+        seconds = round(rough.row.seconds + end.row.seconds, 2)
+        return replace(end, row=replace(end.row, name=name, seconds=seconds), solution=solution)
+
     def _idle(self, item: Attempt) -> list[str]:
-        """Parameters that change next to nothing in these motions, even if all others were known."""
+        """Parameters that change next to nothing in these motions, even if all others were known.
+
+        None where the user has chosen what is fitted, and none where nothing would be left.
+        """
+        if self.chosen_by_user:
+            return []
         problem, found = self.problem_of(item), item.solution
         weight = noise_of(problem, found.residual).weight
-        return idle_names(problem, found.jacobian, weight)
+        idle = idle_names(problem, found.jacobian, weight)
+        return idle if len(idle) < len(found.parameters.free) else []
 
 
 def _payload_note(logs: Sequence[Episode]) -> tuple[str, ...]:

@@ -230,8 +230,9 @@ def _chosen(kind: Quantity, choice: Any, nominal: Nominal, motions: Sequence[str
         if start is not None:
             value = start
         elif frozen:
-            # Only what is added lacks a number of the model's, and that needs a start.
-            value = parameter.value if parameter.nominal is None else parameter.nominal
+            if parameter.nominal is None:
+                continue  # Joints that share the number differ in it: each is left as it is.
+            value = parameter.nominal
         else:
             # A start that only the default put outside the user's bounds follows them.
             value = min(max(parameter.value, low), high) if low <= high else parameter.value

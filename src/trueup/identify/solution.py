@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -117,12 +118,37 @@ class Checkpoint:
             tree = read_json(self._path)
         except DataError:
             return {}
-        return tree["state"] if isinstance(tree, dict) and tree.get("fingerprint") == self._fingerprint else {}
+        if not isinstance(tree, dict) or tree.get("fingerprint") != self._fingerprint:
+            return {}
+        state: dict[str, Any] = _read_back(tree["state"])
+        return state
 
     def save(self, state: dict[str, Any]) -> None:
         """Write the state, whole or not at all."""
         if self._path is not None:
-            write_json(self._path, {"fingerprint": self._fingerprint, "state": state})
+            write_json(self._path, {"fingerprint": self._fingerprint, "state": _written(state)})
+
+
+_NOT_FINITE = {"Infinity": math.inf, "-Infinity": -math.inf, "NaN": math.nan}
+
+
+def _written(tree: Any) -> Any:
+    """The state with numbers that JSON does not know as words: a search that has found nothing costs infinity."""
+    if isinstance(tree, Mapping):
+        return {key: _written(item) for key, item in tree.items()}
+    if isinstance(tree, (list, tuple)):
+        return [_written(item) for item in tree]
+    if isinstance(tree, float) and not math.isfinite(tree):
+        return "NaN" if math.isnan(tree) else "Infinity" if tree > 0 else "-Infinity"
+    return tree
+
+
+def _read_back(tree: Any) -> Any:
+    if isinstance(tree, dict):
+        return {key: _read_back(item) for key, item in tree.items()}
+    if isinstance(tree, list):
+        return [_read_back(item) for item in tree]
+    return _NOT_FINITE.get(tree, tree) if isinstance(tree, str) else tree
 
 
 def fingerprint_of(problem: Problem, settings: SolveSettings) -> str:

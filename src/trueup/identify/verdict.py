@@ -32,7 +32,9 @@ def verdict(
         statements.append(agreement.text)
     # A law that ended on zero is one that the robot does not have: no cause for alarm.
     absent = {item.name for item in parameters if item.at_bound == "low" and item.low == 0.0}
-    gone = [item.name for item in parameters if item.frozen and item.value == 0.0 and item.nominal]
+    gone = []
+    if not chosen_by_user:
+        gone = [item.name for item in parameters if item.frozen and item.value == 0.0 and item.nominal]
     free = [item for item in parameters if not item.frozen]
     unknown = [item for item in free if item.identified == "no" and item.name not in absent]
     if disagreement == "not-identifiable":

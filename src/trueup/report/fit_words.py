@@ -92,7 +92,7 @@ _ALERTS = {
         "bad",
         "✕ Not converged",
         "The search stopped early, or others that began elsewhere did not follow it: these numbers are no result.",
-        "Run again with --resume, or allow more iterations in the configuration.",
+        "Allow more iterations, time or candidates in the configuration, and run again with --overwrite.",
     ),
     "no-better": (
         "bad",

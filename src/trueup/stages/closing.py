@@ -12,7 +12,7 @@ from trueup.dataset import Dataset, is_dataset
 from trueup.dataset.importers.base import ImportOptions
 from trueup.errors import OutputExists
 from trueup.robots import RobotSpec
-from trueup.stages.folder import forget_explanation, forget_fit
+from trueup.stages.folder import forget_explanation, forget_fit, refuse_other_fit
 from trueup.stages.importing import ImportSummary, import_logs
 from trueup.stages.ladder import ladder_of
 from trueup.stages.measuring import Measurement, gap
@@ -102,11 +102,13 @@ def close(
             track=track,
         )
     dataset = Dataset(dataset_path)
+    if not overwrite:
+        refuse_other_fit(out, dataset.hash)
     replayed = replay_unless_same(dataset, robot, model=model, label=STOCK, jobs=jobs, track=track)
     measurement = gap(dataset, runs=[STOCK], drop_flagged=drop_flagged, metrics=metrics, seed=seed, track=track)
     ladder = ladder_of(measurement, {"stock": (STOCK, replayed.seconds)})
+    forget_explanation(out, unless_of=None if overwrite else dataset.hash)
     if overwrite:
-        forget_explanation(out)
         forget_fit(out)
     measurement.save(out)
     ladder.save(out / "ladder.json")

@@ -15,9 +15,11 @@ _FIT_FILES = (
 )
 
 
-def forget_explanation(folder: Path) -> None:
-    """Remove the attribution of a measurement that is replaced."""
-    (folder / "explain.json").unlink(missing_ok=True)
+def forget_explanation(folder: Path, *, unless_of: str | None = None) -> None:
+    """Remove the attribution of a measurement that is replaced; `unless_of` is the hash of a dataset whose stays."""
+    path = folder / "explain.json"
+    if path.is_file() and (unless_of is None or read_json(path)["provenance"].get("data_hash") != unless_of):
+        path.unlink()
 
 
 def forget_fit(folder: Path) -> None:

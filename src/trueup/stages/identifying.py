@@ -101,7 +101,7 @@ def fit(
     if any(out.iterdir()) and not (overwrite or resume):
         raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
     checkpoints = out / _CHECKPOINTS
-    if overwrite:
+    if overwrite and not resume:
         shutil.rmtree(checkpoints, ignore_errors=True)
     path = find_model(robot, given=model, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")
     jobs = jobs or os.cpu_count() or 1
@@ -137,8 +137,7 @@ def fit(
     measurement = gap(dataset, runs=[STOCK, FITTED], seed=seed, track=track)
     seconds = sum(row.seconds for row in result.models) + fitted.seconds
     ladder = ladder_of(measurement, {"stock": (STOCK, stock.seconds), "fitted": (FITTED, seconds)})
-    if overwrite:
-        forget_explanation(out)
+    forget_explanation(out, unless_of=None if overwrite else dataset.hash)
     measurement.save(out)
     ladder.save(out / "ladder.json")
     # Only here is nothing left that an interruption could cost.

@@ -80,18 +80,22 @@ class Quantity:
 
     def places(self, nominal: Nominal, target: str) -> tuple[str, ...]:
         """What a parameter is written to: its target; all of them for one that the whole robot shares."""
-        return (target,) if target else self.holders(nominal) or self.targets(nominal)
+        if target:
+            return (target,)
+        return (() if self.addable else self.holders(nominal)) or self.targets(nominal)
 
     def parameter(self, nominal: Nominal, target: str, *, start: float | None = None) -> Parameter:
         """The parameter for one target, or for all together (empty).
 
         Args:
-            nominal: the model as it came; of several targets, the first one speaks for all.
+            nominal: the model as it came; of several targets, the first one says where to start, and the parameter
+                has no nominal value if they differ.
             target: one of `targets`, or empty.
             start: where to start if the model has no such number.
         """
         places = self.places(nominal, target)
         said = self.read(nominal, places[0])
+        alike = all(self.read(nominal, place) == said for place in places)
         value = said if said is not None else start or 0.0
         low, high = self.low, self.high
         if self.transform == "log":
@@ -108,7 +112,7 @@ class Quantity:
             transform=self.transform,
             scale=self.scale,
             prior_std=self.prior_std,
-            nominal=said,
+            nominal=said if alike else None,
         )
 
     def _unit(self, nominal: Nominal, places: Sequence[str]) -> str:
