@@ -1,5 +1,6 @@
 """Physics engines behind one protocol, controllers, friction laws, and replay of logged commands."""
 
+from trueup.sim.dart_engine import DartSimulator as DartSimulator
 from trueup.sim.friction import friction_of as friction_of
 from trueup.sim.friction import install as install_friction
 from trueup.sim.friction import set_friction as set_friction
@@ -10,6 +11,7 @@ from trueup.sim.replay_plan import ReplayPlan as ReplayPlan
 from trueup.sim.replay_settings import ReplaySettings as ReplaySettings
 
 __all__ = [
+    "DartSimulator",
     "MujocoSimulator",
     "ReplayPlan",
     "ReplaySettings",
