@@ -90,6 +90,20 @@ def test_the_steps_one_by_one(run, demo, tmp_path):
     assert (tmp_path / "again.html").read_bytes() == first
 
 
+def test_a_second_engine_makes_a_run_of_its_own(run, demo, tmp_path):
+    assert run("replay", demo, "--robot", "demo_arm", "--label", "mujoco/one")[0] == 0
+    code, out, _ = run("replay", demo, "--robot", "demo_arm", "--engine", "dart", "--jobs", 1)
+    assert (code, "run dart/stock" in out) == (0, True)
+    again, out, _ = run("replay", demo, "--robot", "demo_arm", "--engine", "dart", "--resume")
+    assert (again, "0 episodes replayed, 12 were there" in out) == (0, True)
+    code, _, _ = run("gap", demo, "--runs", "mujoco/one,dart/stock", "--out", tmp_path / "gap")
+    runs = GapResult.load(tmp_path / "gap" / "gap.json").runs
+    errors = [runs[label]["all"]["position"]["rmse"].total.value for label in ("mujoco/one", "dart/stock")]
+    assert errors[1] == pytest.approx(errors[0], rel=0.05)
+    code, _, err = run("replay", demo, "--robot", "demo_arm", "--engine", "gazebo")
+    assert (code, "mujoco, dart" in err) == (2, True)
+
+
 def test_close_writes_the_ladder_and_says_whether_it_is_better(run, demo, tmp_path):
     code, out, _ = run("close", demo, "--robot", "demo_arm", "--out", tmp_path / "out")
     assert code == 0
