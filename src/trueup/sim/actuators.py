@@ -54,7 +54,7 @@ class Actuators:
         self._onto[rows, self._dof] = self._gear
         affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
         self._gain = model.actuator_gainprm[:, 0].copy()
-        self._bias = np.where(affine[:, None], model.actuator_biasprm[:, :3], 0.0)
+        bias = np.where(affine[:, None], model.actuator_biasprm[:, :3], 0.0)
         self._input: Int[np.ndarray, "A"] = model.actuator_ctrladr.copy()
         clamped = model.actuator_ctrllimited.astype(bool)[self._input]
         if int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL):
@@ -67,6 +67,7 @@ class Actuators:
             if model.jnt_actfrclimited[joint]:
                 limits[:, model.jnt_dofadr[joint]] = model.jnt_actfrcrange[joint]
         self._joint_limit = limits
+        self._offset, self._by_length, self._by_speed = bias.T.copy()
         self._integrates: Bool[np.ndarray, "A"] = model.actuator_dyntype == _INTEGRATOR
         self._step_s = float(model.opt.timestep)
         self._pid(model, robot)
@@ -74,7 +75,14 @@ class Actuators:
         self._band = np.abs(self._gear) * [law.dead_band for law in chosen]
         self._still = np.array([[-law.static_negative, law.static_positive] for law in chosen]).reshape(-1, 2).T
         self._still_velocity = np.array([law.static_velocity for law in chosen])
+        # What is not there costs nothing in a step.
+        self._clamps = bool(clamped.any())
+        self._direct = bool((self._gear == 1.0).all())
+        self._integrating, self._plugins = bool(self._integrates.any()), bool(self._plugin.any())
         self._lossy = bool(self._band.any() or self._still.any())
+        # A negative brake would have to be taken explicitly.
+        self._viscous = np.where(self._plugin, 0.0, np.maximum(-self._by_speed * np.abs(self._gear), 0.0))
+        self._viscous *= np.sign(self._gear)
 
     def _pid(self, model: mujoco.MjModel, robot: RobotSpec) -> None:
         self._plugin: Bool[np.ndarray, "A"] = model.actuator_plugin >= 0
@@ -100,26 +108,29 @@ class Actuators:
         velocity: Float64[np.ndarray, "B V"],
     ) -> tuple[JointTorque, Float64[np.ndarray, "B A"]]:
         """The torques of one step, and the actuators' states after it."""
-        told = np.clip(control[:, self._input], *self._clamp)
-        length, speed = self._gear * position[:, self._dof], self._gear * velocity[:, self._dof]
-        aim = np.where(self._integrates, state, told)
-        full = self._gain * aim + self._bias[:, 0] + self._bias[:, 1] * length + self._bias[:, 2] * speed
-        after = np.where(self._integrates, state + told * self._step_s, state)
-        if self._plugin.any():
+        told = control[:, self._input]
+        if self._clamps:
+            told = _within(told, self._clamp)
+        q, v = position[:, self._dof], velocity[:, self._dof]
+        length, speed = (q, v) if self._direct else (self._gear * q, self._gear * v)
+        aim, after = told, state
+        if self._integrating:
+            aim = np.where(self._integrates, state, told)
+            after = np.where(self._integrates, state + told * self._step_s, state)
+        full = self._gain * aim + self._offset + self._by_length * length + self._by_speed * speed
+        if self._plugins:
             error = told - length
             integral = np.clip(state + error * self._step_s, -self._windup, self._windup)
             by_pid = self._kp * error + self._ki * integral - self._kd * speed
             full, after = np.where(self._plugin, by_pid, full), np.where(self._plugin, integral, after)
-        force = np.clip(full, *self._limit)
+        force = _within(full, self._limit)
         total = force @ self._onto
-        asked = np.clip(total, *self._joint_limit)
-        given = asked
+        asked = given = _within(total, self._joint_limit)
         if self._lossy:
-            less = np.clip(self._without_losses(full, aim, length, speed), *self._limit)
-            given = np.clip(less @ self._onto, *self._joint_limit)
-        free = (force == full) & ~self._plugin
-        damping = np.where(free, -self._bias[:, 2] * self._gear, 0.0) @ self._onto
-        return JointTorque(asked, given, np.where(total == asked, np.maximum(damping, 0.0), 0.0)), after
+            less = _within(self._without_losses(full, aim, length, speed), self._limit)
+            given = _within(less @ self._onto, self._joint_limit)
+        damping = np.where(force == full, self._viscous, 0.0) @ self._onto
+        return JointTorque(asked, given, np.where(total == asked, damping, 0.0)), after
 
     def _without_losses(
         self,
@@ -129,15 +140,19 @@ class Actuators:
         speed: Float64[np.ndarray, "B A"],
     ) -> Float64[np.ndarray, "B A"]:
         """The forces with the dead band of servos and the static threshold of motors (see `JointFriction`)."""
-        stiffness = -self._bias[:, 1]
+        stiffness = -self._by_length
         servo = (stiffness > 0) & (self._band > 0)
         error = np.divide(self._gain * aim, stiffness, out=np.zeros_like(full), where=servo) - length
         less = np.where(servo, full - stiffness * np.clip(error, -self._band, self._band), full)
-        motor = (self._bias[:, 1] == 0) & (self._bias[:, 2] == 0) & ~self._plugin
+        motor = (self._by_length == 0) & (self._by_speed == 0) & ~self._plugin
         resting = np.abs(speed) < self._still_velocity * np.abs(self._gear)
         torque = self._gear * full
         held = motor & resting & (self._still[0] < torque) & (torque < self._still[1])
         return np.where(held, 0.0, less)
+
+
+def _within(values: Float64[np.ndarray, "B N"], ends: Float64[np.ndarray, "2 N"]) -> Float64[np.ndarray, "B N"]:
+    return np.asarray(np.minimum(np.maximum(values, ends[0]), ends[1]))
 
 
 def _range(limited: Bool[np.ndarray, "A"], ends: Float64[np.ndarray, "A 2"]) -> Float64[np.ndarray, "2 A"]:

@@ -141,7 +141,7 @@ class DartSimulator:
             position[:, row + 1] = copies.position[:, self._dofs]
             velocity[:, row + 1] = copies.velocity[:, self._dofs]
             # DART is not asked to go on with what is not a number.
-            if not max(np.abs(copies.position).max(), np.abs(copies.velocity).max()) <= _ABSURD:
+            if copies.lost():
                 raise DataError(
                     f"the simulation of {self.robot.name!r} diverged",
                     got=f"{(row + 1) * self.timestep_s:.3f} s after its start, at a time step of {self.timestep_s} s",
@@ -253,6 +253,11 @@ class _Copies:
             mobility = np.linalg.inv(skeleton.getAugMassMatrix())
             self._impulse[row] = friction_impulse(mobility, free, level[row] * self._step_s, self._impulse[row])
         return self._impulse / self._step_s
+
+    def lost(self) -> bool:
+        """Whether the numbers are absurd, or no numbers at all."""
+        q, v = self.position.ravel(), self.velocity.ravel()
+        return not (q @ q <= _ABSURD**2 and v @ v <= _ABSURD**2)
 
     def step(self, force: Float64[np.ndarray, "B V"]) -> None:
         for skeleton, own in zip(self._skeletons, force, strict=True):

@@ -28,7 +28,7 @@ def friction_impulse(
         most: friction times the step, >= 0, (V,) [Nm s or N s].
         guess: where to begin, e.g. the impulses of the step before; full braking if None.
     """
-    impulse = np.clip(-np.sign(velocity) * most if guess is None else guess, -most, most)
+    impulse = np.minimum(np.maximum(-np.sign(velocity) * most if guess is None else guess, -most), most)
     scale = _TOLERANCE * (np.abs(velocity) + np.abs(mobility) @ most).max(initial=0.0)
     for _ in range(_SWEEPS):
         after = velocity + mobility @ impulse
@@ -47,8 +47,8 @@ def friction_impulse(
 def _settled(
     impulse: Float64[np.ndarray, "V"], after: Float64[np.ndarray, "V"], most: Float64[np.ndarray, "V"], scale: float
 ) -> bool:
-    braking = np.abs(np.where(after > 0, impulse + most, impulse - most)) <= 0.0
-    return bool(((np.abs(after) <= scale) | braking).all())
+    braking = np.where(after > 0, impulse <= -most, impulse >= most)
+    return bool((braking | (np.abs(after) <= scale)).all())
 
 
 def _resting(
