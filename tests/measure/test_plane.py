@@ -64,7 +64,7 @@ def test_paths_are_thinned_projections_and_their_number_is_bounded():
     plane = plane_of(*(item for item, _ in items))
     assert len(plane.paths) == 24
     path = np.array(plane.paths["m0"]["measured"])
-    np.testing.assert_allclose(path, (items[0][1][::2] - plane.center) @ np.array(plane.axes).T, atol=1e-9)
+    np.testing.assert_allclose(path, (items[0][1][::3] - plane.center) @ np.array(plane.axes).T, rtol=1e-4)
 
 
 def test_joints_in_another_unit_and_single_joints_make_no_plane():

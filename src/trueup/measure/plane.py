@@ -12,7 +12,7 @@ from trueup.core.engines import ANY_PAYLOAD, MEASURED, Envelope, JointPlane
 from trueup.measure.comparison import Comparison
 
 _MOST_MOTIONS = 24
-_MOST_POINTS = 250
+_MOST_POINTS = 150
 
 
 @dataclass
@@ -107,7 +107,8 @@ class PlaneBuilder:
             paths[motion] = {}
             for source, values in curves.items():
                 seen = values[np.isfinite(values).all(axis=1)]
-                paths[motion][source] = [(x, y) for x, y in ((seen - measured.mean) @ axes.T).tolist()]
+                points = (seen - measured.mean) @ axes.T
+                paths[motion][source] = [(_short(x), _short(y)) for x, y in points.tolist()]
         return JointPlane(
             joints=self._joints,
             unit=self._unit,
@@ -118,3 +119,8 @@ class PlaneBuilder:
             paths=paths,
             payloads=dict(self._payloads),
         )
+
+
+def _short(value: float) -> float:
+    """Five significant digits, enough for a drawing."""
+    return float(f"{value:.5g}")
