@@ -7,7 +7,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from trueup.robots import find_model, load_robot
+from trueup.core.protocols import RolloutRequest
+from trueup.robots import ControllerSpec, find_model, load_robot
+from trueup.sim import MujocoSimulator
+from trueup.sim.model import load_spec
 
 # cogimon-gazebo-models, franka/model.urdf: mass, center of mass, ixx iyy izz (no products) of links 0 to 7.
 ROUGH = np.array(
@@ -75,3 +78,33 @@ def test_it_is_rough(models):
     assert apart[0] == pytest.approx(0.0, abs=1e-9)  # its axis is vertical
     assert (apart[[1, 3]] > 1.0).all()  # Nm: gravity that a controller would have to make good
     assert apart.max() < 0.6 * np.abs(torques["panda"]).max()
+
+
+def test_a_rough_simulator_is_further_from_a_robot_than_the_good_one():
+    """As in tables 2 and 4 of the LSTM thesis: positions hardly differ, torques by a factor of 2 to 10."""
+    servos = ControllerSpec(kind="position", kp=600.0, kv=50.0)
+
+    def follow(name, frictionloss=0.0, heavier=1.0):
+        robot = load_robot(name)
+        carried = replace(robot.simulation, gravity_compensation=False)
+        robot = replace(robot, controller=servos, simulation=carried)
+        spec = load_spec(find_model(robot))
+        for joint in spec.joints:
+            joint.frictionloss = frictionloss
+        for body in spec.bodies:
+            body.mass *= heavier
+        simulator = MujocoSimulator.from_spec(spec, robot, origin=find_model(robot))
+        time_s = np.arange(3000)[:, None] * simulator.timestep_s
+        home = np.array([0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785])
+        command = home + 0.3 * np.sin(np.linspace(1.0, 2.0, 7) * time_s)
+        return simulator.rollout(RolloutRequest(home[None], np.zeros((1, 7)), {"position": command[None]}))
+
+    robot = follow("panda", frictionloss=0.5, heavier=1.03)
+    torque, position = {}, {}
+    for name in ("panda", "panda_rough"):
+        simulated = follow(name)
+        torque[name] = np.sqrt(np.mean((robot.torque - simulated.torque) ** 2, axis=(0, 1)))
+        position[name] = np.sqrt(np.mean((robot.position - simulated.position) ** 2, axis=(0, 1)))
+    assert (torque["panda_rough"][[1, 3]] > 2.0 * torque["panda"][[1, 3]]).all()
+    assert torque["panda_rough"].mean() > 2.0 * torque["panda"].mean()
+    assert position["panda_rough"].max() < 0.05

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -64,21 +65,23 @@ def replay(
         ConfigError: the worker processes could not start.
     """
     waiting: list[tuple[str, Future[TimeSeries | TrueupError]]] = []
+    pool = _workers(make_simulator, jobs, processes=processes)
     try:
-        with _workers(make_simulator, jobs, processes=processes) as pool:
-            for episode in episodes:
-                waiting.append((episode.id, pool.submit(_work, episode, settings)))
-                if len(waiting) > 2 * jobs:
-                    episode_id, future = waiting.pop(0)
-                    yield episode_id, future.result()
-            for episode_id, future in waiting:
+        for episode in episodes:
+            waiting.append((episode.id, pool.submit(_work, episode, settings)))
+            if len(waiting) > 2 * jobs:
+                episode_id, future = waiting.pop(0)
                 yield episode_id, future.result()
+        for episode_id, future in waiting:
+            yield episode_id, future.result()
     except BrokenProcessPool as error:
         raise ConfigError(
             "the worker processes of the replay ended",
             got=str(error),
             hint='In a script, replay below `if __name__ == "__main__":`, or give jobs=1.',
         ) from error
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 # Each worker's own: who makes its simulator, and the simulator.
@@ -88,12 +91,18 @@ _OWN = local()
 def _workers(make_simulator: Callable[[], Simulator], jobs: int, *, processes: bool) -> Executor:
     if processes and jobs > 1:
         # Not forked: other threads may hold locks at that moment.
-        return ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_begin, initargs=(make_simulator,))
+        return ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_begin_apart, initargs=(make_simulator,))
     return ThreadPoolExecutor(jobs, initializer=_begin, initargs=(make_simulator,))
 
 
 def _begin(make_simulator: Callable[[], Simulator]) -> None:
     _OWN.make, _OWN.simulator = make_simulator, None
+
+
+def _begin_apart(make_simulator: Callable[[], Simulator]) -> None:
+    # Ctrl-C reaches all processes; the one that was asked says so, and the others end with it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _begin(make_simulator)
 
 
 def _work(episode: Episode, settings: ReplaySettings) -> TimeSeries | TrueupError:
