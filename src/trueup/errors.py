@@ -14,6 +14,13 @@ def _listing(names: Iterable[object], limit: int = 24) -> str:
     return ", ".join(shown[:limit]) + more if shown else "none"
 
 
+def _restored(kind: type["TrueupError"], message: tuple[object, ...], state: dict[str, object]) -> "TrueupError":
+    error = kind.__new__(kind)
+    error.args = message
+    error.__dict__.update(state)
+    return error
+
+
 class TrueupError(Exception):
     """Base of all errors raised by trueup.
 
@@ -47,6 +54,10 @@ class TrueupError(Exception):
             details.append(f"available: {_listing(available)}")
         self.details = "; ".join(details)
         super().__init__(": ".join(part for part in (what, self.details) if part))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """An error of a worker process arrives as it was, whatever its class asks for when it is made."""
+        return _restored, (type(self), self.args, self.__dict__)
 
     @property
     def summary(self) -> str:

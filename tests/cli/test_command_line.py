@@ -7,13 +7,14 @@ import shutil
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from trueup.cli.main import main
 from trueup.core.results import GapResult, Ladder
-from trueup.dataset import Dataset
+from trueup.dataset import Dataset, DatasetWriter
 from trueup.errors import TrueupError
 from trueup.stages.demonstrating import demo_dataset
 
@@ -88,6 +89,32 @@ def test_the_steps_one_by_one(run, demo, tmp_path):
     first = (tmp_path / "gap" / "report.html").read_bytes()
     assert run("report", tmp_path / "gap", "--out", tmp_path / "again.html")[0] == 0
     assert (tmp_path / "again.html").read_bytes() == first
+
+
+def beginnings(dataset, folder, *, count, rows):
+    """The first samples of the first motions of a dataset."""
+    data = Dataset(dataset)
+    with DatasetWriter.create(folder, data.info) as writer:
+        for name in data.ids[:count]:
+            episode = data.episode(name)
+            series = {"measured": episode.measured, "command": episode.command}
+            writer.append(replace(episode, **{key: item.rows(np.arange(rows)) for key, item in series.items()}))
+    return folder
+
+
+def test_a_second_engine_makes_a_run_of_its_own(run, demo, tmp_path):
+    demo = beginnings(demo, tmp_path / "short", count=2, rows=100)
+    assert run("replay", demo, "--robot", "demo_arm", "--label", "mujoco/one")[0] == 0
+    code, out, _ = run("replay", demo, "--robot", "demo_arm", "--engine", "dart", "--jobs", 1)
+    assert (code, "run dart/stock" in out) == (0, True)
+    again, out, _ = run("replay", demo, "--robot", "demo_arm", "--engine", "dart", "--resume")
+    assert (again, "0 episodes replayed, 2 were there" in out) == (0, True)
+    code, _, _ = run("gap", demo, "--runs", "mujoco/one,dart/stock", "--out", tmp_path / "gap")
+    runs = GapResult.load(tmp_path / "gap" / "gap.json").runs
+    errors = [runs[label]["all"]["position"]["rmse"].total.value for label in ("mujoco/one", "dart/stock")]
+    assert errors[1] == pytest.approx(errors[0], rel=0.05)
+    code, _, err = run("replay", demo, "--robot", "demo_arm", "--engine", "gazebo")
+    assert (code, "mujoco, dart" in err) == (2, True)
 
 
 def test_close_writes_the_ladder_and_says_whether_it_is_better(run, demo, tmp_path):

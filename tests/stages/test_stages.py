@@ -428,3 +428,29 @@ def test_a_foreign_run_decides_nothing_about_the_robot(demo, tmp_path):
     measured = gap(data).gap
     assert set(measured.runs) == {"another/run", "mujoco/torque"}
     assert measured.settings["robot"] == "demo_arm"
+
+
+def test_two_engines_or_two_payloads_are_compared(demo, tmp_path):
+    robot = load_robot("demo_arm")
+    replay(demo, robot)
+    replay(demo, robot, label="dart/stock")  # what made it does not matter here
+    both = gap(demo, runs=["mujoco/stock", "dart/stock"])
+    both.save(tmp_path)
+    assert (tmp_path / "engines.json").is_file()
+    loads = {"0", "0.4", ""}
+    assert set(both.engines.plane.envelopes["dart/stock"]) == loads
+    assert set(both.engines.trends) == {"mujoco/stock", "dart/stock", "command"}
+    slope = both.engines.trends["dart/stock"]["rmse"][""]
+    by_payload = both.gap.groups["payload_kg"]
+    means = [by_payload[load]["dart/stock"]["position"]["rmse"].total.value for load in ("0", "0.4")]
+    # With two payloads the line goes through both means.
+    assert slope.slope.value == pytest.approx((means[1] - means[0]) / 0.4)
+    assert slope.at_zero == pytest.approx(means[0])
+
+
+def test_one_engine_and_one_payload_are_not(tmp_path):
+    closed = close(twin_dataset(tmp_path / "twin").path, load_robot("demo_arm"), tmp_path / "out")
+    assert closed.measurement.engines is None
+    (tmp_path / "out" / "engines.json").write_text("{}")
+    closed.measurement.save(tmp_path / "out")
+    assert not (tmp_path / "out" / "engines.json").exists()

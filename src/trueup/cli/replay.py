@@ -20,7 +20,8 @@ def replay(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
     robot: options.Robot,
     model: options.Model = None,
-    label: Annotated[str, typer.Option("--label", help="Name of the run.")] = "mujoco/stock",
+    engine: Annotated[str, typer.Option("--engine", help="mujoco or dart.")] = "mujoco",
+    label: Annotated[str | None, typer.Option("--label", help="Name of the run; ENGINE/stock if not given.")] = None,
     window_s: Annotated[
         float | None, typer.Option("--window-s", help="Restart from the measured state this often [s].")
     ] = None,
@@ -29,7 +30,7 @@ def replay(
     overwrite: options.Overwrite = False,
     resume: options.Resume = False,
 ) -> int:
-    """Replay the logged commands in MuJoCo and store the answer beside the measurement."""
+    """Replay the logged commands in a simulator and store the answer beside the measurement."""
     from trueup.dataset import Dataset
     from trueup.robots import load_robot
     from trueup.stages import replay as run
@@ -38,6 +39,7 @@ def replay(
         Dataset(dataset),
         load_robot(robot),
         model=model,
+        engine=engine,
         label=label,
         window_s=window_s,
         delay_s=delay_s,
@@ -49,5 +51,7 @@ def replay(
     for name, error in summary.failed.items():
         problem(f"{name} was not replayed: {error.what}: {error.details}", error.hint)
     kept = f", {summary.kept} were there" if summary.kept else ""
-    out.print(f"{summary.replayed} episodes replayed{kept} in {summary.seconds:.1f} s -> run {label}", markup=False)
+    out.print(
+        f"{summary.replayed} episodes replayed{kept} in {summary.seconds:.1f} s -> run {summary.label}", markup=False
+    )
     return 2 if summary.failed else 0

@@ -39,6 +39,9 @@ from trueup.measure.metrics_similarity import ccc as ccc
 from trueup.measure.metrics_similarity import cosine as cosine
 from trueup.measure.metrics_similarity import pearson as pearson
 from trueup.measure.metrics_similarity import r2 as r2
+from trueup.measure.plane import PlaneBuilder as PlaneBuilder
+from trueup.measure.trend import trend as trend
+from trueup.measure.trend import trends_of as trends_of
 from trueup.measure.uncertainty import bootstrap_interval as bootstrap_interval
 from trueup.measure.uncertainty import paired_difference as paired_difference
 
@@ -53,6 +56,7 @@ __all__ = [
     "HorizonError",
     "Metric",
     "MetricOptions",
+    "PlaneBuilder",
     "Samples",
     "binned_error",
     "bootstrap_interval",
@@ -84,4 +88,6 @@ __all__ = [
     "saturation_incidence",
     "smoothness",
     "trajectory_consistency",
+    "trend",
+    "trends_of",
 ]

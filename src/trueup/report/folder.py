@@ -10,6 +10,7 @@ from typing import TypeVar
 
 from trueup.core.analysis import Analysis
 from trueup.core.attribution import Attribution
+from trueup.core.engines import EngineComparison
 from trueup.core.fit_result import FitResult
 from trueup.core.quality import Quality
 from trueup.core.results import GapResult, Ladder
@@ -37,6 +38,7 @@ class RunFolder:
         traces: traces.json and traces.npz.
         quality: quality.json.
         analysis: analysis.json.
+        engines: engines.json.
         fit: fit.json.
         attribution: explain.json.
         graybox: graybox.json.
@@ -49,6 +51,7 @@ class RunFolder:
     traces: TraceSet | None = None
     quality: Quality | None = None
     analysis: Analysis | None = None
+    engines: EngineComparison | None = None
     fit: FitResult | None = None
     attribution: Attribution | None = None
     graybox: Graybox | None = None
@@ -117,6 +120,7 @@ class RunFolder:
             traces=_optional(folder / "traces.json", lambda path: TraceSet.load(path.parent)),
             quality=_optional(folder / "quality.json", Quality.load),
             analysis=_optional(folder / "analysis.json", Analysis.load),
+            engines=_optional(folder / "engines.json", EngineComparison.load),
         )
 
 

@@ -1,5 +1,8 @@
 """Physics engines behind one protocol, controllers, friction laws, and replay of logged commands."""
 
+from trueup.sim.dart_engine import DartSimulator as DartSimulator
+from trueup.sim.engines import ENGINES as ENGINES
+from trueup.sim.engines import make_simulator as make_simulator
 from trueup.sim.friction import friction_of as friction_of
 from trueup.sim.friction import install as install_friction
 from trueup.sim.friction import set_friction as set_friction
@@ -10,11 +13,14 @@ from trueup.sim.replay_plan import ReplayPlan as ReplayPlan
 from trueup.sim.replay_settings import ReplaySettings as ReplaySettings
 
 __all__ = [
+    "ENGINES",
+    "DartSimulator",
     "MujocoSimulator",
     "ReplayPlan",
     "ReplaySettings",
     "friction_of",
     "install_friction",
+    "make_simulator",
     "replay",
     "replay_episode",
     "set_friction",

@@ -81,21 +81,8 @@ class MujocoSimulator:
 
         The spec is completed in place: controller, torque sensors, friction laws and options of the robot.
         """
-        channels = attach_controller(spec, robot.controller, robot.joints)
-        for name in robot.joint_names:
-            kind = spec.joint(name).type
-            if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-                raise ConfigError(f"joint {name!r} is neither a hinge nor a slide", got=kind.name)
-            spec.add_sensor(
-                name=_torque_sensor(name),
-                type=mujoco.mjtSensor.mjSENS_JOINTACTFRC,
-                objtype=mujoco.mjtObj.mjOBJ_JOINT,
-                objname=name,
-            )
-        for name, friction in robot.friction.items():
-            set_friction(spec, name, friction)
-        _set_options(spec, robot.simulation)
-        return MujocoSimulator(compile_spec(spec, origin), robot, channels, threads=threads)
+        model, channels = compile_robot(spec, robot, origin=origin)
+        return MujocoSimulator(model, robot, channels, threads=threads)
 
     def clone(self, *, threads: int = 1) -> MujocoSimulator:
         """Another simulator on the same compiled model, for another thread."""
@@ -266,6 +253,30 @@ class MujocoSimulator:
             got=f"{row * self.timestep_s:.3f} s after its start, at a time step of {self.timestep_s} s",
             hint="Take a smaller simulation.timestep_s in robot.yaml, or lower gains.",
         )
+
+
+def compile_robot(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path) -> tuple[mujoco.MjModel, tuple[Channel, ...]]:
+    """The compiled model of a robot with all that its description adds, and how commands reach it; for any engine.
+
+    Raises:
+        ConfigError: the model lacks an actuator, or MuJoCo refuses it.
+        NameMismatch: a joint is not in the model.
+    """
+    channels = attach_controller(spec, robot.controller, robot.joints)
+    for name in robot.joint_names:
+        kind = spec.joint(name).type
+        if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+            raise ConfigError(f"joint {name!r} is neither a hinge nor a slide", got=kind.name)
+        spec.add_sensor(
+            name=_torque_sensor(name),
+            type=mujoco.mjtSensor.mjSENS_JOINTACTFRC,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            objname=name,
+        )
+    for name, friction in robot.friction.items():
+        set_friction(spec, name, friction)
+    _set_options(spec, robot.simulation)
+    return compile_spec(spec, origin), channels
 
 
 def _rollout_apart(

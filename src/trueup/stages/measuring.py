@@ -13,6 +13,7 @@ import numpy as np
 from trueup.align import cut_rest, position_mse
 from trueup.core.analysis import Analysis
 from trueup.core.atomic import make_folder
+from trueup.core.engines import EngineComparison
 from trueup.core.episode import Episode
 from trueup.core.provenance import provenance
 from trueup.core.quality import Quality
@@ -20,7 +21,7 @@ from trueup.core.results import GapResult
 from trueup.core.traces import TraceSet
 from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError, MissingSignal, TrueupError
-from trueup.measure import COMMAND_RUN, AnalysisBuilder, Comparison, lags_of, measure_gap
+from trueup.measure import COMMAND_RUN, AnalysisBuilder, Comparison, PlaneBuilder, lags_of, measure_gap, trends_of
 from trueup.robots import RobotSpec
 from trueup.stages.comparing import comparison_of, frame_of
 from trueup.stages.progress import Track, silent
@@ -39,20 +40,27 @@ class Measurement:
         analysis: error against velocity, position and load, lags, error against horizon.
         traces: thinned curves for the report.
         quality: the flags of all episodes, in the robot's joint names.
+        engines: trends with the payload, and the joint trajectories on their main axes; None where neither two engines
+            nor two payloads are compared.
     """
 
     gap: GapResult
     analysis: Analysis
     traces: TraceSet
     quality: Quality
+    engines: EngineComparison | None = None
 
     def save(self, folder: Path | str) -> None:
-        """Write gap.json, analysis.json, quality.json, traces.json and traces.npz."""
+        """Write gap.json, analysis.json, quality.json, traces.json and traces.npz, and engines.json if there is one."""
         folder = Path(folder)
         make_folder(folder)
         self.traces.save(folder)
         self.analysis.save(folder / "analysis.json")
         self.quality.save(folder / "quality.json")
+        if self.engines is not None:
+            self.engines.save(folder / "engines.json")
+        else:  # one of an earlier comparison in this folder
+            (folder / "engines.json").unlink(missing_ok=True)
         self.gap.save(folder / "gap.json")
 
 
@@ -111,6 +119,8 @@ def gap(
         )
     builder = AnalysisBuilder(window_s=frame.window_s)
     traces = TraceSet()
+    plane = PlaneBuilder(frame.scored)
+    payload_kg: dict[str, float | None] = {}
     errors: dict[str, float] = {}
     left_out: dict[str, TrueupError] = {}
     signs = Signs()
@@ -136,6 +146,8 @@ def gap(
             scored = comparison if frame.follows_motion else replace(comparison, command=None)
             builder.add(scored)
             signs.add(comparison)
+            plane.add(comparison)
+            payload_kg[name] = comparison.meta.payload_kg
             if len(traces.episodes) > _MOST_TRACED:
                 traces.episodes.pop(min(traces.episodes, key=lambda key: errors.get(key, np.inf)))
             if labels and labels[0] in comparison.simulated and "position" in comparison.measured:
@@ -190,7 +202,11 @@ def gap(
     traces.provenance = origin
     analysis = replace(builder.result(lags_of(result)), provenance=origin)
     quality = quality_of(dataset, set(kept), frame.joint_map, far_motions(errors), split=split)
-    return Measurement(result, analysis, traces, replace(quality, provenance=origin))
+    engines = None
+    loads = {load for load in payload_kg.values() if load is not None}
+    if len(loads) > 1 or len({label.partition("/")[0] for label in labels}) > 1:
+        engines = EngineComparison(trends_of(result, payload_kg), plane.result(), origin)
+    return Measurement(result, analysis, traces, replace(quality, provenance=origin), engines)
 
 
 def _made(dataset: Dataset, label: str) -> dict[str, Any]:

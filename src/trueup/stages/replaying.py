@@ -20,7 +20,7 @@ from trueup.robots import RobotSpec, find_model
 from trueup.stages.progress import Track, silent
 
 if TYPE_CHECKING:
-    from trueup.sim import MujocoSimulator
+    from trueup.sim import DartSimulator, MujocoSimulator
 
 STOCK = "mujoco/stock"
 
@@ -62,7 +62,8 @@ def replay(
     robot: RobotSpec,
     *,
     model: Path | None = None,
-    label: str = STOCK,
+    engine: str = "mujoco",
+    label: str | None = None,
     window_s: float | None = None,
     delay_s: float | None = None,
     ids: Sequence[str] | None = None,
@@ -77,11 +78,12 @@ def replay(
         dataset: logs; any joint names that the robot's joint map knows.
         robot: its description.
         model: MJCF or URDF; looked for beside the data and in the package if None.
-        label: name of the run.
+        engine: `mujoco` or `dart`.
+        label: name of the run; `ENGINE/stock` if None.
         window_s: restart from the measured state this often [s]; the robot's own setting if None.
         delay_s: the command acts this much later [s]; the robot's own setting if None.
         ids: episodes; all if None.
-        jobs: threads; the number of cores if None.
+        jobs: threads (DART: processes); the number of cores if None.
         overwrite: replace the run if it is there.
         resume: keep the run if it was made from the same inputs, and add what is missing.
         track: shows progress.
@@ -89,11 +91,12 @@ def replay(
     Raises:
         OutputExists: the run is there, and neither `overwrite` nor a matching `resume` applies.
         NameMismatch: the joints of log, robot and model do not agree.
-        ConfigError: the model is not found, or does not load.
+        ConfigError: the model is not found, or does not load, or the engine is not there or cannot match it.
         DataError: no episode could be replayed.
     """
+    label = f"{engine}/stock" if label is None else label
     # MuJoCo is loaded by those who simulate, not by everyone who starts the command line.
-    from trueup.sim import MujocoSimulator, ReplaySettings
+    from trueup.sim import ReplaySettings, make_simulator
     from trueup.sim import replay as replay_episodes
 
     started = time.perf_counter()
@@ -104,10 +107,10 @@ def replay(
         window_s=settings.window_s if window_s is None else window_s,
         delay_s=settings.delay_s if delay_s is None else delay_s,
     )
-    simulator = MujocoSimulator.from_robot(robot, path)
+    simulator = make_simulator(engine, robot, path)
     inputs = _inputs(robot, simulator, asdict(settings))
     info = {
-        "engine": "mujoco",
+        "engine": engine,
         "inputs": inputs,
         "joint_map": robot.joint_rules(),
         "joints": list(robot.joint_names),
@@ -133,7 +136,11 @@ def replay(
             writer = stack.enter_context(RunWriter(dataset.path, label, run_info=info, resume=True))
         missing = [name for name in wanted if writer is None or name not in writer.ids]
         results = replay_episodes(
-            _readable(dataset, missing, joint_map, failed), simulator.clone, settings, jobs=jobs or os.cpu_count() or 1
+            _readable(dataset, missing, joint_map, failed),
+            simulator.clone,
+            settings,
+            jobs=jobs or os.cpu_count() or 1,
+            processes=engine == "dart",
         )
         for name, result in track(results, "replay", len(missing)):
             if isinstance(result, TrueupError):
@@ -194,7 +201,9 @@ def _refuse_other_names(dataset: Dataset, ids: Sequence[str], joint_map: JointMa
         raise first
 
 
-def _inputs(robot: RobotSpec, simulator: MujocoSimulator, settings: Mapping[str, Any]) -> dict[str, Any]:
+def _inputs(
+    robot: RobotSpec, simulator: MujocoSimulator | DartSimulator, settings: Mapping[str, Any]
+) -> dict[str, Any]:
     """What decides about a motion of a run: if it is the same, the motion need not be simulated again."""
     return {"robot": robot.to_dict(), "model_sha256": simulator.fingerprint, "settings": dict(settings)}
 

@@ -6,6 +6,7 @@ from trueup.report.folder import RunFolder
 from trueup.report.sections.attribution import attribution_section
 from trueup.report.sections.base import Section as Section
 from trueup.report.sections.causes import causes_section
+from trueup.report.sections.engines import engines_section
 from trueup.report.sections.episodes import episodes_section
 from trueup.report.sections.flags import flags_section
 from trueup.report.sections.graybox import graybox_section
@@ -32,6 +33,7 @@ SECTIONS: tuple[Callable[[RunFolder], Section | None], ...] = (
     usage_section,
     joints_section,
     groups_section,
+    engines_section,
     traces_section,
     causes_section,
     flags_section,

@@ -1,0 +1,201 @@
+"""Engines and payloads side by side: `engines.json`, the numbers behind that section of the report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from trueup.core.atomic import read_json, write_json
+from trueup.core.results import Estimate
+from trueup.errors import DataError, FormatError
+
+ENGINES_SCHEMA = "trueup.engines/1"
+MEASURED = "measured"
+ANY_PAYLOAD = ""
+
+
+@dataclass(frozen=True)
+class Trend:
+    """How a metric changes with the payload: a straight line through the motions.
+
+    Attributes:
+        slope: change per kilogram with its 95 % interval, in the metric's unit per kg.
+        at_zero: the line's value without payload, in the metric's unit.
+        motions: number of motions.
+        verdict: `grows` or `falls` where the interval excludes zero, else `undecided`.
+    """
+
+    slope: Estimate
+    at_zero: float
+    motions: int
+    verdict: str
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON object."""
+        at_zero = self.at_zero if math.isfinite(self.at_zero) else None
+        return {
+            "slope": self.slope.to_json(),
+            "at_zero": at_zero,
+            "motions": self.motions,
+            "verdict": self.verdict,
+        }
+
+    @staticmethod
+    def from_json(data: Mapping[str, Any]) -> Trend:
+        """Read back what `to_json` wrote."""
+        at_zero = math.nan if data["at_zero"] is None else float(data["at_zero"])
+        return Trend(Estimate.from_json(data["slope"]), at_zero, int(data["motions"]), str(data["verdict"]))
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """Where the motions of one source lie in the plane: mean and covariance of all its samples.
+
+    Attributes:
+        center: (x, y).
+        covariance: (xx, xy, yy).
+        samples: how many.
+    """
+
+    center: tuple[float, float]
+    covariance: tuple[float, float, float]
+    samples: int
+
+
+@dataclass(frozen=True)
+class JointPlane:
+    """The plane of the two main axes of the measured joint positions, and what lies in it (GapONet, Figure 3a).
+
+    Attributes:
+        joints: the joints that span the space.
+        unit: of their positions.
+        center: mean measured position of each joint.
+        axes: the two unit vectors over the joints, the one of larger variance first.
+        share: share of the measured variance along each.
+        envelopes: source (`measured` or a run) -> payload in kg as text (`""`: all motions) -> envelope.
+        paths: motion -> source -> thinned (x, y) points.
+        payloads: motion -> payload in kg as text, `""` where it was not recorded.
+    """
+
+    joints: tuple[str, ...]
+    unit: str
+    center: tuple[float, ...]
+    axes: tuple[tuple[float, ...], tuple[float, ...]]
+    share: tuple[float, float]
+    envelopes: Mapping[str, Mapping[str, Envelope]]
+    paths: Mapping[str, Mapping[str, Sequence[tuple[float, float]]]]
+    payloads: Mapping[str, str]
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON object."""
+        return {
+            "joints": list(self.joints),
+            "unit": self.unit,
+            "center": list(self.center),
+            "axes": [list(axis) for axis in self.axes],
+            "share": list(self.share),
+            "envelopes": {
+                source: {
+                    payload: {
+                        "center": list(item.center),
+                        "covariance": list(item.covariance),
+                        "samples": item.samples,
+                    }
+                    for payload, item in items.items()
+                }
+                for source, items in self.envelopes.items()
+            },
+            "paths": {
+                motion: {source: [list(point) for point in points] for source, points in sources.items()}
+                for motion, sources in self.paths.items()
+            },
+            "payloads": dict(self.payloads),
+        }
+
+    @staticmethod
+    def from_json(data: Mapping[str, Any]) -> JointPlane:
+        """Read back what `to_json` wrote."""
+        first, second = (tuple(float(value) for value in axis) for axis in data["axes"])
+        return JointPlane(
+            joints=tuple(data["joints"]),
+            unit=str(data["unit"]),
+            center=tuple(float(value) for value in data["center"]),
+            axes=(first, second),
+            share=_pair(data["share"]),
+            envelopes={
+                source: {payload: _envelope(item) for payload, item in items.items()}
+                for source, items in data["envelopes"].items()
+            },
+            paths={
+                motion: {source: [_pair(point) for point in points] for source, points in sources.items()}
+                for motion, sources in data["paths"].items()
+            },
+            payloads={str(motion): str(payload) for motion, payload in data["payloads"].items()},
+        )
+
+
+@dataclass(frozen=True)
+class EngineComparison:
+    """The content of engines.json.
+
+    Attributes:
+        trends: run -> metric of the position -> joint (`""`: mean of the scored joints) -> trend; empty unless two or
+            more payloads were recorded.
+        plane: None where positions of fewer than two joints were measured.
+        provenance: versions, git hash, data hash.
+    """
+
+    trends: Mapping[str, Mapping[str, Mapping[str, Trend]]] = field(default_factory=dict)
+    plane: JointPlane | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def save(self, path: Path) -> None:
+        """Write engines.json atomically."""
+        trends = {
+            run: {
+                metric: {joint: item.to_json() for joint, item in joints.items()} for metric, joints in metrics.items()
+            }
+            for run, metrics in self.trends.items()
+        }
+        plane = None if self.plane is None else self.plane.to_json()
+        content = {"schema": ENGINES_SCHEMA, "trends": trends, "plane": plane, "provenance": dict(self.provenance)}
+        write_json(path, content)
+
+    @staticmethod
+    def load(path: Path) -> EngineComparison:
+        """Read engines.json.
+
+        Raises:
+            FormatError: another kind of file, or another version.
+            DataError: the file is broken.
+        """
+        data = read_json(path)
+        if not isinstance(data, Mapping) or data.get("schema") != ENGINES_SCHEMA:
+            raise FormatError("this file holds no comparison of engines, or another version", expected=ENGINES_SCHEMA)
+        try:
+            return EngineComparison(
+                trends={
+                    run: {
+                        metric: {joint: Trend.from_json(item) for joint, item in joints.items()}
+                        for metric, joints in metrics.items()
+                    }
+                    for run, metrics in data["trends"].items()
+                },
+                plane=None if data["plane"] is None else JointPlane.from_json(data["plane"]),
+                provenance=dict(data.get("provenance", {})),
+            )
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise DataError("a comparison of engines is broken", got=f"{type(error).__name__}: {error}") from error
+
+
+def _pair(values: Sequence[Any]) -> tuple[float, float]:
+    x, y = values
+    return float(x), float(y)
+
+
+def _envelope(data: Mapping[str, Any]) -> Envelope:
+    xx, xy, yy = (float(value) for value in data["covariance"])
+    return Envelope(_pair(data["center"]), (xx, xy, yy), int(data["samples"]))

@@ -1,0 +1,268 @@
+"""DART behind the Simulator protocol, on the numbers of the compiled MuJoCo model."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Float64
+
+from trueup.core.protocols import RolloutRequest, RolloutResult
+from trueup.errors import DataError, MissingSignal
+from trueup.robots import RobotSpec
+from trueup.sim.actuators import Actuators
+from trueup.sim.controllers import Channel, torque_limit_of
+from trueup.sim.dart_friction import DartFriction, laws_of
+from trueup.sim.dart_model import JointNumbers, gravity_of, load_dart, refuse_unmatched, skeleton_of
+from trueup.sim.dry_friction import friction_impulse
+from trueup.sim.model import load_spec
+from trueup.sim.mujoco_engine import compile_robot
+
+_ABSURD = 1e6  # rad, m, rad/s or m/s, as for MuJoCo
+
+
+class DartSimulator:
+    """A robot in DART, with its controller.
+
+    Bodies, joints, gains, limits and friction are read from the same compiled model as `MujocoSimulator`'s. DART
+    steps by semi-implicit Euler and takes viscous terms implicitly, which is what MuJoCo's `implicitfast` does too:
+    without friction and limits both engines agree to rounding. What differs are MuJoCo's other integrators, how
+    friction holds a joint (here: rigidly) and how a limit stops it (DART: rigidly, and as if there were no armature).
+
+    A step runs Python code, and Python's lock is held while DART steps: to use several cores, use processes (a
+    simulator can be pickled).
+
+    Args:
+        model: compiled model with the controller's actuators.
+        robot: its description.
+        channels: how commands reach the actuators.
+
+    Raises:
+        ConfigError: dartpy is not installed, or the model holds what DART cannot match; everything is named.
+    """
+
+    def __init__(self, model: mujoco.MjModel, robot: RobotSpec, channels: tuple[Channel, ...]) -> None:
+        load_dart()
+        refuse_unmatched(model)
+        self.model = model
+        self.robot = robot
+        self.channels = channels
+        laws = laws_of(model)
+        self._numbers = JointNumbers.of(model)
+        self._actuators = Actuators(model, robot, laws)
+        self._friction = DartFriction(model, self._numbers, laws)
+        self._dofs = np.array([model.jnt_dofadr[model.joint(name).id] for name in robot.joint_names])
+        columns = {joint: index for index, joint in enumerate(robot.joint_names)}
+        self._controls = tuple(
+            (int(model.actuator_ctrladr[model.actuator(channel.actuator).id]), columns[channel.joint], channel.signal)
+            for channel in channels
+        )
+        # Semi-implicit Euler with a damping of armature / step that is taken off again as a force: (M + armature).
+        self._rotor = self._numbers.armature / float(model.opt.timestep)
+        self._copies: _Copies | None = None
+
+    @staticmethod
+    def from_robot(robot: RobotSpec, model_path: Path) -> DartSimulator:
+        """The simulator of a robot description.
+
+        Raises:
+            ConfigError: the model does not load, lacks an actuator, or cannot be matched.
+            NameMismatch: a joint is not in the model.
+        """
+        return DartSimulator.from_spec(load_spec(model_path), robot, origin=model_path)
+
+    @staticmethod
+    def from_spec(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path) -> DartSimulator:
+        """The simulator of a model that is still editable; `origin` is named in messages."""
+        model, channels = compile_robot(spec, robot, origin=origin)
+        return DartSimulator(model, robot, channels)
+
+    def clone(self) -> DartSimulator:
+        """Another simulator on the same compiled model."""
+        return DartSimulator(self.model, self.robot, self.channels)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as what it was made from; a batch that is being stepped is not carried along."""
+        return DartSimulator, (self.model, self.robot, self.channels)
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of the compiled model, controller and options with it, and of both engines' versions."""
+        buffer = np.empty(mujoco.mj_sizeModel(self.model), dtype=np.uint8)
+        mujoco.mj_saveModel(self.model, None, buffer)
+        versions = f"dart {load_dart().__version__}, mujoco {mujoco.__version__}"
+        return hashlib.sha256(versions.encode() + buffer.tobytes()).hexdigest()
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the J controlled joints."""
+        return self.robot.joint_names
+
+    @property
+    def timestep_s(self) -> float:
+        """Physics step [s]."""
+        return float(self.model.opt.timestep)
+
+    @property
+    def command_signals(self) -> tuple[str, ...]:
+        """Command signals that the controller follows; the first is required."""
+        return tuple(dict.fromkeys(channel.signal for channel in self.channels))
+
+    @property
+    def torque_limits(self) -> dict[str, float]:
+        """Joint name -> largest torque of its actuators [Nm or N]; joints without a limit are left out."""
+        own = {
+            joint: torque_limit_of(
+                self.model, joint, [channel.actuator for channel in self.channels if channel.joint == joint]
+            )
+            for joint in self.joints
+        }
+        return {joint: limit for joint, limit in own.items() if limit is not None}
+
+    def rollout(self, request: RolloutRequest) -> RolloutResult:
+        """Simulate B motions of N steps.
+
+        Raises:
+            MissingSignal: the controller needs a signal that the command lacks.
+            DataError: a motion diverged; the message says when.
+        """
+        control = self._control(request.command)
+        copies = self._start(request.position, request.velocity)
+        count, steps = control.shape[:2]
+        position = np.empty((count, steps + 1, len(self._dofs)))
+        velocity, torque = np.empty_like(position), np.empty_like(position)
+        position[:, 0], velocity[:, 0] = request.position, request.velocity
+        for row in range(steps):
+            torque[:, row] = self._advance(copies, control[:, row])[:, self._dofs]
+            position[:, row + 1] = copies.position[:, self._dofs]
+            velocity[:, row + 1] = copies.velocity[:, self._dofs]
+            # DART is not asked to go on with what is not a number.
+            if copies.lost():
+                raise DataError(
+                    f"the simulation of {self.robot.name!r} diverged",
+                    got=f"{(row + 1) * self.timestep_s:.3f} s after its start, at a time step of {self.timestep_s} s",
+                    hint="Take a smaller simulation.timestep_s in robot.yaml, or lower gains.",
+                )
+        torque[:, -1] = torque[:, -2]
+        return RolloutResult(position=position, velocity=velocity, torque=torque)
+
+    def reset(self, position: Float[np.ndarray, "B J"], velocity: Float[np.ndarray, "B J"]) -> None:
+        """Put B independent copies of the robot into these states, at time 0."""
+        self._copies = self._start(position, velocity)
+
+    def step(self, command: Mapping[str, Float[np.ndarray, "B J"]]) -> dict[str, Float[np.ndarray, "B J"]]:
+        """Advance every copy by one physics step.
+
+        Returns:
+            `position` and `velocity` after the step and `torque` during it, each (B, J).
+
+        Raises:
+            MissingSignal: the controller needs a signal that the command lacks.
+            DataError: `reset` was not called.
+        """
+        if self._copies is None:
+            raise DataError("step before reset", hint="Call reset(position, velocity) first.")
+        control = self._control({name: values[:, None, :] for name, values in command.items()})
+        torque = self._advance(self._copies, control[:, 0])
+        return {
+            "position": self._copies.position[:, self._dofs],
+            "velocity": self._copies.velocity[:, self._dofs],
+            "torque": torque[:, self._dofs],
+        }
+
+    def _start(self, position: Float[np.ndarray, "B J"], velocity: Float[np.ndarray, "B J"]) -> _Copies:
+        q = np.tile(self.model.qpos0, (len(position), 1))
+        v = np.zeros_like(q)
+        q[:, self._dofs], v[:, self._dofs] = position, velocity
+        return _Copies(self.model, q, v, self._actuators.start(q))
+
+    def _advance(self, copies: _Copies, control: Float64[np.ndarray, "B U"]) -> Float64[np.ndarray, "B V"]:
+        """One step; returns the torque that the actuators asked for."""
+        q, v, numbers = copies.position, copies.velocity, self._numbers
+        torque, copies.activation = self._actuators.torque(copies.activation, control, q, v)
+        braked = torque.damping + self._rotor
+        force = torque.given + braked * v
+        copies.damp(numbers.damping + braked)
+        if self._friction.there:
+            force += self._friction.force(v)
+            force += copies.friction(force, self._friction.level(q, v))
+        copies.step(force)
+        return torque.asked
+
+    def _control(self, command: Mapping[str, Float[np.ndarray, "B N J"]]) -> Float64[np.ndarray, "B N U"]:
+        required = self.command_signals[0]
+        if required not in command:
+            raise MissingSignal(
+                f"the controller of {self.robot.name!r} follows {required!r}, which the command lacks",
+                available=command,
+            )
+        control = np.zeros((*command[required].shape[:2], self.model.nu))
+        for row, column, signal in self._controls:
+            if signal in command:  # PD without a velocity command damps towards standstill
+                control[:, :, row] = command[signal][:, :, column]
+        return control
+
+
+class _Copies:
+    """B skeletons in a world of their own; made anew for each start, so that no step remembers an earlier motion."""
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        position: Float64[np.ndarray, "B V"],
+        velocity: Float64[np.ndarray, "B V"],
+        activation: Float64[np.ndarray, "B A"],
+    ) -> None:
+        dart = load_dart()
+        self.position, self.velocity, self.activation = position.copy(), velocity.copy(), activation
+        self._world = dart.simulation.World()
+        self._world.setTimeStep(float(model.opt.timestep))
+        self._world.setGravity(gravity_of(model))
+        asleep = self._world.getDeactivationOptions()
+        asleep.mEnabled = False  # DART would freeze a robot that moves slowly
+        self._world.setDeactivationOptions(asleep)
+        self._skeletons, self._joints = [], []
+        for row in range(len(position)):
+            skeleton = skeleton_of(model)
+            skeleton.setName(f"copy{row}")
+            skeleton.setPositions(position[row])
+            skeleton.setVelocities(velocity[row])
+            self._world.addSkeleton(skeleton)
+            self._skeletons.append(skeleton)
+            self._joints.append([skeleton.getDof(dof) for dof in range(model.nv)])
+        self._step_s = float(model.opt.timestep)
+        self._damping, self._impulse = np.zeros_like(position), np.zeros_like(position)
+
+    def damp(self, damping: Float64[np.ndarray, "B V"]) -> None:
+        if np.array_equal(damping, self._damping):
+            return
+        for row, dof in np.argwhere(damping != self._damping).tolist():
+            self._joints[row][dof].setDampingCoefficient(damping[row, dof])
+        self._damping = damping.copy()
+
+    def friction(self, force: Float64[np.ndarray, "B V"], level: Float64[np.ndarray, "B V"]) -> np.ndarray:
+        """The friction of this step, of at most `level`, if `force` acts beside it, (B, V)."""
+        for row, skeleton in enumerate(self._skeletons):
+            skeleton.setForces(force[row])
+            skeleton.computeForwardDynamics()
+            free = self.velocity[row] + self._step_s * skeleton.getAccelerations()
+            mobility = np.linalg.inv(skeleton.getAugMassMatrix())
+            self._impulse[row] = friction_impulse(mobility, free, level[row] * self._step_s, self._impulse[row])
+        return self._impulse / self._step_s
+
+    def lost(self) -> bool:
+        """Whether the numbers are absurd, or no numbers at all."""
+        q, v = self.position.ravel(), self.velocity.ravel()
+        return not (q @ q <= _ABSURD**2 and v @ v <= _ABSURD**2)
+
+    def step(self, force: Float64[np.ndarray, "B V"]) -> None:
+        for skeleton, own in zip(self._skeletons, force, strict=True):
+            skeleton.setForces(own)
+        self._world.step()
+        for row, skeleton in enumerate(self._skeletons):
+            self.position[row] = skeleton.getPositions()
+            self.velocity[row] = skeleton.getVelocities()

@@ -1,0 +1,27 @@
+"""The physics engines by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, get_args
+
+from trueup.errors import ConfigError
+from trueup.robots import RobotSpec
+from trueup.sim.dart_engine import DartSimulator
+from trueup.sim.mujoco_engine import MujocoSimulator
+
+Engine = Literal["mujoco", "dart"]
+ENGINES: tuple[str, ...] = get_args(Engine)
+
+
+def make_simulator(engine: str, robot: RobotSpec, model_path: Path) -> MujocoSimulator | DartSimulator:
+    """The simulator of a robot in the engine of this name.
+
+    Raises:
+        ConfigError: no such engine; it is not installed; the model does not load or cannot be matched.
+        NameMismatch: a joint is not in the model.
+    """
+    if engine not in ENGINES:
+        raise ConfigError(f"there is no engine {engine!r}", available=ENGINES)
+    kind = MujocoSimulator if engine == "mujoco" else DartSimulator
+    return kind.from_robot(robot, model_path)
