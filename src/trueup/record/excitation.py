@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
@@ -21,6 +21,7 @@ from trueup.record.references import ReferenceSettings, amplitudes, scaled, shap
 from trueup.record.scene import Scene
 
 
+@runtime_checkable
 class Information(Protocol):
     """What a motion tells about P parameters."""
 
@@ -198,7 +199,7 @@ class _Search:
         unit = shape(functions, len(self.scene.joints), clock, self.reference)
         # A coefficient of 1 is the whole room: less is taken as it is, more is scaled down.
         room = np.minimum(self.limits.high - self.center, self.center - self.limits.low)
-        largest = amplitudes(unit, self.center, self.limits, self.design.position_share)
+        largest = amplitudes(unit, clock.timestep_s, self.center, self.limits, self.design.position_share)
         # The final clock sees peaks between the samples of the search.
         return scaled(unit, factor * np.minimum(0.99 * largest, room), self.center)
 
@@ -213,7 +214,7 @@ class _Search:
         return _Candidate(coefficients, factor, -np.inf)
 
 
-def _log_det(matrix: Float64[np.ndarray, "P P"]) -> float:
+def _log_det(matrix: Float64[np.ndarray, "..."]) -> float:
     if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not np.isfinite(matrix).all():
         raise ConfigError("the information is no square matrix of finite numbers", got=f"shape {matrix.shape}")
     values = np.linalg.eigvalsh((matrix + matrix.T) / 2)

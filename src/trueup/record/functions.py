@@ -6,7 +6,7 @@ The last two are the input functions of GapONet, section A.4.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
@@ -16,6 +16,7 @@ from trueup.errors import ConfigError
 Samples = Float64[np.ndarray, "T"]
 
 
+@runtime_checkable
 class Function(Protocol):
     """A function of time."""
 

@@ -157,7 +157,7 @@ def _search(
 
 def _straightened(
     scene: Scene, way: Float64[np.ndarray, "K J"], rng: np.random.Generator, draws: int
-) -> Float64[np.ndarray, "K J"]:
+) -> Float64[np.ndarray, "L J"]:
     """Replace parts of a path by straight lines, where these are free."""
     for _ in range(draws):
         if len(way) == 2:
@@ -176,7 +176,7 @@ def _straightened(
     return _without_needless(scene, way)
 
 
-def _without_needless(scene: Scene, way: Float64[np.ndarray, "K J"]) -> Float64[np.ndarray, "K J"]:
+def _without_needless(scene: Scene, way: Float64[np.ndarray, "K J"]) -> Float64[np.ndarray, "L J"]:
     """From each way point straight to the farthest one that can be seen."""
     kept, row = [0], 0
     while row < len(way) - 1:

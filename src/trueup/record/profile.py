@@ -57,14 +57,25 @@ class Profile:
     velocity: Float64[np.ndarray, "N J"]
     acceleration: Float64[np.ndarray, "N J"]
 
-    def usage(self, limits: JointLimits) -> float:
+    def largest(self, timestep_s: float) -> tuple[Float64[np.ndarray, "J"], Float64[np.ndarray, "J"]]:
+        """The largest speed and acceleration of each joint, (J,).
+
+        Those that positions have from sample to sample count, too: the peak may lie between two samples.
+        """
+        speed = np.abs(np.diff(self.position, axis=0)).max(axis=0, initial=0) / timestep_s
+        thrust = np.abs(np.diff(self.position, n=2, axis=0)).max(axis=0, initial=0) / timestep_s**2
+        return (
+            np.maximum(speed, np.abs(self.velocity).max(axis=0)),
+            np.maximum(thrust, np.abs(self.acceleration).max(axis=0)),
+        )
+
+    def usage(self, limits: JointLimits, timestep_s: float) -> float:
         """The largest share of a velocity limit, or root of a share of an acceleration limit, that is used.
 
         It is the factor by which the motion must be slowed down to keep the limits, where it is above one.
         """
-        speed = np.abs(self.velocity).max(axis=0) / limits.velocity
-        thrust = np.sqrt(np.abs(self.acceleration).max(axis=0) / limits.acceleration)
-        return float(max(speed.max(), thrust.max()))
+        speed, thrust = self.largest(timestep_s)
+        return float(max((speed / limits.velocity).max(), np.sqrt(thrust / limits.acceleration).max()))
 
     def with_rest(self, samples: int) -> Profile:
         """The same with so many samples of rest before and after."""

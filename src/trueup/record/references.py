@@ -102,19 +102,20 @@ def shape(functions: Mapping[int, Function], joints: int, clock: ClockSettings, 
 
 
 def amplitudes(
-    unit: Profile, center: Float64[np.ndarray, "J"], limits: JointLimits, position_share: float
+    unit: Profile, timestep_s: float, center: Float64[np.ndarray, "J"], limits: JointLimits, position_share: float
 ) -> Float64[np.ndarray, "J"]:
     """The largest factor of each column of a profile around zero that keeps every limit around a center, (J,).
 
     Columns that do not move get 0.
     """
+    speed, thrust = unit.largest(timestep_s)
     with np.errstate(divide="ignore", invalid="ignore"):
         factors = np.stack(
             [
                 position_share * (limits.high - center) / unit.position.max(axis=0).clip(min=0),
                 position_share * (center - limits.low) / (-unit.position.min(axis=0)).clip(min=0),
-                limits.velocity / np.abs(unit.velocity).max(axis=0),
-                limits.acceleration / np.abs(unit.acceleration).max(axis=0),
+                limits.velocity / speed,
+                limits.acceleration / thrust,
             ]
         )
     moves = np.ptp(unit.position, axis=0) > 0
@@ -162,7 +163,7 @@ def function_reference(
     columns = dict(zip(limits.columns(moving), functions.values(), strict=True))
     scene.require_free(center, "the center of the reference")
     unit = shape(columns, len(scene.joints), settings.clock, reference)
-    factor = amplitudes(unit, center, limits, reference.position_share)
+    factor = amplitudes(unit, settings.clock.timestep_s, center, limits, reference.position_share)
     for _ in range(_SHRINKS):
         profile = scaled(unit, factor, center)
         if scene.first_collision(profile.position, clearance_m=scene.clearance_m) is None:

@@ -117,7 +117,7 @@ def _within(
         # The average's own velocities are differences of positions: those of a reference that jumps are not needed.
         once = averaged(Profile(position, still, still), steps, clock.timestep_s)
         profile = averaged(once, steps, clock.timestep_s)
-        usage = profile.usage(limits)
+        usage = profile.usage(limits, clock.timestep_s)
         if usage <= 1:
             return profile, span_s
         span_s *= usage * 1.001

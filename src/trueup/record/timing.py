@@ -86,10 +86,11 @@ def time_path(path: Any, limits: JointLimits, clock: ClockSettings) -> Profile:
     if rate is None or not np.isfinite(rate).all() or not (rate[1:] + rate[:-1] > 0).all():
         raise NoPlan("no timing keeps the limits along the path", hint="Choose another goal or higher limits.")
     schedule = _Schedule(method.problem_data.gridpoints, rate)
-    profile = schedule.sampled(path, clock, 1.0)
-    usage = profile.usage(limits)
+    least = schedule.least_steps(clock)
+    profile = schedule.sampled(path, clock, least)
+    usage = profile.usage(limits, clock.timestep_s)
     if usage > 1:  # between the points at which the constraints are held
-        profile = schedule.sampled(path, clock, usage * (1 + 1e-9))
+        profile = schedule.sampled(path, clock, 1 + int(np.ceil(usage * least)))
     return averaged(profile, round(clock.smoothing_s * clock.rate_hz), clock.timestep_s)
 
 
@@ -106,10 +107,13 @@ class _Schedule:
         self._times = np.concatenate([[0.0], np.cumsum(2 * np.diff(grid) / (rate[1:] + rate[:-1]))])
         self._thrust = (rate[1:] ** 2 - rate[:-1] ** 2) / (2 * np.diff(grid))
 
-    def sampled(self, path: Any, clock: ClockSettings, slower: float) -> Profile:
-        """The motion at the clock's steps, slowed down by a factor and on to a whole number of steps."""
+    def least_steps(self, clock: ClockSettings) -> int:
+        """The number of the clock's steps that is no faster than the schedule."""
+        return max(1, int(np.ceil(float(self._times[-1]) * clock.rate_hz - 1e-9)))
+
+    def sampled(self, path: Any, clock: ClockSettings, count: int) -> Profile:
+        """The motion in `count` steps of the clock, as much slower as it must be for that."""
         duration = float(self._times[-1])
-        count = max(1, int(np.ceil(slower * duration * clock.rate_hz - 1e-9)))
         slower = count * clock.timestep_s / duration
         time_s = np.linspace(0, duration, count + 1)
         piece = np.clip(np.searchsorted(self._times, time_s, side="right") - 1, 0, len(self._thrust) - 1)
@@ -122,4 +126,8 @@ class _Schedule:
         profile = Profile(path(where), slope * rate, bend * rate**2 + slope * thrust)
         profile.velocity[[0, -1]] = 0.0
         profile.position[-1] = path.c[-1]
+        # Splines of a constant are constant up to rounding; a joint that does not move does not move at all.
+        still = np.ptp(path.c, axis=0) == 0
+        profile.position[:, still] = path.c[0, still]
+        profile.velocity[:, still] = profile.acceleration[:, still] = 0.0
         return profile
