@@ -10,6 +10,7 @@ A block is planned and written as a whole, its JSON last; so a block is there or
 from __future__ import annotations
 
 import hashlib
+import importlib
 import shutil
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
@@ -95,6 +96,8 @@ def plan_all(
     make_folder(folder / BLOCKS)
     lock = FolderLock(folder)
     try:
+        for left in (folder / BLOCKS).glob(".*.tmp"):  # of a process that was killed
+            left.unlink(missing_ok=True)
         record = {**asked, "complete": False, "provenance": provenance(config=asked, seed=spec.seed)}
         write_json(folder / PLANS_NAME, record)
         counts = _plan_blocks(spec, robot, path, folder, jobs, progress)
@@ -179,8 +182,10 @@ _worker: _BlockPlanner | None = None
 
 def _begin(spec: PlanSetSpec, robot: RobotSpec, model: Path, folder: Path) -> None:
     global _worker  # what a process of the pool keeps between blocks
-    threadpool_limits(1)  # the matrices are small, and the other processes want their cores
     _worker = _BlockPlanner(spec, robot, model, folder)
+    # The matrices are small, and the other processes want their cores. What is not loaded yet cannot be told so.
+    importlib.import_module("scipy.interpolate")
+    threadpool_limits(1)
 
 
 def _plan_block(number: int) -> tuple[int, int]:
