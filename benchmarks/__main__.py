@@ -10,6 +10,7 @@ NAMES = (
     "import_sage",
     "import_mcap",
     "replay",
+    "planning",
     "friction",
     "engines",
     "pipeline",

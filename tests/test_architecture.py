@@ -23,6 +23,7 @@ ARROWS = {
     "robots": set(),
     "sim": {"robots"},
     "lab": {"sim", "robots"},
+    "record": {"dataset", "robots"},
     "identify": {"align", "measure", "robots", "sim"},
     "report": set(),
     "stages": {"dataset", "align", "measure", "robots", "sim", "lab", "identify"},
@@ -75,6 +76,7 @@ def test_every_part_has_an_arrow_and_stands_in_the_architecture_page():
         ("trueup.report", {"torch", "mujoco", "pyarrow"}),
         ("trueup.dataset", {"torch", "mujoco"}),
         ("trueup.measure", {"torch", "mujoco"}),
+        ("trueup.record", {"torch", "mujoco", "ompl", "toppra", "mink", "scipy"}),
         ("trueup.cli.main", {"torch", "mujoco", "plotly", "scipy"}),
     ],
 )

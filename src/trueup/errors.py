@@ -113,6 +113,10 @@ class MissingDependency(TrueupError):
     """An optional package is needed and not installed."""
 
 
+class NoPlan(TrueupError):
+    """No motion was found: a pose is in collision, a line is out of reach, or the planner's attempts are used up."""
+
+
 class NotIdentifiable(TrueupError):
     """The data do not determine what was asked for, e.g. the delay of a constant command."""
 

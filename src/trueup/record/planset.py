@@ -1,0 +1,309 @@
+"""What motions a data set is made of, and any one of them, planned alone."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from itertools import combinations
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from trueup.core.config import build, read_yaml
+from trueup.dataset import SPLITS
+from trueup.errors import ConfigError
+from trueup.record.lines import PLANES, random_line
+from trueup.record.motion import MotionSettings, random_joint_motion
+from trueup.record.plan import Plan
+from trueup.record.references import FUNCTIONS, ReferenceSettings, random_reference
+from trueup.record.scene import Scene
+from trueup.record.splines import ORDERS, random_spline
+from trueup.record.workspace import Workspace, load_workspace
+from trueup.robots import RobotSpec
+
+PLANS_SCHEMA = "trueup.plans/1"
+
+# With more joints than this, sets of joints are drawn; with fewer, each of them has its turn.
+_ALL_SUBSETS = 10
+
+
+@dataclass(frozen=True)
+class MotionGroup:
+    """Motions of one kind.
+
+    Attributes:
+        name: for ids and as the condition of the episodes; letters, digits, `_ . -`.
+        kind: `joint` (to a random goal), `cartesian` (lines), `b-spline`, or a function of time: `chirp`,
+            `multisine`, `random-field`, `chebyshev`.
+        count: number of motions.
+        moving: `single` moves one joint at a time, each in its turn; `multi` two or more, all sets of them in turn;
+            `all` all. Not for `cartesian` and `b-spline`, which move what they must.
+        joints: the joints that may be chosen; all if empty.
+        split: the split of all of them; drawn by the set's fractions if empty.
+        velocity_share: range from which the share of the velocity limits is drawn.
+
+    Raises:
+        ConfigError: no name, a negative count, a range that is none.
+    """
+
+    name: str
+    kind: Literal["joint", "cartesian", "b-spline", "chirp", "multisine", "random-field", "chebyshev"]
+    count: int
+    moving: Literal["single", "multi", "all"] = "multi"
+    joints: tuple[str, ...] = ()
+    split: Literal["", "train", "val", "test"] = ""
+    velocity_share: tuple[float, float] = (0.2, 1.0)
+
+    def __post_init__(self) -> None:
+        """Refuse groups that cannot be planned."""
+        if not self.name or not all(letter.isalnum() or letter in "_.-" for letter in self.name):
+            raise ConfigError("this is no name for a group", got=repr(self.name), expected="letters, digits, _ . -")
+        if self.count < 0:
+            raise ConfigError(f"group {self.name!r} has a negative count", got=self.count)
+        low, high = self.velocity_share
+        if not 0 < low <= high <= 1:
+            raise ConfigError(
+                f"velocity_share of group {self.name!r} is no range of shares", got=(low, high), expected="in (0, 1]"
+            )
+
+
+@dataclass(frozen=True)
+class PlanSetSpec:
+    """A set of motions, as a function of a seed.
+
+    Attributes:
+        name: for people.
+        groups: what it is made of.
+        seed: of all draws. Motion k of a group is a function of the seed, the group's name and k, so that any of
+            them can be planned alone, and a smaller set holds the first motions of a larger one.
+        fractions: split -> share of each group that has no split of its own, drawn by whole motions.
+        workspace: what stands around the robot.
+        clearance_m: what planning keeps between things that must not touch [m].
+        motion: clock, planner, attempts.
+        reference: what functions of time are drawn.
+        velocity_limits: joint -> largest speed, where the model has none [rad/s or m/s].
+        acceleration_limits: joint -> largest acceleration, where the model has none [rad/s^2 or m/s^2].
+        schema: `trueup.plans/1`.
+
+    Raises:
+        ConfigError: no group, two of one name, fractions that do not add up to 1, a negative seed.
+    """
+
+    name: str
+    groups: tuple[MotionGroup, ...]
+    seed: int = 0
+    fractions: Mapping[str, float] = field(default_factory=lambda: {"train": 0.8, "val": 0.15, "test": 0.05})
+    workspace: Workspace = field(default_factory=Workspace)
+    clearance_m: float = 0.01
+    motion: MotionSettings = field(default_factory=MotionSettings)
+    reference: ReferenceSettings = field(default_factory=ReferenceSettings)
+    velocity_limits: Mapping[str, float] = field(default_factory=dict)
+    acceleration_limits: Mapping[str, float] = field(default_factory=dict)
+    schema: Literal["trueup.plans/1"] = "trueup.plans/1"
+
+    def __post_init__(self) -> None:
+        """Refuse sets that are none."""
+        names = [group.name for group in self.groups]
+        if len(set(names)) != len(names) or not sum(group.count for group in self.groups):
+            raise ConfigError("a plan set needs motions in groups of different names", got=names)
+        if not set(self.fractions) <= set(SPLITS) or abs(sum(self.fractions.values()) - 1) > 1e-9:
+            raise ConfigError("fractions must add up to 1", got=dict(self.fractions), expected=SPLITS)
+        if min(self.fractions.values()) < 0 or self.seed < 0:
+            raise ConfigError("fractions and seed must not be negative", got=(dict(self.fractions), self.seed))
+
+    def __len__(self) -> int:
+        """The number of motions."""
+        return sum(group.count for group in self.groups)
+
+    def scaled(self, scale: float) -> PlanSetSpec:
+        """The same with `scale` times the motions of each group, at least one of each.
+
+        Raises:
+            ConfigError: a scale that is not positive.
+        """
+        if not (scale > 0 and np.isfinite(scale)):
+            raise ConfigError("the scale must be positive", got=scale)
+        groups = (replace(group, count=max(1, round(scale * group.count)) * (group.count > 0)) for group in self.groups)
+        return replace(self, groups=tuple(groups))
+
+    def place(self, number: int) -> tuple[MotionGroup, int]:
+        """The group of a motion, and its place in it.
+
+        Args:
+            number: 0 to len - 1, through all groups.
+
+        Raises:
+            ConfigError: there is no such motion.
+        """
+        left = number
+        for group in self.groups:
+            if 0 <= left < group.count:
+                return group, left
+            left -= group.count
+        raise ConfigError("there is no such motion", got=number, expected=f"0 to {len(self) - 1}")
+
+    def id(self, number: int) -> str:
+        """The id of a motion."""
+        group, index = self.place(number)
+        return f"{group.name}/{index:05d}"
+
+    def number(self, id: str) -> int:
+        """The number of a motion, from its id.
+
+        Raises:
+            ConfigError: there is no such motion.
+        """
+        name, _, digits = id.rpartition("/")
+        before = 0
+        for group in self.groups:
+            if group.name == name and digits.isdecimal() and int(digits) < group.count:
+                return before + int(digits)
+            before += group.count
+        raise ConfigError(f"there is no motion {id!r}", available=[group.name for group in self.groups])
+
+    def split(self, number: int) -> str:
+        """The split of a motion."""
+        group, index = self.place(number)
+        return group.split or self._splits[group.name][index]
+
+    @cached_property
+    def _splits(self) -> Mapping[str, list[str]]:
+        splits = {}
+        for group in self.groups:
+            parts = _parts(group.count, self.fractions)
+            ordered = [split for split, count in parts.items() for _ in range(count)]
+            order = _rng(self.seed, f"{group.name} split", 0).permutation(group.count)
+            splits[group.name] = [ordered[place] for place in order]
+        return splits
+
+    def scene(self, robot: RobotSpec, *, model: Path | None = None) -> Scene:
+        """The robot in the set's workspace; see `Scene` for errors."""
+        return Scene(
+            robot,
+            workspace=self.workspace,
+            model=model,
+            clearance_m=self.clearance_m,
+            velocity=self.velocity_limits,
+            acceleration=self.acceleration_limits,
+        )
+
+    def plan(self, scene: Scene, number: int) -> Plan:
+        """One motion; the same arguments give the same plan.
+
+        Raises:
+            ConfigError: there is no such motion.
+            NameMismatch: a joint of its group is not the robot's.
+            NoPlan: none of the attempts led to a motion.
+        """
+        group, index = self.place(number)
+        rng = _rng(self.seed, group.name, index)
+        plan = _planned(self, group, index, scene, rng)
+        return replace(
+            plan,
+            id=self.id(number),
+            condition=group.name,
+            split=self.split(number),
+            seed=self.seed,
+            index=index,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON types only."""
+        return asdict(self)
+
+
+def paper_plans(*, seed: int = 0, workspace: Workspace | None = None) -> PlanSetSpec:
+    """The motions of Realeasy (section IV-B) and the LSTM thesis (section 5.7).
+
+    850 of several joints and 870 of a single one at 20 to 100 % of the velocity limits, split 80/15/5 by whole motions,
+    and 50 Cartesian lines for testing only.
+    """
+    groups = (
+        MotionGroup("multi-joint", "joint", 850, moving="multi"),
+        MotionGroup("single-joint", "joint", 870, moving="single"),
+        MotionGroup("cartesian", "cartesian", 50, split="test"),
+    )
+    return PlanSetSpec("paper", groups, seed=seed, workspace=workspace or load_workspace("cell"))
+
+
+def load_plans(name_or_path: str | Path) -> PlanSetSpec:
+    """A description by the name of a built-in one (`paper`), or from a YAML file.
+
+    `workspace` in the file is a mapping, the name of a shipped workspace, or the path of a file beside it.
+
+    Raises:
+        ConfigError: there is none, or its content is wrong.
+    """
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        if str(name_or_path) != "paper":
+            raise ConfigError(
+                f"there is no plan set {str(name_or_path)!r}",
+                available=["paper"],
+                hint="Give this name, or the path of a YAML file with `groups`.",
+            )
+        return paper_plans()
+    tree = read_yaml(path)
+    workspace = tree.get("workspace")
+    if isinstance(workspace, str):
+        is_file = workspace.endswith((".yaml", ".yml"))
+        loaded = load_workspace(path.parent / workspace if is_file else workspace)
+        tree = {**tree, "workspace": asdict(loaded)}
+    return build(PlanSetSpec, tree, str(path))
+
+
+def _rng(seed: int, name: str, index: int) -> np.random.Generator:
+    return np.random.default_rng([seed, zlib.crc32(name.encode()), index])
+
+
+def _parts(count: int, fractions: Mapping[str, float]) -> dict[str, int]:
+    """Whole numbers in the ratio of the fractions, by largest remainder."""
+    exact = {split: count * share for split, share in fractions.items()}
+    parts = {split: int(value + 1e-9) for split, value in exact.items()}
+    by_rest = sorted(exact, key=lambda split: parts[split] - exact[split])
+    for split in by_rest[: count - sum(parts.values())]:
+        parts[split] += 1
+    return parts
+
+
+def _planned(spec: PlanSetSpec, group: MotionGroup, index: int, scene: Scene, rng: np.random.Generator) -> Plan:
+    share = float(rng.uniform(*group.velocity_share))
+    settings = spec.motion
+    if group.kind == "cartesian":
+        return random_line(scene, PLANES[index % len(PLANES)], rng, velocity_share=share, settings=settings)
+    if group.kind == "b-spline":
+        return random_spline(scene, ORDERS[index % len(ORDERS)], rng, velocity_share=share, settings=settings)
+    moving = _moving(spec, group, index, scene, rng)
+    if group.kind in FUNCTIONS:
+        return random_reference(
+            scene,
+            group.kind,
+            moving,
+            rng,
+            velocity_share=share,
+            reference=spec.reference,
+            settings=settings,
+        )
+    return random_joint_motion(scene, moving, rng, velocity_share=share, settings=settings)
+
+
+def _moving(
+    spec: PlanSetSpec, group: MotionGroup, index: int, scene: Scene, rng: np.random.Generator
+) -> tuple[str, ...]:
+    joints = group.joints or scene.joints
+    scene.limits.columns(joints)
+    if group.moving == "all":
+        return joints
+    if group.moving == "single":
+        return (joints[index % len(joints)],)
+    if len(joints) < 2:
+        raise ConfigError(f"group {group.name!r} moves several joints and may choose from {list(joints)}")
+    if len(joints) > _ALL_SUBSETS:
+        size = int(rng.integers(2, len(joints) + 1))
+        return tuple(joints[row] for row in sorted(rng.choice(len(joints), size, replace=False)))
+    subsets = [subset for size in range(2, len(joints) + 1) for subset in combinations(joints, size)]
+    order = _rng(spec.seed, f"{group.name} joints", 0).permutation(len(subsets))
+    return tuple(subsets[int(order[index % len(subsets)])])
