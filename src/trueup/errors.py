@@ -102,6 +102,10 @@ class MissingDependency(TrueupError):
     """An optional package is needed and not installed."""
 
 
+class RobotStopped(TrueupError):
+    """A robot has stopped and takes no commands until it is told to recover."""
+
+
 class NotIdentifiable(TrueupError):
     """The data do not determine what was asked for, e.g. the delay of a constant command."""
 
