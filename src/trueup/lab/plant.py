@@ -25,7 +25,7 @@ NEVER = 2**62
 # A joint with its brake on: stiff enough not to be seen, soft enough for the physics step.
 _BRAKE_STIFFNESS, _BRAKE_DAMPING = 2e4, 50.0
 # How fast a bristle comes to rest [s].
-_BRISTLE_S = 5e-4
+_BRISTLE_S = 2e-3
 
 
 class Engine(NamedTuple):
@@ -156,19 +156,21 @@ def friction_level(
     shift: float,
     velocity: float,
     torque: float,
+    side: float,
 ) -> float:
-    """How much a joint that moves at `velocity` [rad/s] and carries `torque` [Nm] is braked [Nm], never negative."""
-    side = 1.0 if velocity > 0.0 else -1.0 if velocity < 0.0 else 0.0
+    """How much a joint that moves at `velocity` [rad/s] and carries `torque` [Nm] is braked at most [Nm].
+
+    `side` is the direction, +1 or -1, of the motion that is braked, or would be if the joint did not stick.
+    """
     speed = abs(velocity)
     total = coulomb + load * abs(torque) + viscous * speed
     if static != coulomb:
         ratio = velocity / stribeck_velocity
         total += (static - coulomb) * math.exp(-ratio * ratio)
     if sigmoid_level != 0.0:
-        total += (
-            side * sigmoid_level * 0.5 * (math.tanh(0.5 * slope * (velocity + shift)) - math.tanh(0.5 * slope * shift))
-        )
-    return max(0.0, (1.0 + side * asymmetry) * total)
+        rise = math.tanh(0.5 * slope * (velocity + shift)) - math.tanh(0.5 * slope * shift)
+        total += 0.5 * sigmoid_level * abs(rise)
+    return (1.0 + side * asymmetry) * total
 
 
 def _weigh(engine: Engine, numbers: Numbers, state: State) -> None:
@@ -260,6 +262,9 @@ def _loop(step: Any, weigh: Any, friction: Any) -> Any:
         v = engine.qvel[i]
         elastic = numbers.stiffness[j] > 0.0
         drive = state.drive[j]
+        # The bristle is bent by the motion; what it resists is the direction in which it is bent.
+        before = state.bristle[j]
+        bent = before + v * dt
         if numbers.ripple_nm[j] != 0.0:
             angle = settings.ripple_periods * state.motor_position[j]
             drive += numbers.ripple_nm[j] * (
@@ -278,6 +283,7 @@ def _loop(step: Any, weigh: Any, friction: Any) -> Any:
             numbers.sigmoid_shift[j],
             v,
             state.spring[j],
+            1.0 if bent > 0.0 else -1.0,
         )
         lost = 0.0
         if elastic:
@@ -302,10 +308,9 @@ def _loop(step: Any, weigh: Any, friction: Any) -> Any:
             stiff, damp = brake_stiffness, brake_damping
         elif not elastic and stiff == 0.0 and total > 0.0:
             stiff, damp = brake_stiffness, 0.0
-        before = state.bristle[j]
-        # The bristle's rate, v - stiff |v| z / level, solved at the end of the step: stable at any speed.
-        scale = total + stiff * dt * abs(v)
-        after = total * (before + v * dt) / scale if scale > 0.0 else 0.0
+        # A spring that slips when it carries all that friction can: no creep below that, and stable at any speed.
+        most_bent = total / stiff if stiff > 0.0 else 0.0
+        after = min(max(bent, -most_bent), most_bent)
         state.bristle[j] = after
         brakes = stiff * after + damp * (after - before) / dt
         lost += brakes * v

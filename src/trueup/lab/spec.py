@@ -48,8 +48,8 @@ class Friction:
         (1 + a s) (F_c + (F_s - F_c) exp(-(v / stribeck_velocity)^2) + load |t| + viscous |v| + s sigmoid(v)),
 
     where F_s (1 + a) and F_s (1 - a) are the breakaway torques, F_c is `sliding` F_s, and sigmoid(v) is eq. 2.1 of the
-    ES thesis. While it sticks, the joint gives way by `presliding_rad` as a stiff spring. (An implicit form of the
-    LuGre model of Canudas de Wit et al., 1995.) The motor has dry friction of its own besides.
+    ES thesis. A joint that sticks gives way like a spring, by `presliding_rad` until it breaks away, and does not
+    creep. The motor has dry friction of its own besides.
 
     Attributes:
         enabled: whether the effect is there.
