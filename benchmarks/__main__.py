@@ -11,6 +11,7 @@ NAMES = (
     "import_mcap",
     "replay",
     "friction",
+    "lab",
     "pipeline",
     "identify_servo",
     "identify_torque",

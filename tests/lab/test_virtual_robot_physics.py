@@ -293,7 +293,7 @@ def test_springs_twist_by_what_they_carry_and_swing_at_their_frequency():
 
 
 def test_ripple_has_its_period_in_the_motor_angle_and_its_amplitude():
-    spec = lab("ripple", ripple=Ripple(spread=0.0, periods_per_turn=40.0))
+    spec = lab("ripple", ripple=Ripple(amplitude_nm=(0.4,), spread=0.0, periods_per_turn=40.0))
     truth = draw_truth(spec)
     count = 4000
     position = np.tile(HOME, (count, 1))

@@ -72,7 +72,7 @@ class Friction:
     breakaway_negative: PerJoint = (0.62, 0.81, 0.42, 0.51, 0.67, 0.23, 0.35)
     sliding: float = 0.7
     stribeck_velocity: float = 0.05
-    load: float = 0.01
+    load: float = 0.005
     viscous: PerJoint = (0.3, 0.3, 0.2, 0.2, 0.1, 0.1, 0.1)
     sigmoid_level: PerJoint = (0.5462, 0.8722, 0.6407, 1.2794, 0.8390, 0.3030, 0.5649)
     sigmoid_slope: PerJoint = (5.1181, 9.0657, 10.1360, 5.5903, 8.3469, 17.1330, 10.3360)
@@ -130,7 +130,7 @@ class Ripple:
     """
 
     enabled: bool = True
-    amplitude_nm: PerJoint = (0.4, 0.4, 0.3, 0.3, 0.15, 0.15, 0.1)
+    amplitude_nm: PerJoint = (0.12, 0.12, 0.12, 0.12, 0.05, 0.05, 0.04)
     periods_per_turn: float = 200.0
     spread: float = 0.2
 
