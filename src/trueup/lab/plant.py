@@ -49,35 +49,60 @@ class Engine(NamedTuple):
     gravity: np.ndarray  # (3,)
 
 
-class Numbers(NamedTuple):
-    """The joints, (J,); names as in `JointTruth` and `LabSpec`."""
-
-    motor_inertia: np.ndarray
-    static_nm: np.ndarray
-    coulomb_nm: np.ndarray
-    asymmetry: np.ndarray
-    stribeck_velocity: np.ndarray
-    load: np.ndarray
-    viscous: np.ndarray
-    sigmoid_level: np.ndarray
-    sigmoid_slope: np.ndarray
-    sigmoid_shift: np.ndarray
-    bristle_stiffness: np.ndarray
-    motor_friction_nm: np.ndarray
-    gravity_error: np.ndarray
-    gravity_offset_nm: np.ndarray
-    stiffness: np.ndarray
-    damping: np.ndarray
-    ripple_nm: np.ndarray
-    ripple_phase: np.ndarray
-    ripple_phase_second: np.ndarray
-    torque_limit: np.ndarray  # inf without saturation
-    torque_rate: np.ndarray  # [Nm per control step], inf without saturation
-    no_load_speed: np.ndarray  # inf without such a limit
-    brake_nm: np.ndarray
-    copper: np.ndarray
-    kp: np.ndarray
-    kd: np.ndarray
+# The joints, one record each: many arrays as arguments would take longer to pass than a control step takes. Names as in
+# `JointTruth` and `LabSpec`; limits are infinite where there is none, and `torque_rate` is per control step.
+NUMBERS = np.dtype(
+    [
+        (name, np.float64)
+        for name in (
+            "motor_inertia",
+            "static_nm",
+            "coulomb_nm",
+            "asymmetry",
+            "stribeck_velocity",
+            "load",
+            "viscous",
+            "sigmoid_level",
+            "sigmoid_slope",
+            "sigmoid_shift",
+            "bristle_stiffness",
+            "motor_friction_nm",
+            "gravity_error",
+            "gravity_offset_nm",
+            "stiffness",
+            "damping",
+            "ripple_nm",
+            "ripple_phase",
+            "ripple_phase_second",
+            "torque_limit",
+            "torque_rate",
+            "no_load_speed",
+            "brake_nm",
+            "copper",
+            "kp",
+            "kd",
+        )
+    ]
+)
+# What changes of a joint, besides MuJoCo's own state: `spring` is the torque between motor and link, `drive` that of
+# the motor, `rise` the temperature above the surroundings, `weight` what the compensation gives, `softness` what
+# warmth leaves of friction.
+JOINT_STATE = np.dtype(
+    [
+        (name, np.float64)
+        for name in (
+            "motor_position",
+            "motor_velocity",
+            "bristle",
+            "spring",
+            "drive",
+            "reference",
+            "rise",
+            "weight",
+            "softness",
+        )
+    ]
+)
 
 
 class Settings(NamedTuple):
@@ -98,15 +123,7 @@ class Settings(NamedTuple):
 class State(NamedTuple):
     """What changes, besides MuJoCo's own state."""
 
-    motor_position: np.ndarray  # (J,), as the next eight
-    motor_velocity: np.ndarray
-    bristle: np.ndarray
-    spring: np.ndarray  # torque between motor and link [Nm]
-    drive: np.ndarray  # torque of the motor [Nm]
-    reference: np.ndarray
-    rise: np.ndarray  # temperature above the surroundings [K]
-    weight: np.ndarray  # as the compensation sees it [Nm]
-    softness: np.ndarray
+    joints: np.ndarray  # (J,) of JOINT_STATE
     active: np.ndarray  # (2, J), the command that is followed: position or torque, velocity
     follows_velocity: np.ndarray  # (1,)
     ring: np.ndarray  # (R, 2, J), commands on their way
@@ -173,9 +190,9 @@ def friction_level(
     return (1.0 + side * asymmetry) * total
 
 
-def _weigh(engine: Engine, numbers: Numbers, state: State) -> None:
+def _weigh(engine: Engine, numbers: np.ndarray, state: State) -> None:
     for j in range(engine.column.size):
-        state.weight[j] = 0.0
+        state.joints[j].weight = 0.0
     gx, gy, gz = engine.gravity[0], engine.gravity[1], engine.gravity[2]
     for b in range(engine.known_mass.size):
         mass = engine.known_mass[b]
@@ -195,9 +212,11 @@ def _weigh(engine: Engine, numbers: Numbers, state: State) -> None:
                 pull = axis[0] * (ry * gz - rz * gy) + axis[1] * (rz * gx - rx * gz) + axis[2] * (rx * gy - ry * gx)
             else:
                 pull = axis[0] * gx + axis[1] * gy + axis[2] * gz
-            state.weight[j] -= mass * pull
+            state.joints[j].weight -= mass * pull
     for j in range(engine.column.size):
-        state.weight[j] = (1.0 + numbers.gravity_error[j]) * state.weight[j] + numbers.gravity_offset_nm[j]
+        state.joints[j].weight = (1.0 + numbers[j].gravity_error) * state.joints[j].weight + numbers[
+            j
+        ].gravity_offset_nm
 
 
 def _loop(step: Any, weigh: Any, friction: Any) -> Any:
@@ -213,97 +232,102 @@ def _loop(step: Any, weigh: Any, friction: Any) -> Any:
         slot = tick % slots
         lag = math.ceil(settings.delay + settings.jitter * orders.jitter[k] - 1e-9)
         counters[2] = max(counters[2], tick + lag)
-        state.ring[slot] = orders.command[k]
+        # Element by element: for a whole row numba compiles the text of an error about shapes, which takes seconds.
+        for signal in range(2):
+            for j in range(state.joints.size):
+                state.ring[slot, signal, j] = orders.command[k, signal, j]
         state.ring_velocity[slot] = orders.with_velocity
         state.arrival[slot] = counters[2]
         while counters[1] <= tick and state.arrival[counters[1] % slots] <= tick:
             slot = counters[1] % slots
-            state.active[:] = state.ring[slot]
+            for signal in range(2):
+                for j in range(state.joints.size):
+                    state.active[signal, j] = state.ring[slot, signal, j]
             state.follows_velocity[0] = state.ring_velocity[slot]
             counters[1] += 1
 
-    def control(engine: Engine, numbers: Numbers, settings: Settings, state: State, stopped: bool) -> None:  # noqa: FBT001
+    def control(engine: Engine, numbers: np.ndarray, settings: Settings, state: State, stopped: bool) -> None:  # noqa: FBT001
         """Motor torques from commands and from what the motors' own sensors say."""
         control_step_s = settings.physics_step_s * settings.steps
         for j in range(engine.column.size):
             rate = 0.0
             if settings.torque_control:
-                wanted = state.active[0, j] + state.weight[j]
+                wanted = state.active[0, j] + state.joints[j].weight
             else:
                 if state.follows_velocity[0]:
-                    state.reference[j] = state.active[0, j]
+                    state.joints[j].reference = state.active[0, j]
                     rate = state.active[1, j]
                 else:
-                    way = settings.smoothing * (state.active[0, j] - state.reference[j])
-                    state.reference[j] += way
+                    way = settings.smoothing * (state.active[0, j] - state.joints[j].reference)
+                    state.joints[j].reference += way
                     rate = way / control_step_s
-                place = state.motor_position[j]
-                if numbers.stiffness[j] > 0.0:
-                    place -= state.weight[j] / numbers.stiffness[j]
+                place = state.joints[j].motor_position
+                if numbers[j].stiffness > 0.0:
+                    place -= state.joints[j].weight / numbers[j].stiffness
                 wanted = (
-                    numbers.kp[j] * (state.reference[j] - place)
-                    + numbers.kd[j] * (rate - state.motor_velocity[j])
-                    + state.weight[j]
+                    numbers[j].kp * (state.joints[j].reference - place)
+                    + numbers[j].kd * (rate - state.joints[j].motor_velocity)
+                    + state.joints[j].weight
                 )
             if stopped:
-                wanted = state.weight[j]
-            change = numbers.torque_rate[j]
-            wanted = min(max(wanted, state.drive[j] - change), state.drive[j] + change)
-            limit = numbers.torque_limit[j]
-            if wanted * state.motor_velocity[j] > 0.0:
-                limit *= max(0.0, 1.0 - abs(state.motor_velocity[j]) / numbers.no_load_speed[j])
-            state.drive[j] = min(max(wanted, -limit), limit)
+                wanted = state.joints[j].weight
+            change = numbers[j].torque_rate
+            wanted = min(max(wanted, state.joints[j].drive - change), state.joints[j].drive + change)
+            limit = numbers[j].torque_limit
+            if wanted * state.joints[j].motor_velocity > 0.0:
+                limit *= max(0.0, 1.0 - abs(state.joints[j].motor_velocity) / numbers[j].no_load_speed)
+            state.joints[j].drive = min(max(wanted, -limit), limit)
 
     def joint(
-        engine: Engine, numbers: Numbers, settings: Settings, state: State, j: int, brake: float
+        engine: Engine, numbers: np.ndarray, settings: Settings, state: State, j: int, brake: float
     ) -> tuple[float, float]:
         """One joint's motor through one physics step; returns the torque on the link and the power lost."""
         dt, i = settings.physics_step_s, engine.column[j]
         v = engine.qvel[i]
-        elastic = numbers.stiffness[j] > 0.0
-        drive = state.drive[j]
+        elastic = numbers[j].stiffness > 0.0
+        drive = state.joints[j].drive
         # The bristle is bent by the motion; what it resists is the direction in which it is bent.
-        before = state.bristle[j]
+        before = state.joints[j].bristle
         bent = before + v * dt
-        if numbers.ripple_nm[j] != 0.0:
-            angle = settings.ripple_periods * state.motor_position[j]
-            drive += numbers.ripple_nm[j] * (
-                math.sin(angle + numbers.ripple_phase[j]) + 0.5 * math.sin(2.0 * angle + numbers.ripple_phase_second[j])
+        if numbers[j].ripple_nm != 0.0:
+            angle = settings.ripple_periods * state.joints[j].motor_position
+            drive += numbers[j].ripple_nm * (
+                math.sin(angle + numbers[j].ripple_phase) + 0.5 * math.sin(2.0 * angle + numbers[j].ripple_phase_second)
             )
-        held = state.softness[j] * numbers.motor_friction_nm[j] + brake
-        level = state.softness[j] * friction(
-            numbers.static_nm[j],
-            numbers.coulomb_nm[j],
-            numbers.asymmetry[j],
-            numbers.stribeck_velocity[j],
-            numbers.load[j],
-            numbers.viscous[j],
-            numbers.sigmoid_level[j],
-            numbers.sigmoid_slope[j],
-            numbers.sigmoid_shift[j],
+        held = state.joints[j].softness * numbers[j].motor_friction_nm + brake
+        level = state.joints[j].softness * friction(
+            numbers[j].static_nm,
+            numbers[j].coulomb_nm,
+            numbers[j].asymmetry,
+            numbers[j].stribeck_velocity,
+            numbers[j].load,
+            numbers[j].viscous,
+            numbers[j].sigmoid_level,
+            numbers[j].sigmoid_slope,
+            numbers[j].sigmoid_shift,
             v,
-            state.spring[j],
+            state.joints[j].spring,
             1.0 if bent > 0.0 else -1.0,
         )
         lost = 0.0
         if elastic:
-            pull = numbers.stiffness[j] * (state.motor_position[j] - engine.qpos[i]) + numbers.damping[j] * (
-                state.motor_velocity[j] - v
+            pull = numbers[j].stiffness * (state.joints[j].motor_position - engine.qpos[i]) + numbers[j].damping * (
+                state.joints[j].motor_velocity - v
             )
-            state.spring[j] = pull
+            state.joints[j].spring = pull
             # Dry friction as an impulse that stops the motor or is used up: it never drives it.
-            inertia = numbers.motor_inertia[j]
-            free = state.motor_velocity[j] + dt / inertia * (drive - pull)
+            inertia = numbers[j].motor_inertia
+            free = state.joints[j].motor_velocity + dt / inertia * (drive - pull)
             most = dt / inertia * held
             turned = min(free + most, 0.0) if free < 0.0 else max(free - most, 0.0)
             lost += inertia / dt * (free - turned) * turned
-            state.motor_velocity[j] = turned
-            state.motor_position[j] += dt * turned
+            state.joints[j].motor_velocity = turned
+            state.joints[j].motor_position += dt * turned
             total = level
         else:
             pull = drive
             total = level + held
-        stiff, damp = numbers.bristle_stiffness[j], bristle_s * numbers.bristle_stiffness[j]
+        stiff, damp = numbers[j].bristle_stiffness, bristle_s * numbers[j].bristle_stiffness
         if not elastic and brake > 0.0:
             stiff, damp = brake_stiffness, brake_damping
         elif not elastic and stiff == 0.0 and total > 0.0:
@@ -311,12 +335,12 @@ def _loop(step: Any, weigh: Any, friction: Any) -> Any:
         # A spring that slips when it carries all that friction can: no creep below that, and stable at any speed.
         most_bent = total / stiff if stiff > 0.0 else 0.0
         after = min(max(bent, -most_bent), most_bent)
-        state.bristle[j] = after
+        state.joints[j].bristle = after
         brakes = stiff * after + damp * (after - before) / dt
         lost += brakes * v
         if not elastic:
             # What the sensor between motor and link will see, but for the motor's inertia.
-            state.spring[j] = drive - (brakes * held / total if total > 0.0 else 0.0)
+            state.joints[j].spring = drive - (brakes * held / total if total > 0.0 else 0.0)
         return pull - brakes, lost
 
     compiled_joint = numba.njit(nogil=True)(_plain(joint))
@@ -324,7 +348,7 @@ def _loop(step: Any, weigh: Any, friction: Any) -> Any:
     compiled_receive = numba.njit(nogil=True)(_plain(receive))
 
     def advance(
-        engine: Engine, numbers: Numbers, settings: Settings, state: State, orders: Orders, log: np.ndarray
+        engine: Engine, numbers: np.ndarray, settings: Settings, state: State, orders: Orders, log: np.ndarray
     ) -> int:
         joints, dt = engine.column.size, settings.physics_step_s
         power, brake = np.zeros(joints), np.zeros(joints)
@@ -335,12 +359,12 @@ def _loop(step: Any, weigh: Any, friction: Any) -> Any:
                 return k
             compiled_receive(settings, state, orders, k)
             for j in range(joints):
-                brake[j] = numbers.brake_nm[j] if stopped else 0.0
+                brake[j] = numbers[j].brake_nm if stopped else 0.0
                 power[j] = 0.0
-                state.softness[j] = math.exp(-settings.softening * state.rise[j])
+                state.joints[j].softness = math.exp(-settings.softening * state.joints[j].rise)
             for f in range(orders.stalls.shape[0]):
                 if orders.stalls[f, 1] <= tick < orders.stalls[f, 2]:
-                    brake[orders.stalls[f, 0]] = numbers.brake_nm[orders.stalls[f, 0]]
+                    brake[orders.stalls[f, 0]] = numbers[orders.stalls[f, 0]].brake_nm
             weigh(engine, numbers, state)
             compiled_control(engine, numbers, settings, state, stopped)
             for _ in range(settings.steps):
@@ -351,26 +375,26 @@ def _loop(step: Any, weigh: Any, friction: Any) -> Any:
                     power[j] += lost / settings.steps
                 step(engine.model, engine.data)
                 for j in range(joints):
-                    if numbers.stiffness[j] == 0.0:
+                    if numbers[j].stiffness == 0.0:
                         i = engine.column[j]
-                        state.spring[j] -= numbers.motor_inertia[j] * engine.qacc[i]
-                        state.motor_position[j] = engine.qpos[i]
-                        state.motor_velocity[j] = engine.qvel[i]
+                        state.joints[j].spring -= numbers[j].motor_inertia * engine.qacc[i]
+                        state.joints[j].motor_position = engine.qpos[i]
+                        state.joints[j].motor_velocity = engine.qvel[i]
             for j in range(joints):
                 i = engine.column[j]
-                if numbers.stiffness[j] > 0.0:
-                    state.spring[j] = numbers.stiffness[j] * (state.motor_position[j] - engine.qpos[i]) + (
-                        numbers.damping[j] * (state.motor_velocity[j] - engine.qvel[i])
-                    )
-                watts = power[j] + numbers.copper[j] * state.drive[j] ** 2
-                warm = settings.rise_k_per_w * watts - state.rise[j]
-                state.rise[j] += dt * settings.steps / settings.time_constant_s * warm
+                if numbers[j].stiffness > 0.0:
+                    state.joints[j].spring = numbers[j].stiffness * (
+                        state.joints[j].motor_position - engine.qpos[i]
+                    ) + (numbers[j].damping * (state.joints[j].motor_velocity - engine.qvel[i]))
+                watts = power[j] + numbers[j].copper * state.joints[j].drive ** 2
+                warm = settings.rise_k_per_w * watts - state.joints[j].rise
+                state.joints[j].rise += dt * settings.steps / settings.time_constant_s * warm
                 log[k, position, j] = engine.qpos[i]
                 log[k, velocity, j] = engine.qvel[i]
-                log[k, torque, j] = state.spring[j]
-                log[k, motor_position, j] = state.motor_position[j]
-                log[k, motor_torque, j] = state.drive[j]
-                log[k, rise, j] = state.rise[j]
+                log[k, torque, j] = state.joints[j].spring
+                log[k, motor_position, j] = state.joints[j].motor_position
+                log[k, motor_torque, j] = state.joints[j].drive
+                log[k, rise, j] = state.joints[j].rise
             state.counters[0] = tick + 1
         return int(orders.command.shape[0])
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
 from jaxtyping import Bool, Float64
 
 from trueup.errors import ConfigError
-from trueup.lab.plant import Engine, Numbers, Settings, State
+from trueup.lab.plant import JOINT_STATE, NUMBERS, Engine, Settings, State
 from trueup.lab.spec import LabSpec
 from trueup.lab.truth import BodyTruth, Truth, loaded, per_joint
 from trueup.robots import RobotSpec, find_model, load_robot
@@ -30,7 +29,7 @@ class Plant:
         model: the links, with payload.
         data: their state.
         engine: both as arrays.
-        numbers: of the joints.
+        numbers: of the joints, (J,) of NUMBERS.
         settings: what is no joint's own.
         state: what changes besides MuJoCo's own state.
         home: the model's keyframe `home`, or zero, (J,) [rad or m].
@@ -39,7 +38,7 @@ class Plant:
     model: mujoco.MjModel
     data: mujoco.MjData
     engine: Engine
-    numbers: Numbers
+    numbers: np.ndarray
     settings: Settings
     state: State
     home: Float64[np.ndarray, "J"]
@@ -58,23 +57,23 @@ class Plant:
         column, state = self.engine.column, self.state
         self.data.qpos[column] = position
         mujoco.mj_forward(self.model, self.data)
-        state.spring[:] = self.data.qfrc_bias[column]
-        stiffness = self.numbers.stiffness
-        twist = np.divide(state.spring, stiffness, out=np.zeros_like(stiffness), where=stiffness > 0)
-        state.motor_position[:] = position + twist
-        state.motor_velocity[:] = 0.0
-        state.bristle[:] = 0.0
+        state.joints["spring"][:] = self.data.qfrc_bias[column]
+        stiffness = self.numbers["stiffness"]
+        twist = np.divide(state.joints["spring"], stiffness, out=np.zeros_like(stiffness), where=stiffness > 0)
+        state.joints["motor_position"][:] = position + twist
+        state.joints["motor_velocity"][:] = 0.0
+        state.joints["bristle"][:] = 0.0
         self._refuse_too_stiff()
 
     def _refuse_too_stiff(self) -> None:
         numbers, dt = self.numbers, self.settings.physics_step_s
-        if not numbers.stiffness.any():
+        if not numbers["stiffness"].any():
             return
         inverse = np.empty((self.model.nv, self.model.nv))
         mujoco.mj_solveM(self.model, self.data, inverse, np.eye(self.model.nv))
         mobility = inverse[np.ix_(self.engine.column, self.engine.column)]
-        link = np.linalg.eigvals(mobility * numbers.stiffness).real.max()
-        motor = ((numbers.stiffness + numbers.kp) / numbers.motor_inertia).max()
+        link = np.linalg.eigvals(mobility * numbers["stiffness"]).real.max()
+        motor = ((numbers["stiffness"] + numbers["kp"]) / numbers["motor_inertia"]).max()
         if dt * np.sqrt(max(link, motor)) > _STIFFEST:
             raise ConfigError(
                 "lab: the joints' springs are too stiff for the physics step",
@@ -182,28 +181,26 @@ def _carries(model: mujoco.MjModel) -> Bool[np.ndarray, "J B"]:
     return carries
 
 
-def _numbers(truth: Truth, robot: RobotSpec) -> Numbers:
+def _numbers(truth: Truth, robot: RobotSpec) -> np.ndarray:
     spec, joints = truth.spec, list(truth.joints.values())
     control, limits, warming = spec.controller, spec.saturation, spec.warming
-    own = {
-        name: np.array([getattr(joint, name) for joint in joints], np.float64)
-        for name in Numbers._fields
-        if hasattr(joints[0], name)
-    }
     unlimited = np.full(len(joints), np.inf)
     torque = per_joint(limits.torque_nm, robot, "saturation.torque_nm")
     rate = per_joint(limits.torque_rate_nm_s, robot, "saturation.torque_rate_nm_s") * spec.control_step_s
     speed = per_joint(limits.no_load_speed, robot, "saturation.no_load_speed")
-    return Numbers(
-        **own,
-        torque_limit=torque if limits.enabled else unlimited,
-        torque_rate=np.where(rate > 0, rate, np.inf) if limits.enabled and control.kind == "torque" else unlimited,
-        no_load_speed=np.where(speed > 0, speed, np.inf) if limits.enabled else unlimited,
-        brake_nm=2.0 * torque,
-        copper=per_joint(warming.copper_w_per_nm2, robot, "warming.copper_w_per_nm2"),
-        kp=per_joint(control.stiffness, robot, "controller.stiffness"),
-        kd=per_joint(control.damping, robot, "controller.damping"),
-    )
+    shared = {
+        "torque_limit": torque if limits.enabled else unlimited,
+        "torque_rate": np.where(rate > 0, rate, np.inf) if limits.enabled and control.kind == "torque" else unlimited,
+        "no_load_speed": np.where(speed > 0, speed, np.inf) if limits.enabled else unlimited,
+        "brake_nm": 2.0 * torque,
+        "copper": per_joint(warming.copper_w_per_nm2, robot, "warming.copper_w_per_nm2"),
+        "kp": per_joint(control.stiffness, robot, "controller.stiffness"),
+        "kd": per_joint(control.damping, robot, "controller.damping"),
+    }
+    numbers = np.zeros(len(joints), NUMBERS)
+    for name in NUMBERS.names or ():
+        numbers[name] = shared[name] if name in shared else [getattr(joint, name) for joint in joints]
+    return numbers
 
 
 def _settings(spec: LabSpec) -> Settings:
@@ -225,9 +222,8 @@ def _settings(spec: LabSpec) -> Settings:
 def _state(spec: LabSpec, joints: int) -> State:
     settings = _settings(spec)
     slots = int(np.ceil(settings.delay + settings.jitter)) + 2
-    each: dict[str, Any] = {name: np.zeros(joints) for name in State._fields[:9]}
     return State(
-        **each,
+        joints=np.zeros(joints, JOINT_STATE),
         active=np.zeros((2, joints)),
         follows_velocity=np.zeros(1, np.int64),
         ring=np.zeros((slots, 2, joints)),

@@ -213,7 +213,7 @@ class VirtualRobot:
             raise DataError("a pose needs one finite value per joint", got=pose)
         self._plant.place(pose)
         self._weigh(self._plant.engine, self._plant.numbers, self._plant.state)
-        self._plant.state.drive[:] = self._plant.state.weight
+        self._plant.state.joints["drive"][:] = self._plant.state.joints["weight"]
         self._hold(pose)
         self._reading = {name: values[0] for name, values in self._sense(self._truth_now()[None]).items()}
 
@@ -225,7 +225,7 @@ class VirtualRobot:
         """
         pose, old = self._plant.position(), self._plant
         self._plant = build_plant(self.truth, payload_kg)
-        self._plant.state.rise[:] = old.state.rise
+        self._plant.state.joints["rise"][:] = old.state.joints["rise"]
         self._plant.state.counters[:] = old.state.counters
         self.payload_kg = payload_kg
         self.place(pose)
@@ -237,7 +237,7 @@ class VirtualRobot:
         if self.command_signals[0] == "position":
             self._command[0] = pose
         self._with_velocity = False
-        state.reference[:] = pose
+        state.joints["reference"][:] = pose
         state.active[:] = self._command
         state.follows_velocity[0] = 0
         state.counters[1:] = state.counters[0]
@@ -290,7 +290,14 @@ class VirtualRobot:
 
     def _truth_now(self) -> Float64[np.ndarray, "S J"]:
         state, plant = self._plant.state, self._plant
-        rows = (plant.position(), plant.velocity(), state.spring, state.motor_position, state.drive, state.rise)
+        rows = (
+            plant.position(),
+            plant.velocity(),
+            state.joints["spring"],
+            state.joints["motor_position"],
+            state.joints["drive"],
+            state.joints["rise"],
+        )
         return np.stack([np.array(row) for row in rows])
 
     def _check(self, signal: str, values: Float[np.ndarray, "N J"]) -> None:
