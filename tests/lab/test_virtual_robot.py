@@ -9,7 +9,7 @@ import pytest
 from trueup.core.protocols import Clock, RobotIO
 from trueup.errors import ConfigError, DataError, MissingSignal, RobotStopped
 from trueup.lab import Fault, LabSpec, Truth, VirtualRobot, draw_truth, load_lab
-from trueup.lab.spec import EFFECTS, Controller, Delay, Elasticity, Friction
+from trueup.lab.spec import EFFECTS, Controller, Delay, Elasticity, Friction, Gravity, Ripple, Saturation, Warming
 
 HOME = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
 TICK = 0.001
@@ -265,3 +265,31 @@ def test_every_effect_has_a_switch():
     spec = LabSpec().only()
     assert not any(getattr(spec, name).enabled for name in EFFECTS)
     assert all(getattr(LabSpec(), name).enabled for name in EFFECTS)
+
+
+def test_another_arm_needs_one_number_for_all_its_joints():
+    spec = LabSpec(
+        robot="demo_arm",
+        friction=Friction(
+            breakaway_positive=(0.1,),
+            breakaway_negative=(0.12,),
+            viscous=(0.05,),
+            sigmoid_level=(0.05,),
+            sigmoid_slope=(9.0,),
+            sigmoid_shift=(0.0,),
+            motor=(0.01,),
+        ),
+        gravity=Gravity(offset_nm=(0.02,)),
+        elasticity=Elasticity(stiffness=(500.0,), damping=(0.1,)),
+        ripple=Ripple(amplitude_nm=(0.02,)),
+        saturation=Saturation(torque_nm=(20.0,)),
+        warming=Warming(copper_w_per_nm2=(0.1,)),
+        controller=Controller(stiffness=(100.0,), damping=(3.0,)),
+    )
+    robot = VirtualRobot(draw_truth(spec))
+    pose = robot.read()["position"]
+    target = pose + 0.1 * (1 - np.cos(np.pi * np.minimum(np.arange(1500), 1000) / 1000))[:, None]
+    done = robot.execute({"position": target})
+    np.testing.assert_allclose(done.truth["position"][-1], target[-1], atol=0.02)
+    with pytest.raises(ConfigError, match="one per joint of 'demo_arm'"):
+        draw_truth(LabSpec(robot="demo_arm"))

@@ -100,7 +100,10 @@ def build_plant(truth: Truth, payload_kg: float) -> Plant:
     known = loaded(truth, plain, known_share * payload_kg)
     for name, body in bodies.items():
         own = editable.body(name)
+        # However the model writes an inertia down (diagonal, turned), the full tensor takes its place.
         own.explicitinertial = True
+        own.inertia = [0, 0, 0]
+        own.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         own.mass, own.ipos, own.iquat, own.fullinertia = body.mass, body.com, [1, 0, 0, 0], body.inertia
     for actuator in list(editable.actuators):
         editable.delete(actuator)
