@@ -395,3 +395,33 @@ def test_an_unknown_robot_or_payload_site_is_refused():
         VirtualRobot(draw_truth(LabSpec(payload_site="hook")), payload_kg=1.0)
     with pytest.raises(ConfigError, match="not that of a 'demo_arm'"):
         VirtualRobot(replace(draw_truth(), spec=LabSpec(robot="demo_arm")))
+
+
+@pytest.mark.parametrize("elastic", [False, True])
+def test_a_motor_with_dry_friction_stands_until_it_is_overcome(elastic):
+    dry = Friction(
+        spread=0.0,
+        motor=(0.3,),
+        load=0.0,
+        breakaway_positive=(0.0,),
+        breakaway_negative=(0.0,),
+        viscous=(0.0,),
+        sigmoid_level=(0.0,),
+    )
+    spec = lab("friction", *(["elasticity"] if elastic else []), torque=True, friction=dry)
+    ramp = np.zeros((2000, 7))
+    ramp[:, 0] = np.linspace(0.0, -0.4, 2000)
+    seen = VirtualRobot(draw_truth(spec), position=HOME).execute({"torque": ramp}).truth
+    moved = np.abs(seen["motor_position"][1:, 0] - seen["motor_position"][0, 0])
+    stuck = np.abs(ramp[:, 0]) < 0.29
+    assert moved[stuck].max() < (1e-9 if elastic else 7e-4)  # a rigid joint sticks on its bristle
+    assert moved[-1] > 2e-3
+    # Beyond, it takes 0.3 Nm away from the motor; the rest turns the arm, whose other joints stick.
+    model = model_of_panda()
+    data = mujoco.MjData(model)
+    data.qpos[:] = HOME
+    mujoco.mj_forward(model, data)
+    column = np.zeros(7)
+    mujoco.mj_mulM(model, data, column, np.eye(7)[0])
+    push = np.trapezoid(np.maximum(np.abs(ramp[:, 0]) - 0.3, 0.0), dx=TICK)
+    assert np.abs(seen["velocity"][-1, 0]) == pytest.approx(push / column[0], rel=0.1)
