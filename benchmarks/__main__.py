@@ -13,6 +13,7 @@ NAMES = (
     "planning",
     "friction",
     "engines",
+    "lab",
     "pipeline",
     "identify_servo",
     "identify_torque",

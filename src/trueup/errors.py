@@ -117,6 +117,10 @@ class NoPlan(TrueupError):
     """No motion was found: a pose is in collision, a line is out of reach, or the planner's attempts are used up."""
 
 
+class RobotStopped(TrueupError):
+    """A robot has stopped and takes no commands until it is told to recover."""
+
+
 class NotIdentifiable(TrueupError):
     """The data do not determine what was asked for, e.g. the delay of a constant command."""
 

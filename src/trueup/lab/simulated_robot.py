@@ -53,12 +53,14 @@ class Sensors:
         }
 
     def sense(
-        self, truth: Mapping[str, Float64[np.ndarray, "J"]], rng: np.random.Generator
-    ) -> dict[str, Float64[np.ndarray, "J"]]:
-        """One reading of each signal."""
+        self, truth: Mapping[str, Float64[np.ndarray, "*T J"]], rng: np.random.Generator
+    ) -> dict[str, Float64[np.ndarray, "*T J"]]:
+        """One reading of each signal at each time; many at once draw the same noise as one after the other."""
+        *times, joints = truth["position"].shape
+        drawn = rng.standard_normal((*times, len(self.by_signal), joints))
         reading = {}
-        for signal, (noise, step) in self.by_signal.items():
-            values = truth[signal] + noise * rng.standard_normal(truth[signal].shape)
+        for index, (signal, (noise, step)) in enumerate(self.by_signal.items()):
+            values = truth[signal] + noise * drawn[..., index, :]
             reading[signal] = np.round(values / step) * step if step else values
         return reading
 

@@ -1,0 +1,317 @@
+"""A robot that behaves like hardware: `VirtualRobot`, a `RobotIO` and the `Clock` on which it lives."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+
+from trueup.core.timeseries import TimeSeries, same_units
+from trueup.errors import DataError, MissingSignal, RobotStopped
+from trueup.lab.faults import FOREVER, Fault, stalls
+from trueup.lab.plant import (
+    LOGGED,
+    MOTOR_POSITION,
+    MOTOR_TORQUE,
+    POSITION,
+    RISE,
+    TORQUE,
+    VELOCITY,
+    Orders,
+    compiled,
+)
+from trueup.lab.setup import Plant, build_plant
+from trueup.lab.simulated_robot import Sensors
+from trueup.lab.truth import Truth, draw_truth
+
+_ABSURD = 1e6  # rad, m, rad/s or m/s
+_INSTANT = 1e-6  # share of a control step
+_MEASURED = {"position": "rad", "velocity": "rad/s", "torque": "Nm"}
+_HIDDEN = {**_MEASURED, "motor_position": "rad", "motor_torque": "Nm", "rise": "K"}
+_ROWS = dict(zip(_HIDDEN, (POSITION, VELOCITY, TORQUE, MOTOR_POSITION, MOTOR_TORQUE, RISE), strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Execution:
+    """What came of a whole command trajectory.
+
+    Attributes:
+        measured: `position`, `velocity`, `torque` as the sensors read them; the first row is from before the first
+            command, the last from after the last one, or from the moment of a stop.
+        truth: the same signals without sensors, and `motor_position`, `motor_torque`, `rise` (temperature above the
+            surroundings). For tests and studies; it belongs into no dataset.
+        stopped_s: when a protective stop ended it [s], None if nothing did.
+    """
+
+    measured: TimeSeries
+    truth: TimeSeries
+    stopped_s: float | None
+
+
+class VirtualRobot:
+    """One individual of a kind of robot, with a payload, in motion or at rest.
+
+    Two faces, the same motion: `write` and `read` at control steps, as a driver does, and `execute` with commands
+    that are known beforehand, which runs compiled. Time passes in whole control steps; the command that was written
+    last is sent to the robot again at each of them. As long as nothing was written, it holds its starting pose (or,
+    torque controlled, its weight).
+
+    Args:
+        truth: the individual; the first Panda with all effects if None.
+        position: starting pose, (J,) [rad or m]; the model's keyframe `home` if None, else zero.
+        payload_kg: [kg].
+        seed: of sensor noise, jitter and lost readings.
+        faults: what will go wrong.
+        real_time: waiting takes as long as it says; otherwise the robot runs as fast as it can.
+
+    Raises:
+        ConfigError: a truth, payload or fault that does not fit the robot's model.
+    """
+
+    def __init__(
+        self,
+        truth: Truth | None = None,
+        *,
+        position: Float[np.ndarray, "J"] | None = None,
+        payload_kg: float = 0.0,
+        seed: int = 0,
+        faults: Sequence[Fault] = (),
+        real_time: bool = False,
+    ) -> None:
+        self.truth = truth or draw_truth()
+        spec = self.truth.spec
+        self.joints: tuple[str, ...] = tuple(self.truth.joints)
+        self.control_step_s = spec.control_step_s
+        self.command_signals = ("torque",) if spec.controller.kind == "torque" else ("position", "velocity")
+        self.payload_kg = payload_kg
+        self._plant: Plant = build_plant(self.truth, payload_kg)
+        streams = np.random.default_rng([seed, self.truth.unit]).spawn(3)
+        self._noise, self._jitter, self._losses = streams
+        self._sensors = spec.readings.sensors if spec.readings.enabled else Sensors()
+        self._bias = np.array([joint.torque_bias_nm for joint in self.truth.joints.values()])
+        self._faults = tuple(faults)
+        self._stalls = stalls(self._faults, self.joints, self.control_step_s)
+        self._stop = min((f.ticks(self.control_step_s)[0] for f in faults if f.kind == "stop"), default=FOREVER)
+        self._real_time, self._started = real_time, time.monotonic()
+        self._advance, self._weigh = compiled()
+        self._command = np.zeros((2, len(self.joints)))
+        self._reading: dict[str, Float64[np.ndarray, "J"]] = {}
+        self.place(self._plant.home if position is None else position)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether a protective stop holds it."""
+        return self._tick >= self._stop
+
+    @property
+    def _tick(self) -> int:
+        return int(self._plant.state.counters[0])
+
+    def now_s(self) -> float:
+        """Seconds on the robot's clock."""
+        return self._tick * self.control_step_s
+
+    def wait_until_s(self, time_s: float) -> None:
+        """Let time pass up to the first control step at or after `time_s`; nothing happens if it has passed.
+
+        Raises:
+            DataError: the robot's simulation diverged.
+        """
+        count = int(np.ceil(time_s / self.control_step_s - _INSTANT)) - self._tick
+        if count > 0:
+            held = np.broadcast_to(self._command, (count, *self._command.shape))
+            self._run(held, with_velocity=self._with_velocity, until_stop=False)
+        self._keep_time()
+
+    def read(self) -> dict[str, Float64[np.ndarray, "J"]]:
+        """What the sensors said last: `position` and `velocity` of the links, `torque` between motor and link."""
+        return {signal: values.copy() for signal, values in self._reading.items()}
+
+    def write(self, command: dict[str, Float[np.ndarray, "J"]]) -> None:
+        """Send this command from now on.
+
+        Args:
+            command: `position`, and `velocity` if it is known; a torque-controlled robot takes `torque`.
+
+        Raises:
+            RobotStopped: after a protective stop.
+            MissingSignal: a signal that the controller does not follow.
+            DataError: not one finite value per joint.
+        """
+        self._refuse_stopped()
+        for signal, values in command.items():
+            self._check(signal, values[None])
+        if "velocity" in command:
+            self._command[1] = command["velocity"]
+        if first := [signal for signal in ("position", "torque") if signal in command]:
+            self._command[0] = command[first[0]]
+        self._with_velocity = "velocity" in command
+
+    def execute(self, command: dict[str, Float[np.ndarray, "N J"]], *, every: int = 1) -> Execution:
+        """Follow a whole trajectory, one row per control step; the same as writing the rows one by one.
+
+        Args:
+            command: as for `write`, (N, J).
+            every: keep every so many control steps of what was measured.
+
+        Raises:
+            RobotStopped: it had stopped before.
+            MissingSignal: a signal is missing, or one that the controller does not follow.
+            DataError: not one finite value per joint and row, `every` is not positive, or the simulation diverged.
+        """
+        self._refuse_stopped()
+        first = self.command_signals[0]
+        if first not in command:
+            raise MissingSignal(f"a trajectory of this robot needs {first!r}", available=command)
+        for signal, values in command.items():
+            self._check(signal, values)
+        if every < 1 or len({len(values) for values in command.values()}) != 1:
+            raise DataError("a trajectory needs as many rows of each signal, and every >= 1", got=f"every={every}")
+        rows = np.zeros((len(command[first]), *self._command.shape))
+        rows[:, 0] = command[first]
+        if "velocity" in command:
+            rows[:, 1] = command["velocity"]
+        start, before, true_before = self._tick, self._reading, self._truth_now()
+        readings, log = self._run(rows, with_velocity="velocity" in command, until_stop=True)
+        done = len(log)
+        if done:
+            self._command, self._with_velocity = rows[done - 1].copy(), "velocity" in command
+        self._keep_time()
+        kept = np.arange(0, done + 1, every)
+        clock = (start + kept) * self.control_step_s
+        measured = {signal: np.concatenate([before[signal][None], readings[signal]])[kept] for signal in _MEASURED}
+        true = {signal: np.concatenate([true_before[row][None], log[:, row]])[kept] for signal, row in _ROWS.items()}
+        return Execution(
+            measured=TimeSeries(clock, self.joints, measured, same_units(_MEASURED, self.joints)),
+            truth=TimeSeries(clock, self.joints, true, same_units(_HIDDEN, self.joints)),
+            stopped_s=self.now_s() if done < len(rows) else None,
+        )
+
+    def stop(self) -> None:
+        """A protective stop, now."""
+        self._stop = min(self._stop, self._tick)
+
+    def recover(self) -> None:
+        """Open the brakes after a stop and hold the present pose; later stops still come."""
+        if not self.stopped:
+            return
+        later = [f.ticks(self.control_step_s)[0] for f in self._faults if f.kind == "stop"]
+        self._stop = min((tick for tick in later if tick > self._tick), default=FOREVER)
+        self._hold(self._plant.position())
+
+    def place(self, position: Float[np.ndarray, "J"]) -> None:
+        """Put the robot into a pose, at rest, as if it had been there; its clock and its warmth stay.
+
+        Raises:
+            DataError: not one finite value per joint.
+        """
+        pose = np.asarray(position, np.float64)
+        if pose.shape != (len(self.joints),) or not np.isfinite(pose).all():
+            raise DataError("a pose needs one finite value per joint", got=pose)
+        self._plant.place(pose)
+        self._weigh(self._plant.engine, self._plant.numbers, self._plant.state)
+        self._plant.state.joints["drive"][:] = self._plant.state.joints["weight"]
+        self._hold(pose)
+        self._reading = {name: values[0] for name, values in self._sense(self._truth_now()[None]).items()}
+
+    def load(self, payload_kg: float) -> None:
+        """Change the payload, at rest in the present pose.
+
+        Raises:
+            ConfigError: the payload is out of range.
+        """
+        pose, old = self._plant.position(), self._plant
+        self._plant = build_plant(self.truth, payload_kg)
+        self._plant.state.joints["rise"][:] = old.state.joints["rise"]
+        self._plant.state.counters[:] = old.state.counters
+        self.payload_kg = payload_kg
+        self.place(pose)
+
+    def _hold(self, pose: Float64[np.ndarray, "J"]) -> None:
+        """Forget all commands and stay."""
+        state = self._plant.state
+        self._command[:] = 0.0
+        if self.command_signals[0] == "position":
+            self._command[0] = pose
+        self._with_velocity = False
+        state.joints["reference"][:] = pose
+        state.active[:] = self._command
+        state.follows_velocity[0] = 0
+        state.counters[1:] = state.counters[0]
+
+    def _run(
+        self, rows: Float64[np.ndarray, "N 2 J"], *, with_velocity: bool, until_stop: bool
+    ) -> tuple[dict[str, Float64[np.ndarray, "M J"]], Float64[np.ndarray, "M S J"]]:
+        plant, start = self._plant, self._tick
+        log = np.empty((len(rows), LOGGED, len(self.joints)))
+        # As many draws as steps are done, so that a motion in pieces has those of the whole.
+        count = min(len(rows), max(0, self._stop - start)) if until_stop else len(rows)
+        orders = Orders(
+            np.array(rows[:count]), with_velocity, self._jitter.random(count), self._stop, until_stop, self._stalls
+        )
+        with np.errstate(all="ignore"):
+            done = int(self._advance(plant.engine, plant.numbers, plant.settings, plant.state, orders, log))
+        log = log[:done]
+        if not (np.abs(log[:, (POSITION, VELOCITY)]) <= _ABSURD).all():  # a NaN is not
+            raise DataError("the simulation of the robot diverged", got=f"after {start * self.control_step_s:.3f} s")
+        readings = self._sense(log)
+        readings = self._after_losses(readings, start + 1, self._losses.random(done))
+        if done:
+            self._reading = {signal: values[-1] for signal, values in readings.items()}
+        return readings, log
+
+    def _sense(self, log: Float64[np.ndarray, "N S J"]) -> dict[str, Float64[np.ndarray, "N J"]]:
+        truth = {signal: log[:, _ROWS[signal]] for signal in _MEASURED}
+        return self._sensors.sense({**truth, "torque": truth["torque"] + self._bias}, self._noise)
+
+    def _after_losses(
+        self, readings: dict[str, Float64[np.ndarray, "N J"]], first: int, chance: Float64[np.ndarray, "N"]
+    ) -> dict[str, Float64[np.ndarray, "N J"]]:
+        """The readings as they arrive: instead of a lost one, the one before it."""
+        lost = self._lost(first + np.arange(chance.size), chance)
+        if not lost.any():
+            return readings
+        row = np.maximum.accumulate(np.where(lost, -1, np.arange(lost.size)))
+        return {
+            signal: np.where(row[:, None] < 0, self._reading[signal], values[np.maximum(row, 0)])
+            for signal, values in readings.items()
+        }
+
+    def _lost(self, ticks: np.ndarray, chance: Float64[np.ndarray, "N"]) -> Bool[np.ndarray, "N"]:
+        lost = np.zeros(ticks.size, bool)
+        for fault in self._faults:
+            if fault.kind == "drop":
+                first, end = fault.ticks(self.control_step_s)
+                lost |= (ticks >= first) & (ticks < end) & (chance < fault.share)
+        return lost
+
+    def _truth_now(self) -> Float64[np.ndarray, "S J"]:
+        state, plant = self._plant.state, self._plant
+        rows = (
+            plant.position(),
+            plant.velocity(),
+            state.joints["spring"],
+            state.joints["motor_position"],
+            state.joints["drive"],
+            state.joints["rise"],
+        )
+        return np.stack([np.array(row) for row in rows])
+
+    def _check(self, signal: str, values: Float[np.ndarray, "N J"]) -> None:
+        if signal not in self.command_signals:
+            raise MissingSignal(f"the robot takes no {signal!r}", available=self.command_signals)
+        if values.ndim != 2 or values.shape[1] != len(self.joints) or not np.isfinite(values).all():
+            raise DataError(f"a {signal} command needs one finite value per joint", got=values)
+
+    def _refuse_stopped(self) -> None:
+        if self.stopped:
+            raise RobotStopped(
+                "the robot has stopped", got=f"{self.now_s():.3f} s on its clock", hint="Call recover() to carry on."
+            )
+
+    def _keep_time(self) -> None:
+        if self._real_time:
+            time.sleep(max(0.0, self._started + self.now_s() - time.monotonic()))
