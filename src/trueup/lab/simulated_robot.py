@@ -10,8 +10,8 @@ from jaxtyping import Float, Float64
 
 from trueup.core.protocols import Simulator
 from trueup.errors import ConfigError, DataError, MissingSignal
+from trueup.sim.compiled_robot import ABSURD
 
-_ABSURD = 1e6  # rad, m, rad/s or m/s
 _INSTANT = 1e-6  # share of a control step
 
 
@@ -63,6 +63,11 @@ class Sensors:
             values = truth[signal] + noise * drawn[..., index, :]
             reading[signal] = np.round(values / step) * step if step else values
         return reading
+
+
+def ticks_until(time_s: float, control_step_s: float) -> int:
+    """Number of the first control step at or after a time; what rounding puts just before it counts as it."""
+    return int(np.ceil(time_s / control_step_s - _INSTANT))
 
 
 class SimulatedRobot:
@@ -130,7 +135,7 @@ class SimulatedRobot:
         Raises:
             DataError: the simulation diverged.
         """
-        last = int(np.ceil(time_s / self.control_step_s - _INSTANT))
+        last = ticks_until(time_s, self.control_step_s)
         while self._tick < last:
             self._advance()
 
@@ -158,7 +163,7 @@ class SimulatedRobot:
             state = self.simulator.step(self._command)
         truth = {signal: np.asarray(state[signal][0], np.float64) for signal in ("position", "velocity", "torque")}
         size = max(np.abs(truth["position"]).max(), np.abs(truth["velocity"]).max())
-        if not size <= _ABSURD:  # a NaN is not
+        if not size <= ABSURD:  # a NaN is not
             raise DataError("the simulation of the robot diverged", got=f"{self.now_s():.3f} s after its start")
         self._tick += 1
         self._reading = self._sensors.sense(truth, self._rng)

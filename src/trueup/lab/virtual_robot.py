@@ -24,11 +24,10 @@ from trueup.lab.plant import (
     compiled,
 )
 from trueup.lab.setup import Plant, build_plant
-from trueup.lab.simulated_robot import Sensors
+from trueup.lab.simulated_robot import Sensors, ticks_until
 from trueup.lab.truth import Truth, draw_truth
+from trueup.sim.compiled_robot import ABSURD
 
-_ABSURD = 1e6  # rad, m, rad/s or m/s
-_INSTANT = 1e-6  # share of a control step
 _MEASURED = {"position": "rad", "velocity": "rad/s", "torque": "Nm"}
 _HIDDEN = {**_MEASURED, "motor_position": "rad", "motor_torque": "Nm", "rise": "K"}
 _ROWS = dict(zip(_HIDDEN, (POSITION, VELOCITY, TORQUE, MOTOR_POSITION, MOTOR_TORQUE, RISE), strict=True))
@@ -120,7 +119,7 @@ class VirtualRobot:
         Raises:
             DataError: the robot's simulation diverged.
         """
-        count = int(np.ceil(time_s / self.control_step_s - _INSTANT)) - self._tick
+        count = ticks_until(time_s, self.control_step_s) - self._tick
         if count > 0:
             held = np.broadcast_to(self._command, (count, *self._command.shape))
             self._run(held, with_velocity=self._with_velocity, until_stop=False)
@@ -255,7 +254,7 @@ class VirtualRobot:
         with np.errstate(all="ignore"):
             done = int(self._advance(plant.engine, plant.numbers, plant.settings, plant.state, orders, log))
         log = log[:done]
-        if not (np.abs(log[:, (POSITION, VELOCITY)]) <= _ABSURD).all():  # a NaN is not
+        if not (np.abs(log[:, (POSITION, VELOCITY)]) <= ABSURD).all():  # a NaN is not
             raise DataError("the simulation of the robot diverged", got=f"after {start * self.control_step_s:.3f} s")
         readings = self._sense(log)
         readings = self._after_losses(readings, start + 1, self._losses.random(done))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,20 +11,18 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from trueup.core.protocols import RolloutRequest, RolloutResult
-from trueup.errors import DataError, MissingSignal
+from trueup.errors import DataError
 from trueup.robots import RobotSpec
 from trueup.sim.actuators import Actuators
-from trueup.sim.controllers import Channel, torque_limit_of
+from trueup.sim.compiled_robot import ABSURD, CompiledRobot, compile_robot
+from trueup.sim.controllers import Channel
 from trueup.sim.dart_friction import DartFriction, laws_of
 from trueup.sim.dart_model import JointNumbers, gravity_of, load_dart, refuse_unmatched, skeleton_of
 from trueup.sim.dry_friction import friction_impulse
 from trueup.sim.model import load_spec
-from trueup.sim.mujoco_engine import compile_robot
-
-_ABSURD = 1e6  # rad, m, rad/s or m/s, as for MuJoCo
 
 
-class DartSimulator:
+class DartSimulator(CompiledRobot):
     """A robot in DART, with its controller.
 
     Bodies, joints, gains, limits and friction are read from the same compiled model as `MujocoSimulator`'s. DART
@@ -48,19 +45,12 @@ class DartSimulator:
     def __init__(self, model: mujoco.MjModel, robot: RobotSpec, channels: tuple[Channel, ...]) -> None:
         load_dart()
         refuse_unmatched(model)
-        self.model = model
-        self.robot = robot
-        self.channels = channels
+        super().__init__(model, robot, channels)
         laws = laws_of(model)
         self._numbers = JointNumbers.of(model)
         self._actuators = Actuators(model, robot, laws)
         self._friction = DartFriction(model, self._numbers, laws)
         self._dofs = np.array([model.jnt_dofadr[model.joint(name).id] for name in robot.joint_names])
-        columns = {joint: index for index, joint in enumerate(robot.joint_names)}
-        self._controls = tuple(
-            (int(model.actuator_ctrladr[model.actuator(channel.actuator).id]), columns[channel.joint], channel.signal)
-            for channel in channels
-        )
         # Semi-implicit Euler with a damping of armature / step that is taken off again as a force: (M + armature).
         self._rotor = self._numbers.armature / float(model.opt.timestep)
         self._copies: _Copies | None = None
@@ -92,36 +82,7 @@ class DartSimulator:
     @property
     def fingerprint(self) -> str:
         """SHA-256 of the compiled model, controller and options with it, and of both engines' versions."""
-        buffer = np.empty(mujoco.mj_sizeModel(self.model), dtype=np.uint8)
-        mujoco.mj_saveModel(self.model, None, buffer)
-        versions = f"dart {load_dart().__version__}, mujoco {mujoco.__version__}"
-        return hashlib.sha256(versions.encode() + buffer.tobytes()).hexdigest()
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Names of the J controlled joints."""
-        return self.robot.joint_names
-
-    @property
-    def timestep_s(self) -> float:
-        """Physics step [s]."""
-        return float(self.model.opt.timestep)
-
-    @property
-    def command_signals(self) -> tuple[str, ...]:
-        """Command signals that the controller follows; the first is required."""
-        return tuple(dict.fromkeys(channel.signal for channel in self.channels))
-
-    @property
-    def torque_limits(self) -> dict[str, float]:
-        """Joint name -> largest torque of its actuators [Nm or N]; joints without a limit are left out."""
-        own = {
-            joint: torque_limit_of(
-                self.model, joint, [channel.actuator for channel in self.channels if channel.joint == joint]
-            )
-            for joint in self.joints
-        }
-        return {joint: limit for joint, limit in own.items() if limit is not None}
+        return self.digest(f"dart {load_dart().__version__}, mujoco {mujoco.__version__}")
 
     def rollout(self, request: RolloutRequest) -> RolloutResult:
         """Simulate B motions of N steps.
@@ -130,7 +91,7 @@ class DartSimulator:
             MissingSignal: the controller needs a signal that the command lacks.
             DataError: a motion diverged; the message says when.
         """
-        control = self._control(request.command)
+        control = self.control_of(request.command)
         copies = self._start(request.position, request.velocity)
         count, steps = control.shape[:2]
         position = np.empty((count, steps + 1, len(self._dofs)))
@@ -166,7 +127,7 @@ class DartSimulator:
         """
         if self._copies is None:
             raise DataError("step before reset", hint="Call reset(position, velocity) first.")
-        control = self._control({name: values[:, None, :] for name, values in command.items()})
+        control = self.control_of({name: values[:, None, :] for name, values in command.items()})
         torque = self._advance(self._copies, control[:, 0])
         return {
             "position": self._copies.position[:, self._dofs],
@@ -192,19 +153,6 @@ class DartSimulator:
             force += copies.friction(force, self._friction.level(q, v))
         copies.step(force)
         return torque.asked
-
-    def _control(self, command: Mapping[str, Float[np.ndarray, "B N J"]]) -> Float64[np.ndarray, "B N U"]:
-        required = self.command_signals[0]
-        if required not in command:
-            raise MissingSignal(
-                f"the controller of {self.robot.name!r} follows {required!r}, which the command lacks",
-                available=command,
-            )
-        control = np.zeros((*command[required].shape[:2], self.model.nu))
-        for row, column, signal in self._controls:
-            if signal in command:  # PD without a velocity command damps towards standstill
-                control[:, :, row] = command[signal][:, :, column]
-        return control
 
 
 class _Copies:
@@ -257,7 +205,7 @@ class _Copies:
     def lost(self) -> bool:
         """Whether the numbers are absurd, or no numbers at all."""
         q, v = self.position.ravel(), self.velocity.ravel()
-        return not (q @ q <= _ABSURD**2 and v @ v <= _ABSURD**2)
+        return not (q @ q <= ABSURD**2 and v @ v <= ABSURD**2)
 
     def step(self, force: Float64[np.ndarray, "B V"]) -> None:
         for skeleton, own in zip(self._skeletons, force, strict=True):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,14 +14,14 @@ from jaxtyping import Float, Float64
 from mujoco import batch, rollout
 
 from trueup.core.protocols import RolloutRequest, RolloutResult
-from trueup.errors import ConfigError, DataError, MissingSignal
-from trueup.robots import RobotSpec, SimulationSpec
-from trueup.sim.controllers import Channel, attach_controller, torque_limit_of
-from trueup.sim.friction import has_friction, install, set_friction
-from trueup.sim.model import compile_spec, load_spec
+from trueup.errors import DataError
+from trueup.robots import RobotSpec
+from trueup.sim.compiled_robot import ABSURD, CompiledRobot, compile_robot, torque_sensor
+from trueup.sim.controllers import Channel
+from trueup.sim.friction import has_friction, install
+from trueup.sim.model import load_spec
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_ABSURD = 1e6  # rad, m, rad/s or m/s; MuJoCo itself gives up at accelerations of 1e10
 _DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 
 # MuJoCo's own handler writes MUJOCO_LOG.TXT into the current folder; a divergence is reported as an error here.
@@ -34,15 +33,13 @@ if mujoco.get_mju_user_warning() is None:
 class _Layout:
     """Where the robot's joints sit in MuJoCo's vectors."""
 
-    joints: tuple[str, ...]
     qpos: np.ndarray
     qvel: np.ndarray
     torque: np.ndarray
-    controls: tuple[tuple[int, int, str], ...]  # (actuator, joint column, command signal)
     integrators: tuple[tuple[int, int], ...]  # (activation, joint column) whose state is a position target
 
 
-class MujocoSimulator:
+class MujocoSimulator(CompiledRobot):
     """A robot in MuJoCo, with its controller.
 
     Args:
@@ -55,9 +52,7 @@ class MujocoSimulator:
     def __init__(
         self, model: mujoco.MjModel, robot: RobotSpec, channels: tuple[Channel, ...], *, threads: int = 1
     ) -> None:
-        self.model = model
-        self.robot = robot
-        self.channels = channels
+        super().__init__(model, robot, channels)
         self.threads = threads
         self._layout = _layout(model, robot.joint_names, channels)
         if has_friction(model):
@@ -91,24 +86,7 @@ class MujocoSimulator:
     @property
     def fingerprint(self) -> str:
         """SHA-256 of the compiled model, included files, controller and options with it, and of MuJoCo's version."""
-        buffer = np.empty(mujoco.mj_sizeModel(self.model), dtype=np.uint8)
-        mujoco.mj_saveModel(self.model, None, buffer)
-        return hashlib.sha256(mujoco.__version__.encode() + buffer.tobytes()).hexdigest()
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Names of the J controlled joints."""
-        return self._layout.joints
-
-    @property
-    def timestep_s(self) -> float:
-        """Physics step [s]."""
-        return float(self.model.opt.timestep)
-
-    @property
-    def command_signals(self) -> tuple[str, ...]:
-        """Command signals that the controller follows; the first is required."""
-        return tuple(dict.fromkeys(channel.signal for channel in self.channels))
+        return self.digest(mujoco.__version__)
 
     @property
     def position_limits(self) -> dict[str, tuple[float, float]]:
@@ -122,17 +100,6 @@ class MujocoSimulator:
                 low, high = self.model.jnt_range[joint.id]
                 limits[spec.name] = (float(low), float(high))
         return limits
-
-    @property
-    def torque_limits(self) -> dict[str, float]:
-        """Joint name -> largest torque of its actuators [Nm or N]; joints without a limit are left out."""
-        own = {
-            joint: torque_limit_of(
-                self.model, joint, [channel.actuator for channel in self.channels if channel.joint == joint]
-            )
-            for joint in self.joints
-        }
-        return {joint: limit for joint, limit in own.items() if limit is not None}
 
     def rollout(self, request: RolloutRequest) -> RolloutResult:
         """Simulate B motions of N steps.
@@ -157,7 +124,7 @@ class MujocoSimulator:
         """
         result = self._run(request, list(models))
         size = np.maximum(np.abs(result.position), np.abs(result.velocity)).max(axis=(1, 2))
-        lost = ~(size <= _ABSURD)
+        lost = ~(size <= ABSURD)
         for values in (result.position, result.velocity, result.torque):
             values[lost] = np.nan
         return result
@@ -165,14 +132,14 @@ class MujocoSimulator:
     def _run(self, request: RolloutRequest, model: mujoco.MjModel | list[mujoco.MjModel]) -> RolloutResult:
         layout = self._layout
         count = request.position.shape[0]
-        control = self._controls(request.command)
+        control = self.control_of(request.command)
         steps = control.shape[1]
         states = self._states(request)
         if self.model.nplugin and isinstance(model, list):
             state, sensors = _rollout_apart(model, states, control)
         else:
             state, sensors = rollout.rollout(model, self._data[: max(1, min(self.threads, count))], states, control)
-        position = np.empty((count, steps + 1, len(layout.joints)))
+        position = np.empty((count, steps + 1, len(self.joints)))
         velocity, torque = np.empty_like(position), np.empty_like(position)
         position[:, 0], velocity[:, 0] = request.position, request.velocity
         # The state is time, qpos, qvel, … after each step; the sensors belong to the state before it.
@@ -206,7 +173,7 @@ class MujocoSimulator:
         if self._batch is None:
             raise DataError("step before reset", hint="Call reset(position, velocity) first.")
         held = {name: values[:, None, :] for name, values in command.items()}
-        self._batch.bind("ctrl")[:] = self._controls(held)[:, 0]
+        self._batch.bind("ctrl")[:] = self.control_of(held)[:, 0]
         sensors = self._batch.bind("sensordata")
         self._batch.step()
         return {
@@ -214,19 +181,6 @@ class MujocoSimulator:
             "velocity": self._batch.bind("qvel")[:, self._layout.qvel],
             "torque": sensors[:, self._layout.torque],
         }
-
-    def _controls(self, command: Mapping[str, Float[np.ndarray, "B N J"]]) -> Float64[np.ndarray, "B N U"]:
-        required = self.command_signals[0]
-        if required not in command:
-            raise MissingSignal(
-                f"the controller of {self.robot.name!r} follows {required!r}, which the command lacks",
-                available=command,
-            )
-        control = np.zeros((*command[required].shape[:2], self.model.nu))
-        for actuator, column, signal in self._layout.controls:
-            if signal in command:  # PD without a velocity command damps towards standstill
-                control[:, :, actuator] = command[signal][:, :, column]
-        return control
 
     def _states(self, request: RolloutRequest) -> Float64[np.ndarray, "B S"]:
         mujoco.mj_resetData(self.model, self._data[0])
@@ -242,9 +196,9 @@ class MujocoSimulator:
     def _refuse_divergence(self, size: Float[np.ndarray, "B N1 J"]) -> None:
         # MuJoCo's own warnings tell of the last motion of each thread only; a NaN makes the comparison false.
         warned = any(data.warning[kind].number for data in self._data for kind in _DIVERGED)
-        if not warned and size.max() <= _ABSURD:
+        if not warned and size.max() <= ABSURD:
             return
-        bad = ~(size <= _ABSURD).all(axis=2)
+        bad = ~(size <= ABSURD).all(axis=2)
         for data in self._data:
             mujoco.mj_resetData(self.model, data)
         row = int(np.argmax(bad.any(axis=0))) if bad.any() else size.shape[1] - 1
@@ -253,30 +207,6 @@ class MujocoSimulator:
             got=f"{row * self.timestep_s:.3f} s after its start, at a time step of {self.timestep_s} s",
             hint="Take a smaller simulation.timestep_s in robot.yaml, or lower gains.",
         )
-
-
-def compile_robot(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path) -> tuple[mujoco.MjModel, tuple[Channel, ...]]:
-    """The compiled model of a robot with all that its description adds, and how commands reach it; for any engine.
-
-    Raises:
-        ConfigError: the model lacks an actuator, or MuJoCo refuses it.
-        NameMismatch: a joint is not in the model.
-    """
-    channels = attach_controller(spec, robot.controller, robot.joints)
-    for name in robot.joint_names:
-        kind = spec.joint(name).type
-        if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-            raise ConfigError(f"joint {name!r} is neither a hinge nor a slide", got=kind.name)
-        spec.add_sensor(
-            name=_torque_sensor(name),
-            type=mujoco.mjtSensor.mjSENS_JOINTACTFRC,
-            objtype=mujoco.mjtObj.mjOBJ_JOINT,
-            objname=name,
-        )
-    for name, friction in robot.friction.items():
-        set_friction(spec, name, friction)
-    _set_options(spec, robot.simulation)
-    return compile_spec(spec, origin), channels
 
 
 def _rollout_apart(
@@ -291,35 +221,16 @@ def _rollout_apart(
     return np.concatenate([state for state, _ in parts]), np.concatenate([sensors for _, sensors in parts])
 
 
-def _set_options(spec: mujoco.MjSpec, simulation: SimulationSpec) -> None:
-    if simulation.timestep_s is not None:
-        spec.option.timestep = simulation.timestep_s
-    if not simulation.contacts:
-        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    # A diverged motion must stay visibly diverged instead of starting again from the reset state.
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    if simulation.gravity_compensation:
-        for body in spec.bodies:
-            body.gravcomp = 1.0
-
-
-def _torque_sensor(joint: str) -> str:
-    return f"trueup.torque.{joint}"
-
-
 def _layout(model: mujoco.MjModel, joints: tuple[str, ...], channels: tuple[Channel, ...]) -> _Layout:
     columns = {joint: index for index, joint in enumerate(joints)}
-    controls, integrators = [], []
+    integrators = []
     for channel in channels:
         actuator = model.actuator(channel.actuator).id
-        controls.append((actuator, columns[channel.joint], channel.signal))
         if model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_INTEGRATOR:
             integrators.append((int(model.actuator_actadr[actuator]), columns[channel.joint]))
     return _Layout(
-        joints=joints,
         qpos=np.array([model.jnt_qposadr[model.joint(name).id] for name in joints]),
         qvel=np.array([model.jnt_dofadr[model.joint(name).id] for name in joints]),
-        torque=np.array([model.sensor_adr[model.sensor(_torque_sensor(name)).id] for name in joints]),
-        controls=tuple(controls),
+        torque=np.array([model.sensor_adr[model.sensor(torque_sensor(name)).id] for name in joints]),
         integrators=tuple(integrators),
     )

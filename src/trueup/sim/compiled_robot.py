@@ -1,0 +1,131 @@
+"""A robot's model with its controller, compiled: what every engine reads from it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Float64
+
+from trueup.errors import ConfigError, MissingSignal
+from trueup.robots import RobotSpec, SimulationSpec
+from trueup.sim.controllers import Channel, attach_controller, torque_limit_of
+from trueup.sim.friction import set_friction
+from trueup.sim.model import compile_spec
+
+# A motion beyond this has diverged [rad, m, rad/s or m/s]; MuJoCo itself gives up at accelerations of 1e10.
+ABSURD = 1e6
+
+
+class CompiledRobot:
+    """The base of simulators: the same model, channels and limits, whichever engine steps it.
+
+    Args:
+        model: compiled model with the controller's actuators and one `jointactuatorfrc` sensor per joint.
+        robot: its description.
+        channels: how commands reach the actuators.
+    """
+
+    def __init__(self, model: mujoco.MjModel, robot: RobotSpec, channels: tuple[Channel, ...]) -> None:
+        self.model = model
+        self.robot = robot
+        self.channels = channels
+        columns = {joint: index for index, joint in enumerate(robot.joint_names)}
+        self._controls = tuple(
+            (int(model.actuator_ctrladr[model.actuator(channel.actuator).id]), columns[channel.joint], channel.signal)
+            for channel in channels
+        )
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the J controlled joints."""
+        return self.robot.joint_names
+
+    @property
+    def timestep_s(self) -> float:
+        """Physics step [s]."""
+        return float(self.model.opt.timestep)
+
+    @property
+    def command_signals(self) -> tuple[str, ...]:
+        """Command signals that the controller follows; the first is required."""
+        return tuple(dict.fromkeys(channel.signal for channel in self.channels))
+
+    @property
+    def torque_limits(self) -> dict[str, float]:
+        """Joint name -> largest torque of its actuators [Nm or N]; joints without a limit are left out."""
+        own = {
+            joint: torque_limit_of(
+                self.model, joint, [channel.actuator for channel in self.channels if channel.joint == joint]
+            )
+            for joint in self.joints
+        }
+        return {joint: limit for joint, limit in own.items() if limit is not None}
+
+    def control_of(self, command: Mapping[str, Float[np.ndarray, "B N J"]]) -> Float64[np.ndarray, "B N U"]:
+        """Commands as the U inputs of the actuators.
+
+        Raises:
+            MissingSignal: the controller needs a signal that the command lacks.
+        """
+        required = self.command_signals[0]
+        if required not in command:
+            raise MissingSignal(
+                f"the controller of {self.robot.name!r} follows {required!r}, which the command lacks",
+                available=command,
+            )
+        control = np.zeros((*command[required].shape[:2], self.model.nu))
+        for row, column, signal in self._controls:
+            if signal in command:  # PD without a velocity command damps towards standstill
+                control[:, :, row] = command[signal][:, :, column]
+        return control
+
+    def digest(self, versions: str) -> str:
+        """SHA-256 of the compiled model, controller and options with it, and of the engines' versions."""
+        buffer = np.empty(mujoco.mj_sizeModel(self.model), dtype=np.uint8)
+        mujoco.mj_saveModel(self.model, None, buffer)
+        return hashlib.sha256(versions.encode() + buffer.tobytes()).hexdigest()
+
+
+def compile_robot(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path) -> tuple[mujoco.MjModel, tuple[Channel, ...]]:
+    """The compiled model of a robot with all that its description adds, and how commands reach it; for any engine.
+
+    Raises:
+        ConfigError: the model lacks an actuator, or MuJoCo refuses it.
+        NameMismatch: a joint is not in the model.
+    """
+    channels = attach_controller(spec, robot.controller, robot.joints)
+    for name in robot.joint_names:
+        kind = spec.joint(name).type
+        if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+            raise ConfigError(f"joint {name!r} is neither a hinge nor a slide", got=kind.name)
+        spec.add_sensor(
+            name=torque_sensor(name),
+            type=mujoco.mjtSensor.mjSENS_JOINTACTFRC,
+            objtype=mujoco.mjtObj.mjOBJ_JOINT,
+            objname=name,
+        )
+    for name, friction in robot.friction.items():
+        set_friction(spec, name, friction)
+    _set_options(spec, robot.simulation)
+    return compile_spec(spec, origin), channels
+
+
+def torque_sensor(joint: str) -> str:
+    """Name of the sensor of what the actuators do to a joint."""
+    return f"trueup.torque.{joint}"
+
+
+def _set_options(spec: mujoco.MjSpec, simulation: SimulationSpec) -> None:
+    if simulation.timestep_s is not None:
+        spec.option.timestep = simulation.timestep_s
+    if not simulation.contacts:
+        spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    # A diverged motion must stay visibly diverged instead of starting again from the reset state.
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    if simulation.gravity_compensation:
+        for body in spec.bodies:
+            body.gravcomp = 1.0
