@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from trueup.errors import ConfigError, NoPlan
 from trueup.record.kinematics import InverseKinematics
-from trueup.record.motion import MotionSettings, as_plan, random_pose
+from trueup.record.motion import MotionSettings, as_plan, first_plan, random_pose
 from trueup.record.plan import Plan
 from trueup.record.scene import Scene
 from trueup.record.timing import time_path
@@ -103,16 +103,15 @@ def random_line(
     if not 0 < length_m[0] <= length_m[1]:
         raise ConfigError("length_m must be a range of lengths", got=length_m)
     axes = ["xyz".index(axis) for axis in plane]
-    last: NoPlan | None = None
-    for attempt in range(settings.attempts):
-        start = random_pose(scene, rng)
-        angle, length = rng.uniform(0, 2 * np.pi), rng.uniform(length_m[0], length_m[1])
+
+    def draw() -> tuple[Float64[np.ndarray, "J"], float, float]:
+        return random_pose(scene, rng), rng.uniform(0, 2 * np.pi), rng.uniform(length_m[0], length_m[1])
+
+    def plan(drawn: tuple[Float64[np.ndarray, "J"], float, float]) -> Plan:
+        start, angle, length = drawn
         displacement = np.zeros(3)
         displacement[axes] = length * np.cos(angle), length * np.sin(angle)
-        try:
-            plan = cartesian_line(scene, start, displacement, velocity_share=velocity_share, settings=settings, id=id)
-        except NoPlan as error:
-            last = error
-            continue
-        return replace(plan, details={**plan.details, "plane": plane, "length_m": length, "attempts": attempt + 1})
-    raise NoPlan(f"no line in the {plane} plane in {settings.attempts} attempts", got=last.summary if last else None)
+        line = cartesian_line(scene, start, displacement, velocity_share=velocity_share, settings=settings, id=id)
+        return replace(line, details={**line.details, "plane": plane, "length_m": length})
+
+    return first_plan(draw, plan, settings.attempts, f"line in the {plane} plane")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Float64
@@ -16,6 +16,8 @@ from trueup.record.plan import Plan
 from trueup.record.profile import ClockSettings, Profile
 from trueup.record.scene import Scene
 from trueup.record.timing import rounded, time_path
+
+Drawn = TypeVar("Drawn")
 
 # Corners are rounded over such spacings of control points [rad or m], the next one where the wider one touches.
 _ROUNDING = (0.3, 0.1, 0.03)
@@ -150,6 +152,31 @@ def random_pose(
     raise NoPlan("no pose is free of collision", got=f"{attempts} draws", hint="Does the robot stand in an obstacle?")
 
 
+def first_plan(draw: Callable[[], Drawn], plan: Callable[[Drawn], Plan | None], attempts: int, wanted: str) -> Plan:
+    """The plan of the first draw that leads to one; its details say how many it took.
+
+    Args:
+        draw: draws a motion; what it raises is not caught.
+        plan: plans it; None or `NoPlan` where the draw is of no use.
+        attempts: draws before it is given up.
+        wanted: what was looked for, as it stands behind "no".
+
+    Raises:
+        NoPlan: none of the attempts led to a motion.
+    """
+    last: NoPlan | None = None
+    for number in range(attempts):
+        drawn = draw()
+        try:
+            found = plan(drawn)
+        except NoPlan as error:
+            last = error
+            continue
+        if found is not None:
+            return replace(found, details={**found.details, "attempts": number + 1})
+    raise NoPlan(f"no {wanted} in {attempts} attempts", got=last.summary if last else None)
+
+
 def random_joint_motion(
     scene: Scene,
     moving: Sequence[str],
@@ -174,28 +201,20 @@ def random_joint_motion(
         raise ConfigError("a motion needs at least one joint", available=scene.joints)
     scene.limits.scaled(velocity_share, settings.acceleration_share)
     inner = scene.limits
-    last: NoPlan | None = None
-    for attempt in range(settings.attempts):
+
+    def draw() -> tuple[Float64[np.ndarray, "J"], Float64[np.ndarray, "J"], int]:
         start = random_pose(scene, rng)
         goal = start.copy()
         goal[columns] = rng.uniform(inner.low[columns], inner.high[columns])
-        seed = int(rng.integers(2**32 - 1))
+        return start, goal, int(rng.integers(2**32 - 1))
+
+    def plan(drawn: tuple[Float64[np.ndarray, "J"], Float64[np.ndarray, "J"], int]) -> Plan | None:
+        start, goal, seed = drawn
         # A motion that hardly moves one of its joints is of no use to whoever wants that joint moved.
         if np.any(np.abs(goal - start)[columns] < 0.02 * (inner.high - inner.low)[columns]):
-            continue
-        try:
-            plan = joint_motion(
-                scene,
-                start,
-                goal,
-                moving=moving,
-                velocity_share=velocity_share,
-                seed=seed,
-                settings=settings,
-                id=id,
-            )
-        except NoPlan as error:
-            last = error
-            continue
-        return replace(plan, details={**plan.details, "attempts": attempt + 1})
-    raise NoPlan(f"no motion of {list(moving)} in {settings.attempts} attempts", got=last.summary if last else None)
+            return None
+        return joint_motion(
+            scene, start, goal, moving=moving, velocity_share=velocity_share, seed=seed, settings=settings, id=id
+        )
+
+    return first_plan(draw, plan, settings.attempts, f"motion of {list(moving)}")

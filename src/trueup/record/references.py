@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from trueup.errors import ConfigError, NoPlan
 from trueup.record.functions import Chirp, Function, multisine, random_chebyshev, random_field, taper
 from trueup.record.limits import JointLimits
-from trueup.record.motion import MotionSettings, as_plan, random_pose
+from trueup.record.motion import MotionSettings, as_plan, first_plan, random_pose
 from trueup.record.plan import Plan
 from trueup.record.profile import ClockSettings, Profile
 from trueup.record.scene import Scene
@@ -197,23 +197,23 @@ def random_reference(
         NoPlan: none of the attempts led to a motion.
     """
     reference, settings = reference or ReferenceSettings(), settings or MotionSettings()
-    last: NoPlan | None = None
-    for attempt in range(settings.attempts):
+    functions_of_pose = tuple[Float64[np.ndarray, "J"], dict[str, Function]]
+
+    def draw() -> functions_of_pose:
         center = random_pose(scene, rng, share=_INNER)
-        functions = {joint: draw_function(kind, rng, reference) for joint in moving}
-        try:
-            plan = function_reference(
-                scene,
-                functions,
-                center,
-                kind=kind,
-                velocity_share=velocity_share,
-                reference=reference,
-                settings=settings,
-                id=id,
-            )
-        except NoPlan as error:
-            last = error
-            continue
-        return replace(plan, details={**plan.details, "attempts": attempt + 1})
-    raise NoPlan(f"no {kind} reference in {settings.attempts} attempts", got=last.summary if last else None)
+        return center, {joint: draw_function(kind, rng, reference) for joint in moving}
+
+    def plan(drawn: functions_of_pose) -> Plan:
+        center, functions = drawn
+        return function_reference(
+            scene,
+            functions,
+            center,
+            kind=kind,
+            velocity_share=velocity_share,
+            reference=reference,
+            settings=settings,
+            id=id,
+        )
+
+    return first_plan(draw, plan, settings.attempts, f"{kind} reference")

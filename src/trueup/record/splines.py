@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from jaxtyping import Float64
 from trueup.errors import ConfigError, NoPlan
 from trueup.record.kinematics import InverseKinematics
 from trueup.record.limits import JointLimits
-from trueup.record.motion import MotionSettings, as_plan, random_pose
+from trueup.record.motion import MotionSettings, as_plan, first_plan, random_pose
 from trueup.record.plan import Plan
 from trueup.record.profile import ClockSettings, Profile, averaged
 from trueup.record.scene import Scene
@@ -155,16 +154,12 @@ def random_spline(
     if not extent_m > 0:
         raise ConfigError("extent_m must be positive", got=extent_m)
     b_spline(np.zeros((points, 3)), order)
-    last: NoPlan | None = None
-    for attempt in range(settings.attempts):
-        start = random_pose(scene, rng)
-        offsets = rng.uniform(-extent_m, extent_m, (points, 3))
-        try:
-            plan = spline_reference(
-                scene, start, offsets, order, velocity_share=velocity_share, settings=settings, id=id
-            )
-        except NoPlan as error:
-            last = error
-            continue
-        return replace(plan, details={**plan.details, "attempts": attempt + 1})
-    raise NoPlan(f"no B-spline of order {order} in {settings.attempts} attempts", got=last.summary if last else None)
+
+    def draw() -> tuple[Float64[np.ndarray, "J"], Float64[np.ndarray, "K 3"]]:
+        return random_pose(scene, rng), rng.uniform(-extent_m, extent_m, (points, 3))
+
+    def plan(drawn: tuple[Float64[np.ndarray, "J"], Float64[np.ndarray, "K 3"]]) -> Plan:
+        start, offsets = drawn
+        return spline_reference(scene, start, offsets, order, velocity_share=velocity_share, settings=settings, id=id)
+
+    return first_plan(draw, plan, settings.attempts, f"B-spline of order {order}")
