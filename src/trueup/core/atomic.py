@@ -70,6 +70,11 @@ def write_json(path: Path, value: Any) -> None:
     write_text(path, json.dumps(value, indent=2, allow_nan=False, ensure_ascii=False) + "\n")
 
 
+def as_read_back(value: Any) -> Any:
+    """The value as JSON gives it back: tuples are lists, keys are text."""
+    return json.loads(json.dumps(value))
+
+
 def read_json(path: Path) -> Any:
     """Read JSON.
 

@@ -22,7 +22,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from trueup.core.atomic import make_folder, read_json, write_json
+from trueup.core.atomic import as_read_back, make_folder, read_json, write_json
 from trueup.core.config import build
 from trueup.core.provenance import provenance
 from trueup.dataset.columns import from_table, layout_of, to_table
@@ -225,7 +225,7 @@ def _refuse_other(folder: Path, asked: Mapping[str, Any], *, overwrite: bool) ->
             return
         raise OutputExists(f"{folder} is not empty and holds no plan set", hint="Choose another folder.")
     found = read_json(folder / PLANS_NAME)
-    same = isinstance(found, dict) and all(found.get(key) == value for key, value in _plain(asked).items())
+    same = isinstance(found, dict) and all(found.get(key) == value for key, value in as_read_back(asked).items())
     if overwrite:
         # The description goes last, so that a deletion that was interrupted can be repeated.
         shutil.rmtree(folder / BLOCKS, ignore_errors=True)
@@ -235,13 +235,6 @@ def _refuse_other(folder: Path, asked: Mapping[str, Any], *, overwrite: bool) ->
             f"{folder} holds another plan set",
             hint="Choose another folder, repeat with the same description and robot, or give --overwrite.",
         )
-
-
-def _plain(tree: Any) -> Any:
-    """As JSON gives it back: tuples are lists."""
-    if isinstance(tree, Mapping):
-        return {key: _plain(value) for key, value in tree.items()}
-    return [_plain(value) for value in tree] if isinstance(tree, list | tuple) else tree
 
 
 class PlanSet:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from trueup.align import JointMap, check_quality, limits_in_log
-from trueup.core.atomic import replacing
+from trueup.core.atomic import as_read_back, replacing
 from trueup.core.episode import Episode, warning_kinds
 from trueup.core.provenance import provenance
 from trueup.dataset import (
@@ -214,7 +213,7 @@ def _plain(options: ImportOptions | None) -> dict[str, Any]:
 
 def _refuse_other_options(stored: DatasetInfo, info: DatasetInfo, out: Path) -> None:
     before, now = (item.provenance.get("config", {}) for item in (stored, info))
-    plain = json.loads(json.dumps(now))  # as dataset.json keeps it
+    plain = as_read_back(now)
     changed = sorted(key for key in ("format", "options") if before.get(key) != plain.get(key))
     if changed:
         raise OutputExists(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trueup.align import JointMap
+from trueup.core.atomic import as_read_back
 from trueup.core.episode import Episode
 from trueup.core.provenance import provenance
 from trueup.dataset import Dataset, RunWriter, refuse_run
@@ -210,7 +210,7 @@ def _inputs(
 
 def _refuse_other_inputs(dataset: Dataset, label: str, inputs: Mapping[str, Any]) -> None:
     stored = dataset.run_info(label).get("inputs", {})
-    plain = json.loads(json.dumps(inputs))  # as run.json keeps it: tuples are lists there
+    plain = as_read_back(inputs)
     changed = sorted(key for key in plain if stored.get(key) != plain[key])
     if changed:
         raise OutputExists(
