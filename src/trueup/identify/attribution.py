@@ -76,10 +76,11 @@ def explain(
         fit.setdefault("mass", "all")
     sorted_out = {split: usable(own, keep_flagged=settled.data.keep_flagged) for split, own in episodes.items()}
     logs = {split: own for split, (own, _) in sorted_out.items()}
-    scorers = {id(own): Scorer(own, logs, jobs=jobs, seed=seed) for own in (soft, hard)}
-    split = next((name for name in ("test", "val", "train") if name in scorers[id(soft)].splits), None)
+    first = Scorer(soft, logs, jobs=jobs, seed=seed)
+    split = next((name for name in ("test", "val", "train") if name in first.splits), None)
     if split is None or not logs.get("train"):
         raise NotIdentifiable("there is no motion to fit", hint="Give --splits at import.")
+    scorers = {id(soft): first, id(hard): Scorer(hard, {split: logs[split]}, jobs=jobs, seed=seed)}
     seen = excitation_of(
         logs["train"], soft.robot.scored_joints, soft.robot.controller.signal, soft.simulator.torque_limits
     )
@@ -89,8 +90,8 @@ def explain(
     motions = [segment.episode_id for segment in segments]
     settings = replace(settled.solver.settings(seed), solver="gauss-newton", starts=1)
 
-    scores = scorers[id(soft)].score(ParameterSet(()), {}, split)
-    unit = scorers[id(soft)].unit
+    scores = first.score(ParameterSet(()), {}, split)
+    unit = first.unit
     steps = [AttributionStep("", "the model as it came", (), 0, scores.pooled, scores.estimate(unit))]
     chosen: dict[str, object] = {}
     values: dict[str, float] = {}
@@ -128,7 +129,7 @@ def explain(
         )
     unused: dict[str, dict[str, str]] = {name: dict(own[1]) for name, own in sorted_out.items()}
     unused["train"] |= {name: error.summary for name, error in refused.items()}
-    for name, own_refused in scorers[id(soft)].refused.items():
+    for name, own_refused in first.refused.items():
         unused[name] |= own_refused
     statements = [
         *left_out(unused),

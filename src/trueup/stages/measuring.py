@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -120,6 +120,8 @@ def gap(
     builder = AnalysisBuilder(window_s=frame.window_s)
     traces = TraceSet()
     plane = PlaneBuilder(frame.scored)
+    several_engines = len({label.partition("/")[0] for label in labels}) > 1
+    comparing = several_engines or _several({meta.id: meta.payload_kg for meta in dataset.metas}, kept)
     payload_kg: dict[str, float | None] = {}
     errors: dict[str, float] = {}
     left_out: dict[str, TrueupError] = {}
@@ -146,7 +148,8 @@ def gap(
             scored = comparison if frame.follows_motion else replace(comparison, command=None)
             builder.add(scored)
             signs.add(comparison)
-            plane.add(comparison)
+            if comparing:
+                plane.add(comparison)
             payload_kg[name] = comparison.meta.payload_kg
             if len(traces.episodes) > _MOST_TRACED:
                 traces.episodes.pop(min(traces.episodes, key=lambda key: errors.get(key, np.inf)))
@@ -203,10 +206,14 @@ def gap(
     analysis = replace(builder.result(lags_of(result)), provenance=origin)
     quality = quality_of(dataset, set(kept), frame.joint_map, far_motions(errors), split=split)
     engines = None
-    loads = {load for load in payload_kg.values() if load is not None}
-    if len(loads) > 1 or len({label.partition("/")[0] for label in labels}) > 1:
+    if several_engines or _several(payload_kg, payload_kg):
         engines = EngineComparison(trends_of(result, payload_kg), plane.result(), origin)
     return Measurement(result, analysis, traces, replace(quality, provenance=origin), engines)
+
+
+def _several(payload_kg: Mapping[str, float | None], motions: Iterable[str]) -> bool:
+    """Whether these motions carry two known payloads or more."""
+    return len({payload_kg[name] for name in motions} - {None}) > 1
 
 
 def _made(dataset: Dataset, label: str) -> dict[str, Any]:
