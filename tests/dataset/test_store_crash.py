@@ -306,3 +306,30 @@ def test_a_run_survives_too(tmp_path, whole_journal):
         assert run.ids == {"e000", "e001"}
         run.append("e002", make_episode(2).measured)
     assert len(Dataset(path).run_ids("mujoco/stock")) == 3
+
+
+def files_of(path):
+    return {file.relative_to(path).as_posix(): file.read_bytes() for file in path.rglob("*") if file.is_file()}
+
+
+@pytest.mark.parametrize("how", ["killed", "an error"])
+def test_an_interrupted_dataset_becomes_the_same_files(tmp_path, monkeypatch, how):
+    """Shards begin and end where they would have, wherever writing was interrupted, and however often."""
+    monkeypatch.setattr(append, "MAX_PENDING", 5)
+    with DatasetWriter.create(tmp_path / "whole", INFO) as writer:
+        for number in range(17):
+            writer.append(make_episode(number))
+    assert len(list((tmp_path / "whole" / "measured").iterdir())) > 1
+    for first in range(1, 17, 3):
+        path = tmp_path / f"{first}"
+        for stop in (first, first + 1, 17):
+            with contextlib.suppress(KeyboardInterrupt), DatasetWriter.resume(path, INFO) as writer:
+                for number in range(len(writer.ids), stop):
+                    writer.append(make_episode(number))
+                if stop < 17 and how == "an error":
+                    raise KeyboardInterrupt
+                if stop < 17:
+                    writer.release()  # the system does so for a dead process
+                    with (path / "journal.bin").open("ab") as torn:
+                        torn.write(b"\xabEPI half a frame")
+        assert files_of(path) == files_of(tmp_path / "whole")

@@ -61,11 +61,10 @@ class StoreWriter:
                 self._write_index(self._table)
             self._forget_pending()
             self._clean()
-            self._recover()
+            self._journal = Journal(spec.journal_path, end=self._recover())
         except BaseException:
             self._lock.release()
             raise
-        self._journal = Journal(spec.journal_path)
         self._closed = False
 
     def _clean(self) -> None:
@@ -81,16 +80,26 @@ class StoreWriter:
             for number in set(range(self._last_number(series))) - named:
                 (self.spec.shard_folder(series) / shard_name(number)).unlink(missing_ok=True)
 
-    def _recover(self) -> None:
-        """Move the whole frames of a journal that was left behind into shards."""
+    def _recover(self) -> int:
+        """Take up the whole frames of a journal that was left behind; where to go on in it, 0 for a new one.
+
+        An undamaged journal is gone on with, so that shards begin and end where they would have without the
+        interruption.
+        """
+        end = 0
         with contextlib.suppress(FileNotFoundError), contextlib.closing(JournalReader(self.spec.journal_path)) as left:
+            end = left.begin
             for frame in left.frames(salvage=True):
                 row, tables = unpack(frame.payload)
+                end = frame.end if frame.begin == end and row["id"] not in self._ids else 0
                 if row["id"] not in self._ids:
                     layouts = {name: parse_layout(table.schema) for name, table in tables.items()}
                     self._add(_Pending(row, tables, layouts), len(frame.payload))
+        if self._pending and end and not self._full():
+            return end
         self._settle()
         self.spec.journal_path.unlink(missing_ok=True)
+        return 0
 
     def _last_number(self, series: str) -> int:
         number = pc.max(self._table.column(f"{series}_shard")).as_py()
@@ -219,12 +228,18 @@ class StoreWriter:
         """
         if self._closed:
             return
-        self._closed = True
         try:
             self.flush()
         finally:
-            self._journal.close()
-            self._lock.release()
+            self.release()
+
+    def release(self) -> None:
+        """Let the next writer in, which goes on with the journal as this one would have."""
+        if self._closed:
+            return
+        self._closed = True
+        self._journal.close()
+        self._lock.release()
 
 
 @contextlib.contextmanager

@@ -99,14 +99,18 @@ def _other_version(error: object) -> DataError:
 class Journal:
     """The end of the log that is written to.
 
+    Args:
+        path: of the log.
+        end: where the frames that are there end; what follows is torn and goes. 0 starts the log anew.
+
     Raises:
         DataError: the disk is full or not writable; frames that were complete stay so.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, end: int = 0) -> None:
         self._path = path
         self._descriptor: int | None = None
-        self._size = 0
+        self._size = end
         self._synced_s = time.monotonic()
 
     def append(self, pieces: list[bytes | memoryview]) -> None:
@@ -118,9 +122,11 @@ class Journal:
         frame = [head + _CRC.pack(zlib.crc32(head)), *pieces]
         try:
             if self._descriptor is None:
-                self._descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
-                self._size = 0
-                frame.insert(0, FILE_MAGIC)
+                self._descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
+                os.ftruncate(self._descriptor, self._size)
+                os.lseek(self._descriptor, self._size, os.SEEK_SET)
+                if self._size == 0:
+                    frame.insert(0, FILE_MAGIC)
             self._size += _write_all(self._descriptor, frame)
             # A killed process loses nothing that it has written; only a power cut does, and is allowed one second.
             if time.monotonic() - self._synced_s > _SYNC_EVERY_S:
@@ -147,6 +153,7 @@ class Journal:
     def remove(self) -> None:
         """Delete the log: its frames are in the shards and in the index. Readers that have it open keep it."""
         self.close()
+        self._size = 0
         self._path.unlink(missing_ok=True)
 
     def close(self) -> None:
@@ -174,6 +181,16 @@ class Frame:
     offset: int
     payload: bytes
 
+    @property
+    def begin(self) -> int:
+        """Where the frame begins in the file."""
+        return self.offset - _HEAD_SIZE
+
+    @property
+    def end(self) -> int:
+        """Where it ends."""
+        return self.offset + len(self.payload)
+
 
 class JournalReader:
     """Reads a log. What it has listed stays readable when a writer deletes the file.
@@ -192,6 +209,11 @@ class JournalReader:
         except OSError as error:
             raise DataError(f"cannot read {path}", got=error.strerror) from error
         self.close = weakref.finalize(self, os.close, self._descriptor)
+
+    @property
+    def begin(self) -> int:
+        """Where the first frame of an undamaged log begins; 0 if the log is none."""
+        return len(FILE_MAGIC) if self.read(0, len(FILE_MAGIC)) == FILE_MAGIC else 0
 
     def read(self, offset: int, size: int) -> bytes:
         """Bytes of the file; fewer than `size` where it ends.

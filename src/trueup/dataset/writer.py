@@ -23,7 +23,7 @@ from trueup.dataset.index import StoreSpec
 from trueup.dataset.info import DatasetInfo, is_dataset
 from trueup.dataset.lock import LOCK_NAME, FolderLock
 from trueup.dataset.store import StoreReader
-from trueup.errors import ConfigError, DataError, FormatError, MissingSignal, NameMismatch, OutputExists, TrueupError
+from trueup.errors import ConfigError, DataError, FormatError, MissingSignal, NameMismatch, OutputExists
 
 RUN_SCHEMA = "trueup.run/1"
 RUN_NAME = "run.json"
@@ -101,10 +101,16 @@ def _plain(value: object) -> Any:
 
 
 class _Closing(ABC):
-    """`with` for a writer: what was appended is kept, also when the block ends with an error."""
+    """`with` for a writer: what was appended is kept, also when the block ends with an error.
+
+    Then it stays in the journal, for a writer that resumes and goes on as this one would have.
+    """
 
     @abstractmethod
     def close(self) -> None: ...
+
+    @abstractmethod
+    def release(self) -> None: ...
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -112,9 +118,7 @@ class _Closing(ABC):
         if kind is None:
             self.close()
             return
-        # The journal has everything, and the error that ended the block is the one to be seen.
-        with contextlib.suppress(TrueupError):
-            self.close()
+        self.release()
 
 
 class DatasetWriter(_Closing):
@@ -220,6 +224,11 @@ class DatasetWriter(_Closing):
             for store in (self._store, *self._runs.values()):
                 stack.callback(store.close)
 
+    def release(self) -> None:
+        """Let the next writer in, which goes on where this one was."""
+        for store in (self._store, *self._runs.values()):
+            store.release()
+
 
 class RunWriter(_Closing):
     """Writes what one simulator made of the episodes of a dataset.
@@ -295,6 +304,10 @@ class RunWriter(_Closing):
     def close(self) -> None:
         """Move everything into shards and let the next writer in."""
         self._store.close()
+
+    def release(self) -> None:
+        """Let the next writer in, which goes on where this one was."""
+        self._store.release()
 
 
 def refuse_run(dataset_path: Path, label: str, *, allowed: bool) -> None:
