@@ -44,7 +44,7 @@ def test_processes_give_what_threads_give_errors_included(tmp_path):
 
 
 def test_a_worker_that_cannot_start_is_an_error_of_two_lines(tmp_path):
-    with pytest.raises(ConfigError, match=r"worker processes.*\n.*__main__"):
+    with pytest.raises(ConfigError, match=r"a worker process ended.*\n.*__main__"):
         list(replay([logged_motion(two_links(tmp_path, SERVO))], _die, ReplaySettings(), jobs=2, processes=True))
 
 

@@ -14,9 +14,7 @@ import importlib
 import shutil
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +23,7 @@ from threadpoolctl import threadpool_limits
 from trueup.core.atomic import as_read_back, make_folder, read_json, write_json
 from trueup.core.config import build
 from trueup.core.provenance import provenance
+from trueup.core.workers import in_processes
 from trueup.dataset.columns import from_table, layout_of, to_table
 from trueup.dataset.lock import LOCK_NAME, FolderLock
 from trueup.dataset.shards import ShardReader, shard_name, write_shard
@@ -133,17 +132,9 @@ def _plan_blocks(
         for number in missing:
             count(planner.plan(number))
         return Planned(planned, skipped)
-    # Not forked: the parent may have threads of its own.
-    context = get_context("spawn")
-    with ProcessPoolExecutor(
-        min(jobs, len(missing)), mp_context=context, initializer=_begin, initargs=(spec, robot, model, folder)
-    ) as pool:
-        try:
-            for done in pool.map(_plan_block, missing):
-                count(done)
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+    jobs = min(jobs, len(missing))
+    for done in in_processes(_plan_block, missing, jobs=jobs, begin=_begin, with_args=(spec, robot, model, folder)):
+        count(done)
     return Planned(planned, skipped)
 
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import signal
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from concurrent.futures import Future, ThreadPoolExecutor
 from threading import local
 
 from trueup.core.episode import Episode
 from trueup.core.protocols import Simulator
 from trueup.core.timeseries import TimeSeries
-from trueup.errors import ConfigError, TrueupError
+from trueup.core.workers import in_processes
+from trueup.errors import TrueupError
 from trueup.sim.replay_plan import ReplayPlan
 from trueup.sim.replay_settings import ReplaySettings
 
@@ -64,22 +63,20 @@ def replay(
     Raises:
         ConfigError: the worker processes could not start.
     """
-    waiting: list[tuple[str, Future[TimeSeries | TrueupError]]] = []
-    pool = _workers(make_simulator, jobs, processes=processes)
+    if processes and jobs > 1:
+        yield from in_processes(
+            _work, ((episode, settings) for episode in episodes), jobs=jobs, begin=_begin, with_args=(make_simulator,)
+        )
+        return
+    waiting: deque[Future[tuple[str, TimeSeries | TrueupError]]] = deque()
+    pool = ThreadPoolExecutor(jobs, initializer=_begin, initargs=(make_simulator,))
     try:
         for episode in episodes:
-            waiting.append((episode.id, pool.submit(_work, episode, settings)))
+            waiting.append(pool.submit(_work, (episode, settings)))
             if len(waiting) > 2 * jobs:
-                episode_id, future = waiting.pop(0)
-                yield episode_id, future.result()
-        for episode_id, future in waiting:
-            yield episode_id, future.result()
-    except BrokenProcessPool as error:
-        raise ConfigError(
-            "the worker processes of the replay ended",
-            got=str(error),
-            hint='In a script, replay below `if __name__ == "__main__":`, or give jobs=1.',
-        ) from error
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
     finally:
         pool.shutdown(cancel_futures=True)
 
@@ -88,27 +85,15 @@ def replay(
 _OWN = local()
 
 
-def _workers(make_simulator: Callable[[], Simulator], jobs: int, *, processes: bool) -> Executor:
-    if processes and jobs > 1:
-        # Not forked: other threads may hold locks at that moment.
-        return ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_begin_apart, initargs=(make_simulator,))
-    return ThreadPoolExecutor(jobs, initializer=_begin, initargs=(make_simulator,))
-
-
 def _begin(make_simulator: Callable[[], Simulator]) -> None:
     _OWN.make, _OWN.simulator = make_simulator, None
 
 
-def _begin_apart(make_simulator: Callable[[], Simulator]) -> None:
-    # Ctrl-C reaches all processes; the one that was asked says so, and the others end with it.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _begin(make_simulator)
-
-
-def _work(episode: Episode, settings: ReplaySettings) -> TimeSeries | TrueupError:
+def _work(item: tuple[Episode, ReplaySettings]) -> tuple[str, TimeSeries | TrueupError]:
+    episode, settings = item
     if _OWN.simulator is None:
         _OWN.simulator = _OWN.make()
     try:
-        return replay_episode(episode, _OWN.simulator, settings)
+        return episode.id, replay_episode(episode, _OWN.simulator, settings)
     except TrueupError as error:
-        return error
+        return episode.id, error

@@ -1,0 +1,63 @@
+"""Work on many items in processes, in order and with bounded memory; the one place that starts any."""
+
+from __future__ import annotations
+
+import signal
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+from typing import Any, TypeVar
+
+from trueup.errors import ConfigError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def in_processes(
+    work: Callable[[Item], Result],
+    items: Iterable[Item],
+    *,
+    jobs: int,
+    begin: Callable[..., None],
+    with_args: tuple[Any, ...] = (),
+) -> Iterator[Result]:
+    """What `work` makes of each item, in order; few items are under way at a time.
+
+    Args:
+        work: a function of a module; what goes in and comes out can be pickled.
+        items: taken one by one.
+        jobs: processes.
+        begin: called in each process before its first item.
+        with_args: its arguments.
+
+    Raises:
+        ConfigError: the processes could not start, or one of them was killed.
+    """
+    waiting: deque[Future[Result]] = deque()
+    # Not forked: other threads may hold locks at that moment.
+    pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin, initargs=(begin, with_args))
+    try:
+        for item in items:
+            waiting.append(pool.submit(work, item))
+            if len(waiting) > 2 * jobs:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    except BrokenProcessPool as error:
+        raise ConfigError(
+            "a worker process ended",
+            got=str(error),
+            hint='In a script, call this below `if __name__ == "__main__":`, or give jobs=1. '
+            "If a process was killed, perhaps for want of memory, repeat with fewer jobs.",
+        ) from error
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _begin(begin: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+    # Ctrl-C reaches all processes; the one that was asked says so, and the others end with it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    begin(*arguments)
