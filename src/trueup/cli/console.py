@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from typing import TYPE_CHECKING, TypeVar
 
 from rich.console import Console
@@ -45,7 +45,7 @@ class _Rate(ProgressColumn):
         return Text(f"{task.speed:.3g}/s" if task.speed else "", style="progress.data.speed")
 
 
-def track(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
+def track(items: Iterable[T], what: str, total: int | None = None) -> Generator[T]:
     """A `stages.progress.Track`: a bar on a terminal, a line now and then elsewhere."""
     if not err.is_terminal:
         yield from _plain(items, what, total)
@@ -65,7 +65,7 @@ def track(items: Iterable[T], what: str, total: int | None = None) -> Iterator[T
             progress.advance(task)
 
 
-def _plain(items: Iterable[T], what: str, total: int | None) -> Iterator[T]:
+def _plain(items: Iterable[T], what: str, total: int | None) -> Generator[T]:
     started = last = time.monotonic()
     for done, item in enumerate(items, start=1):
         yield item

@@ -118,3 +118,46 @@ class Clock(Protocol):
     def wait_until_s(self, time_s: float) -> None:
         """Return at `time_s`; at once if it has passed."""
         ...
+
+
+@runtime_checkable
+class Hardware(RobotIO, Clock, Protocol):
+    """A robot on its clock, as a recorder drives it. It holds the command that was written last."""
+
+    @property
+    def command_signals(self) -> tuple[str, ...]:
+        """Signals that its controller follows; the first is required."""
+        ...
+
+    def recover(self) -> None:
+        """Make it take commands again after a stop; nothing happens if it does."""
+        ...
+
+
+@runtime_checkable
+class Executed(Protocol):
+    """What came of a trajectory."""
+
+    @property
+    def measured(self) -> TimeSeries:
+        """On the robot's clock: a row from before the first command, then every so many control steps."""
+        ...
+
+    @property
+    def stopped_s(self) -> float | None:
+        """When the robot stopped on its way, on its clock [s]; None if it arrived."""
+        ...
+
+
+@runtime_checkable
+class TrajectoryIO(Hardware, Protocol):
+    """A robot that also takes whole trajectories, and follows them at its own rate."""
+
+    @property
+    def control_step_s(self) -> float:
+        """Its control step [s]."""
+        ...
+
+    def execute(self, command: dict[str, Float[np.ndarray, "N J"]], *, every: int = 1) -> Executed:
+        """Follow one row per control step; the same motion as writing the rows one by one."""
+        ...

@@ -65,6 +65,18 @@ class Plant:
         state.joints["bristle"][:] = 0.0
         self._refuse_too_stiff()
 
+    def warmth(self, speed: float, time_s: float) -> Float64[np.ndarray, "J"]:
+        """How warm the joints are after moving at a speed about this pose, from cold, (J,) [K].
+
+        Args:
+            speed: of every joint [rad/s or m/s].
+            time_s: [s].
+        """
+        windings = self.numbers["copper"] * np.square(self.state.joints["weight"])
+        power = windings + self.numbers["coulomb_nm"] * speed
+        share = -np.expm1(-time_s / self.settings.time_constant_s)
+        return np.asarray(share * self.settings.rise_k_per_w * power)
+
     def _refuse_too_stiff(self) -> None:
         numbers, dt = self.numbers, self.settings.physics_step_s
         if not numbers["stiffness"].any():

@@ -125,6 +125,14 @@ class SimulatedRobot:
         """Names of the J joints."""
         return self.simulator.joints
 
+    @property
+    def command_signals(self) -> tuple[str, ...]:
+        """Signals that its controller follows; the first is required."""
+        return self.simulator.command_signals
+
+    def recover(self) -> None:
+        """Nothing: it never stops."""
+
     def now_s(self) -> float:
         """Simulated seconds since the start."""
         return self._tick * self.control_step_s

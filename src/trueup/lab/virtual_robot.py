@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64
 
 from trueup.core.timeseries import TimeSeries, same_units
-from trueup.errors import DataError, MissingSignal, RobotStopped
+from trueup.errors import ConfigError, DataError, MissingSignal, RobotStopped
 from trueup.lab.faults import FOREVER, Fault, stalls
 from trueup.lab.plant import (
     LOGGED,
@@ -28,6 +28,7 @@ from trueup.lab.simulated_robot import Sensors, ticks_until
 from trueup.lab.truth import Truth, draw_truth
 from trueup.sim.compiled_robot import ABSURD
 
+_USUAL_SPEED = 0.5  # of a joint at work [rad/s]
 _MEASURED = {"position": "rad", "velocity": "rad/s", "torque": "Nm"}
 _HIDDEN = {**_MEASURED, "motor_position": "rad", "motor_torque": "Nm", "rise": "K"}
 _ROWS = dict(zip(_HIDDEN, (POSITION, VELOCITY, TORQUE, MOTOR_POSITION, MOTOR_TORQUE, RISE), strict=True))
@@ -87,18 +88,46 @@ class VirtualRobot:
         self.command_signals = ("torque",) if spec.controller.kind == "torque" else ("position", "velocity")
         self.payload_kg = payload_kg
         self._plant: Plant = build_plant(self.truth, payload_kg)
-        streams = np.random.default_rng([seed, self.truth.unit]).spawn(3)
-        self._noise, self._jitter, self._losses = streams
         self._sensors = spec.readings.sensors if spec.readings.enabled else Sensors()
         self._bias = np.array([joint.torque_bias_nm for joint in self.truth.joints.values()])
-        self._faults = tuple(faults)
-        self._stalls = stalls(self._faults, self.joints, self.control_step_s)
-        self._stop = min((f.ticks(self.control_step_s)[0] for f in faults if f.kind == "stop"), default=FOREVER)
-        self._real_time, self._started = real_time, time.monotonic()
+        self._real_time = real_time
         self._advance, self._weigh = compiled()
         self._command = np.zeros((2, len(self.joints)))
         self._reading: dict[str, Float64[np.ndarray, "J"]] = {}
-        self.place(self._plant.home if position is None else position)
+        self.restart(position=position, seed=seed, faults=faults)
+
+    def restart(
+        self,
+        *,
+        position: Float[np.ndarray, "J"] | None = None,
+        seed: int | Sequence[int] = 0,
+        faults: Sequence[Fault] = (),
+        worked_s: float = 0.0,
+    ) -> None:
+        """Begin anew, with the clock at zero: what follows depends on these arguments and on nothing before.
+
+        Args:
+            position: starting pose, as for the robot itself.
+            seed: of sensor noise, jitter and lost readings; several numbers are one seed, too.
+            faults: what will go wrong.
+            worked_s: its joints are as warm as after so long a work [s]: moving at about 0.5 rad/s around `home`.
+
+        Raises:
+            ConfigError: a fault that does not fit, or a negative time.
+        """
+        if not 0 <= worked_s < np.inf:
+            raise ConfigError("worked_s must not be negative", got=worked_s)
+        streams = np.random.default_rng([*np.atleast_1d(seed).tolist(), self.truth.unit]).spawn(3)
+        self._noise, self._jitter, self._losses = streams
+        self._faults = tuple(faults)
+        self._stalls = stalls(self._faults, self.joints, self.control_step_s)
+        self._stop = min((f.ticks(self.control_step_s)[0] for f in faults if f.kind == "stop"), default=FOREVER)
+        self._started = time.monotonic()
+        self._plant.state.counters[:] = 0
+        self.place(self._plant.home)
+        self._plant.state.joints["rise"][:] = self._plant.warmth(_USUAL_SPEED, worked_s)
+        if position is not None:
+            self.place(position)
 
     @property
     def stopped(self) -> bool:

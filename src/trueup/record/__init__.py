@@ -1,4 +1,4 @@
-"""Planned motions: goals, lines, references and excitations within limits and around obstacles, stored as plan sets.
+"""Motions planned within limits and around obstacles, stored as plan sets, and the recorder that executes them.
 
 Importing this loads neither MuJoCo nor a planner; both are loaded when a `Scene` is made or something is planned. What
 executes stored plans needs neither.
@@ -31,6 +31,10 @@ from trueup.record.planstore import PlanSet as PlanSet
 from trueup.record.planstore import describe as describe
 from trueup.record.planstore import plan_all as plan_all
 from trueup.record.profile import ClockSettings as ClockSettings
+from trueup.record.recorder import Recorder as Recorder
+from trueup.record.recorder import Recording as Recording
+from trueup.record.recorder import RecordSettings as RecordSettings
+from trueup.record.recorder import whole_ratio as whole_ratio
 from trueup.record.references import ReferenceSettings as ReferenceSettings
 from trueup.record.references import function_reference as function_reference
 from trueup.record.references import random_reference as random_reference
@@ -55,6 +59,9 @@ __all__ = [
     "PlanSet",
     "PlanSetSpec",
     "Planned",
+    "RecordSettings",
+    "Recorder",
+    "Recording",
     "ReferenceSettings",
     "Scene",
     "Violation",
@@ -78,4 +85,5 @@ __all__ = [
     "require_valid",
     "spline_reference",
     "straightness_m",
+    "whole_ratio",
 ]

@@ -1,0 +1,124 @@
+"""`trueup record`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from trueup.cli import options
+from trueup.cli.console import note, out, problem, track
+from trueup.errors import ConfigError
+
+if TYPE_CHECKING:
+    from trueup.record import PlanSetSpec
+    from trueup.stages.recording import RecordSummary
+
+_SHOWN = 10
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("record")(record)
+
+
+def record(
+    out_dir: Annotated[Path, typer.Option("--out", help="Folder of the dataset.")],
+    robot: options.Robot = "panda",
+    hardware: Annotated[str, typer.Option("--hardware", help="lab, or an engine: mujoco, dart.")] = "lab",
+    unit: Annotated[int, typer.Option("--unit", min=0, help="Which individual of the lab's robots.")] = 1,
+    plan: Annotated[
+        str, typer.Option("--plan", help="paper, a YAML file that describes motions, or the folder of a plan set.")
+    ] = "paper",
+    scale: Annotated[float, typer.Option("--scale", help="Share of the motions of each group.")] = 1.0,
+    payload_kg: Annotated[
+        list[float] | None, typer.Option("--payload-kg", help="Payload of the lab's robot [kg]; repeatable.")
+    ] = None,
+    lab: Annotated[Path | None, typer.Option("--lab", help="YAML with the sizes of the lab's effects.")] = None,
+    faults: Annotated[
+        float,
+        typer.Option("--faults", help="Share of the motions in which the lab's robot stops, stalls or drops out."),
+    ] = 0.0,
+    truth: Annotated[
+        Path | None, typer.Option("--truth", help="File for what is true of the lab's robot; not inside --out.")
+    ] = None,
+    control_hz: Annotated[float, typer.Option("--control-hz", help="Commands per second.")] = 1000.0,
+    record_hz: Annotated[float, typer.Option("--record-hz", help="Rows per second of the recording.")] = 100.0,
+    model: options.Model = None,
+    seed: options.Seed = 0,
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", min=1, help="Processes; the number of cores if not given.")
+    ] = None,
+    overwrite: options.Overwrite = False,
+    resume: options.Resume = False,
+) -> int:
+    """Plan motions, execute them on a robot and record them; an interrupted recording is gone on with."""
+    import os
+    from dataclasses import replace
+
+    from trueup.lab import load_lab
+    from trueup.record import RecordSettings, load_plans
+    from trueup.robots import find_model, load_robot
+    from trueup.stages.recording import record as run
+    from trueup.stages.rigs import LabRig, make_rig
+
+    spec = load_robot(robot)
+    rig = make_rig(
+        hardware,
+        spec,
+        find_model(spec, given=model),
+        unit=unit,
+        seed=seed,
+        lab=load_lab(lab) if lab else None,
+        fault_share=faults,
+        control_hz=control_hz,
+    )
+    if truth is not None:
+        if not isinstance(rig, LabRig):
+            raise ConfigError("only the lab's robots have a truth to write down", got=f"--hardware {hardware}")
+        if truth.resolve().is_relative_to(out_dir.resolve()):
+            raise ConfigError("the truth is kept apart from the data", got=truth, hint="Choose another folder for it.")
+    plans: Path | PlanSetSpec = Path(plan)
+    if isinstance(plans, Path) and plans.is_dir():
+        if scale != 1.0:
+            raise ConfigError("a stored plan set is recorded as it is", got=f"--scale {scale:g}")
+    else:
+        plans = replace(load_plans(plan), seed=seed).scaled(scale)
+    summary = run(
+        out_dir,
+        spec,
+        rig,
+        plans,
+        payloads_kg=tuple(payload_kg or (0.0,)),
+        settings=RecordSettings(control_hz=control_hz, record_hz=record_hz),
+        model=model,
+        jobs=jobs or os.cpu_count() or 1,
+        overwrite=overwrite,
+        resume=resume,
+        track=track,
+    )
+    if truth is not None and isinstance(rig, LabRig):
+        rig.truth().save(truth)
+    show(summary)
+    return 2 if summary.failed else 0
+
+
+def show(summary: RecordSummary) -> None:
+    """What was recorded, what was not, and what is suspicious."""
+    for name, why in list(summary.skipped.items())[:_SHOWN]:
+        note(f"{name} was not planned: {why}")
+    _more(len(summary.skipped))
+    for name, kinds in list(summary.flagged.items())[:_SHOWN]:
+        note(f"{name}: warning: {', '.join(kinds)}")
+    _more(len(summary.flagged))
+    for name, error in list(summary.failed.items())[:_SHOWN]:
+        problem(f"{name} was not recorded: {error.what}: {error.details}", error.hint)
+    _more(len(summary.failed))
+    kept = f", {summary.kept} were there" if summary.kept else ""
+    out.print(f"{summary.recorded} motions recorded{kept} in {summary.seconds:.1f} s -> {summary.path}", markup=False)
+
+
+def _more(count: int) -> None:
+    if count > _SHOWN:
+        note(f"and {count - _SHOWN} more of this kind")

@@ -1,0 +1,206 @@
+"""A robot follows commands, and what it says meanwhile is kept: step by step, or as a whole where it can do that."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float64
+
+from trueup.core.protocols import Hardware, TrajectoryIO
+from trueup.core.timeseries import TimeSeries, same_units
+from trueup.errors import ConfigError, DataError, RobotStopped, TrueupError
+
+_UNITS = {
+    "position": "rad",
+    "velocity": "rad/s",
+    "acceleration": "rad/s^2",
+    "torque": "Nm",
+    "current": "A",
+    "voltage": "V",
+    "temperature": "degC",
+}
+# A robot whose command went this far and whose readings did not change at all says nothing any more [rad or m].
+_UNANSWERED = 0.01
+# Rates that should be multiples of one another may miss by this share.
+_WHOLE = 1e-6
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """What ended a motion early.
+
+    Attributes:
+        kind: `stopped` (the robot took no more commands), `silent` (its readings stood still while its command
+            moved), `failed` (its driver raised an error).
+        time_s: when, from the first command on [s].
+        detail: for people.
+    """
+
+    kind: Literal["stopped", "silent", "failed"]
+    time_s: float
+    detail: str
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """What was commanded and measured, both from the first command on.
+
+    Attributes:
+        measured: every so many control steps, from before the first command on; None if nothing was read.
+        command: what was sent at the same times; None if nothing was.
+        trouble: what ended it early, None if nothing did.
+        late: control steps that began more than one step too late.
+        latest_s: the largest such lateness [s].
+    """
+
+    measured: TimeSeries | None
+    command: TimeSeries | None
+    trouble: Trouble | None
+    late: int = 0
+    latest_s: float = 0.0
+
+
+def follow(
+    robot: Hardware,
+    command: Mapping[str, Float64[np.ndarray, "N J"]],
+    *,
+    step_s: float,
+    every: int,
+    silent_s: float,
+) -> Followed:
+    """Send one row of the command per control step.
+
+    Args:
+        robot: that is where the command begins.
+        command: signals that the robot follows, (N, J).
+        step_s: control step [s].
+        every: keep every so many control steps of what is read.
+        silent_s: readings that have not changed for longer than this, while the command moved, mean that nobody is
+            there [s].
+
+    Raises:
+        ConfigError: the control step is not a whole number of the robot's own.
+    """
+    if isinstance(robot, TrajectoryIO):
+        return _execute(robot, command, step_s, every, silent_s)
+    return _drive(robot, command, step_s, every, silent_s)
+
+
+class _Silence:
+    """Notices that readings stand still while the command moves."""
+
+    def __init__(self, silent_s: float) -> None:
+        self._silent_s = silent_s
+        self._reading: Mapping[str, np.ndarray] | None = None
+        self._since_s = 0.0
+        self._from: np.ndarray | None = None
+
+    def noticed(self, time_s: float, reading: Mapping[str, np.ndarray], command: np.ndarray) -> bool:
+        """Whether this reading (of joints, by signal) at this command (of joints) is one too many."""
+        before = self._reading
+        if before is None or any(not np.array_equal(reading[name], before[name]) for name in reading):
+            self._reading, self._since_s, self._from = reading, time_s, command
+            return False
+        moved = float(np.abs(command - self._from).max(initial=0.0))
+        return time_s - self._since_s > self._silent_s and moved > _UNANSWERED
+
+    def trouble(self, time_s: float) -> Trouble:
+        """What it is called."""
+        return Trouble("silent", time_s, f"its readings have not changed since {self._since_s:.3f} s")
+
+
+def _drive(robot: Hardware, command: Mapping[str, np.ndarray], step_s: float, every: int, silent_s: float) -> Followed:
+    first = next(iter(command.values()))
+    silence = _Silence(silent_s)
+    start = robot.now_s()
+    stamps: list[float] = []
+    sent: list[tuple[float, int]] = []
+    readings: list[Mapping[str, np.ndarray]] = []
+    trouble, late, latest_s = None, 0, 0.0
+    for tick in range(len(first) + 1):
+        try:
+            if tick:
+                robot.wait_until_s(start + tick * step_s)
+            now = robot.now_s() - start
+            behind = now - tick * step_s
+            late, latest_s = late + (behind > step_s), max(latest_s, behind)
+            if tick % every == 0 and not (stamps and now <= stamps[-1]):
+                reading = robot.read()
+                stamps.append(now)
+                readings.append(reading)
+                if silence.noticed(now, reading, first[min(tick, len(first) - 1)]):
+                    trouble = silence.trouble(now)
+                    break
+            if tick < len(first):
+                robot.write({name: values[tick] for name, values in command.items()})
+                if tick % every == 0:
+                    sent.append((now, tick))
+        except RobotStopped as error:
+            trouble = Trouble("stopped", robot.now_s() - start, error.what)
+            break
+        except (TrueupError, OSError) as error:  # of a driver: lost connection, no answer
+            trouble = Trouble("failed", tick * step_s, " ".join(str(error).split()))
+            break
+    measured = {name: np.array([reading[name] for reading in readings]) for name in (readings[0] if readings else {})}
+    asked = {name: values[[tick for _, tick in sent]] for name, values in command.items()}
+    return Followed(
+        _series(robot, stamps, measured),
+        _series(robot, [stamp for stamp, _ in sent], asked),
+        trouble,
+        late if latest_s > step_s else 0,
+        latest_s if latest_s > step_s else 0.0,
+    )
+
+
+def _execute(
+    robot: TrajectoryIO, command: Mapping[str, np.ndarray], step_s: float, every: int, silent_s: float
+) -> Followed:
+    repeat = round(step_s / robot.control_step_s)
+    if repeat < 1 or abs(repeat * robot.control_step_s / step_s - 1) > _WHOLE:
+        raise ConfigError(
+            "the control step must be a whole number of the robot's own",
+            got=f"{step_s:g} s",
+            expected=f"a multiple of {robot.control_step_s:g} s",
+        )
+    first, start = next(iter(command.values())), robot.now_s()
+    try:
+        done = robot.execute(
+            {name: np.repeat(values, repeat, axis=0) for name, values in command.items()}, every=every * repeat
+        )
+    except RobotStopped as error:
+        return Followed(None, None, Trouble("stopped", 0.0, error.what))
+    except (TrueupError, OSError) as error:
+        return Followed(None, None, Trouble("failed", 0.0, " ".join(str(error).split())))
+    stamps = (done.measured.time_s - start).tolist()
+    trouble, end = None, len(stamps)
+    if done.stopped_s is not None:
+        trouble = Trouble("stopped", done.stopped_s - start, "the robot has stopped")
+    silence = _Silence(silent_s)
+    for row, stamp in enumerate(stamps):
+        reading = {name: values[row] for name, values in done.measured.signals.items()}
+        if silence.noticed(stamp, reading, first[min(row * every, len(first) - 1)]):
+            trouble, end = silence.trouble(stamp), row + 1
+            break
+    # What was written at the very end of a motion that was broken off did not reach the robot.
+    last = len(first) if trouble is None else round(trouble.time_s / step_s)
+    ticks = np.arange(0, min(last, len(first)), every)
+    measured = {name: values[:end] for name, values in done.measured.signals.items()}
+    return Followed(
+        _series(robot, stamps[:end], measured),
+        _series(robot, (ticks * step_s).tolist(), {name: values[ticks] for name, values in command.items()}),
+        trouble,
+    )
+
+
+def _series(robot: Hardware, stamps: list[float], signals: Mapping[str, np.ndarray]) -> TimeSeries | None:
+    """The series, its clock rounded to the nanosecond: differences of clocks carry rounding errors."""
+    if not stamps:
+        return None
+    unknown = [name for name in signals if name not in _UNITS]
+    if unknown:
+        raise DataError(f"the robot reads signals of unknown unit: {unknown}", hint=f"Known are {list(_UNITS)}.")
+    units = same_units({name: _UNITS[name] for name in signals}, robot.joints)
+    return TimeSeries(np.round(stamps, 9), robot.joints, dict(signals), units)

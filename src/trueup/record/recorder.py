@@ -1,0 +1,262 @@
+"""The recorder: drives a robot along plans, keeps what it commanded and measured, and recovers when it stops."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from trueup.core.episode import Flag
+from trueup.core.protocols import Hardware
+from trueup.core.timeseries import TimeSeries
+from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, NoPlan, RobotStopped
+from trueup.record.following import Followed, Trouble, follow
+from trueup.record.motion import MotionSettings, joint_motion
+from trueup.record.plan import Plan
+from trueup.record.profile import ClockSettings
+from trueup.record.scene import Scene
+
+_WHOLE = 1e-6  # rates may miss a whole ratio by this share
+
+
+@dataclass(frozen=True)
+class RecordSettings:
+    """How plans are recorded.
+
+    Attributes:
+        control_hz: commands per second [Hz]; the plans' rate is a multiple of it.
+        record_hz: rows per second of the recording [Hz]; the control rate is a multiple of it.
+        transfer_share: share of the limits of velocity and acceleration on the way to the start of a motion.
+        tolerance_rad: how far a joint may be from where it should be before and after a motion [rad or m].
+        silent_s: unchanged readings for longer than this, while the command moves, mean a silent robot [s].
+        recoveries: how often a robot may stop on its way home or to a start before it is given up.
+
+    Raises:
+        ConfigError: a number that makes no recording.
+    """
+
+    control_hz: float = 1000.0
+    record_hz: float = 100.0
+    transfer_share: float = 0.5
+    tolerance_rad: float = 0.05
+    silent_s: float = 0.2
+    recoveries: int = 3
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no recording."""
+        for name in ("control_hz", "record_hz", "tolerance_rad", "silent_s"):
+            if not (getattr(self, name) > 0 and np.isfinite(getattr(self, name))):
+                raise ConfigError(f"{name} must be positive", got=getattr(self, name))
+        if not 0 < self.transfer_share <= 1:
+            raise ConfigError("transfer_share is no share", got=self.transfer_share, expected="above 0, up to 1")
+        if self.recoveries < 1:
+            raise ConfigError("recoveries must be at least 1", got=self.recoveries)
+        whole_ratio(self.control_hz, self.record_hz, "control_hz must be a multiple of record_hz")
+
+    @property
+    def every(self) -> int:
+        """Control steps per recorded row."""
+        return round(self.control_hz / self.record_hz)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One recorded motion, on a clock that begins with its first command.
+
+    Attributes:
+        measured: what the robot's sensors said.
+        command: what was sent to it.
+        flags: what went wrong: `stopped`, `silent`, `failed`, `goal_missed`, `late`.
+    """
+
+    measured: TimeSeries
+    command: TimeSeries
+    flags: tuple[Flag, ...]
+
+
+class Recorder:
+    """Executes plans on one robot, one after the other (Algorithm 3 of the LSTM thesis, lines 22 to 33; Algorithm 4).
+
+    Before a motion it drives to the plan's start on a planned way. After a stop, a silence or a missed goal it
+    recovers the robot and drives home, so that the next motion finds it well.
+
+    Args:
+        robot: the robot; between motions it holds its last command.
+        scene: the robot among its obstacles, for the ways between motions. A clearance below that of the plans keeps
+            a robot that stopped a little beside its path from counting as stuck.
+        settings: rates, speeds, tolerances.
+
+    Raises:
+        NameMismatch: robot and scene do not have the same joints; both lists are printed.
+        ConfigError: the robot follows no positions.
+    """
+
+    def __init__(self, robot: Hardware, scene: Scene, settings: RecordSettings | None = None) -> None:
+        if sorted(robot.joints) != sorted(scene.joints):
+            raise NameMismatch("the robot is not that of the scene", left=robot.joints, right=scene.joints)
+        self._signals: list[str] = [name for name in ("position", "velocity") if name in robot.command_signals]
+        if "position" not in self._signals:
+            raise ConfigError(
+                "a recorder commands positions, which this robot does not follow", available=robot.command_signals
+            )
+        self.robot, self.scene = robot, scene
+        self.settings = settings or RecordSettings()
+        self._commanded: Float64[np.ndarray, "J"] | None = None
+        self._lost: RobotStopped | None = None
+        self._ways = MotionSettings(
+            clock=ClockSettings(rate_hz=self.settings.control_hz, rest_s=0.1),
+            acceleration_share=self.settings.transfer_share,
+        )
+
+    def record(self, plan: Plan) -> Recording:
+        """Drive to the start of a plan, follow it, and see that the robot is well afterwards.
+
+        Raises:
+            NameMismatch: the plan is of other joints.
+            ConfigError: its rate does not fit.
+            NoPlan: there is no way to its start.
+            RobotStopped: the robot stops again and again, or did so after the motion before and is not well yet.
+            DataError: it said nothing at all.
+        """
+        if sorted(plan.joints) != sorted(self.scene.joints):
+            raise NameMismatch(f"plan {plan.id!r} is of another robot", left=plan.joints, right=self.scene.joints)
+        if self._lost is not None:
+            raise self._lost
+        columns = [plan.joints.index(name) for name in self.scene.joints]
+        self.reach(plan.start[columns])
+        done = self._follow(plan)
+        flags = [*self._late(done), *self._troubles(done)]
+        if done.trouble is None:
+            flags += self._missed(plan.goal[columns])
+        if done.trouble is not None or any(flag.kind == "goal_missed" for flag in flags):
+            try:
+                self.recover()
+            except (RobotStopped, NoPlan) as error:  # what was recorded comes first
+                self._lost = error if isinstance(error, RobotStopped) else _stuck(error)
+        if done.measured is None or done.command is None or len(done.measured) < 2:
+            trouble = done.trouble or Trouble("failed", 0.0, "no reading")
+            raise DataError(f"nothing of motion {plan.id!r} was recorded, the robot {trouble.kind}", got=trouble.detail)
+        return Recording(done.measured, done.command, tuple(flags))
+
+    def reach(self, pose: Float64[np.ndarray, "J"]) -> None:
+        """Drive to a pose (in the order of the scene's joints), by way of home if there is no straight way.
+
+        Raises:
+            NoPlan: there is no way.
+            RobotStopped: the robot stopped on its way more often than it may.
+        """
+        try:
+            self._drive_to(pose)
+        except NoPlan:
+            self._drive_to(self.scene.home)
+            self._drive_to(pose)
+
+    def recover(self) -> None:
+        """Make the robot take commands again, and drive home.
+
+        Raises:
+            NoPlan: there is no way home.
+            RobotStopped: the robot stopped on its way more often than it may.
+        """
+        self.robot.recover()
+        self._commanded = None
+        self._drive_to(self.scene.home)
+
+    def _drive_to(self, pose: Float64[np.ndarray, "J"]) -> None:
+        trouble = Trouble("failed", 0.0, "")
+        for _ in range(self.settings.recoveries):
+            here = self._here()
+            if np.abs(pose - here).max() < 1e-9:
+                return
+            way = joint_motion(
+                self.scene, here, pose, velocity_share=self.settings.transfer_share, settings=self._ways, id="way"
+            )
+            done = self._follow(way)
+            missed = self._missed(pose)
+            if done.trouble is None and not missed:
+                return
+            trouble = done.trouble or Trouble("failed", way.duration_s, missed[0].detail)
+            self.robot.recover()
+            self._commanded = None
+        raise RobotStopped(
+            f"the robot {trouble.kind} on its way {self.settings.recoveries} times, and is given up",
+            got=trouble.detail,
+            hint="See to the robot, then repeat with --resume: what was recorded is kept.",
+        )
+
+    def _here(self) -> Float64[np.ndarray, "J"]:
+        """Where the next way begins: the last command if the robot is there, home if it is, else where it is."""
+        measured = self._position()
+        for pose in (self._commanded, self.scene.home):
+            if pose is not None and np.abs(measured - pose).max() <= self.settings.tolerance_rad:
+                return pose
+        limits = self.scene.limits
+        return np.asarray(np.clip(measured, limits.low, limits.high))
+
+    def _position(self) -> Float64[np.ndarray, "J"]:
+        reading = self.robot.read()
+        if "position" not in reading:
+            raise MissingSignal("the robot does not say where it is", available=reading)
+        order = [self.robot.joints.index(name) for name in self.scene.joints]
+        return np.asarray(reading["position"], np.float64)[order]
+
+    def _follow(self, plan: Plan) -> Followed:
+        settings = self.settings
+        skip = whole_ratio(
+            plan.rate_hz, settings.control_hz, f"the rate of plan {plan.id!r} must be a multiple of control_hz"
+        )
+        columns = [plan.joints.index(name) for name in self.robot.joints]
+        command = {name: np.ascontiguousarray(getattr(plan, name)[::skip, columns]) for name in self._signals}
+        done = follow(
+            self.robot,
+            command,
+            step_s=1.0 / settings.control_hz,
+            every=settings.every,
+            silent_s=settings.silent_s,
+        )
+        order = [self.robot.joints.index(name) for name in self.scene.joints]
+        self._commanded = command["position"][-1][order] if done.trouble is None else None
+        return done
+
+    def _missed(self, pose: Float64[np.ndarray, "J"]) -> list[Flag]:
+        away = np.abs(self._position() - pose)
+        worst = int(np.argmax(away))
+        if away[worst] <= self.settings.tolerance_rad:
+            return []
+        joint = self.scene.joints[worst]
+        return [
+            Flag("goal_missed", signal="position", joint=joint, detail=f"{joint} is {away[worst]:.3g} from its goal")
+        ]
+
+    def _troubles(self, done: Followed) -> list[Flag]:
+        if done.trouble is None:
+            return []
+        return [Flag(done.trouble.kind, detail=done.trouble.detail, start_s=round(done.trouble.time_s, 9))]
+
+    def _late(self, done: Followed) -> list[Flag]:
+        if not done.late:
+            return []
+        detail = f"{done.late} control steps began late, by up to {1e3 * done.latest_s:.1f} ms"
+        many = done.command is None or done.late > 0.01 * len(done.command) * self.settings.every
+        return [Flag("late", series="command", detail=detail, severity="warning" if many else "note")]
+
+
+def whole_ratio(rate_hz: float, of_hz: float, what: str) -> int:
+    """How often one rate goes into another.
+
+    Raises:
+        ConfigError: not a whole number of times.
+    """
+    ratio = rate_hz / of_hz
+    if round(ratio) < 1 or abs(ratio - round(ratio)) > _WHOLE * ratio:
+        raise ConfigError(what, got=f"{rate_hz:g} and {of_hz:g} Hz")
+    return round(ratio)
+
+
+def _stuck(error: NoPlan) -> RobotStopped:
+    return RobotStopped(
+        "there is no way home for the robot",
+        got=error.summary,
+        hint="Free it by hand, then repeat with --resume: what was recorded is kept.",
+    )

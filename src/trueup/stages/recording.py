@@ -1,0 +1,278 @@
+"""Record: motions are planned, executed on a robot, and kept as a dataset."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from threadpoolctl import threadpool_limits
+
+from trueup.core.atomic import as_read_back
+from trueup.core.episode import Episode, EpisodeMeta, warning_kinds
+from trueup.core.provenance import provenance
+from trueup.core.workers import in_processes
+from trueup.dataset import DatasetInfo, DatasetWriter, is_dataset, refuse_occupied
+from trueup.errors import ConfigError, DataError, NameMismatch, OutputExists, TrueupError
+from trueup.robots import RobotSpec, find_model
+from trueup.stages.importing import checked
+from trueup.stages.progress import Track, silent
+from trueup.stages.rigs import Rig
+
+if TYPE_CHECKING:
+    from trueup.record import PlanSet, PlanSetSpec, RecordSettings, Scene
+
+PLANS = "plans"
+
+# Motions that a worker does before it hands them over: few, since what is under way is lost in an interruption.
+_AT_ONCE = 4
+
+
+@dataclass(frozen=True)
+class RecordSummary:
+    """What a recording came to.
+
+    Attributes:
+        path: the dataset.
+        recorded: motions recorded now.
+        kept: motions that were there.
+        skipped: motion -> why no plan was found.
+        failed: motion -> why there is nothing of it.
+        flagged: motion -> kinds of its warnings, of those recorded now.
+        seconds: wall-clock time of this call [s].
+    """
+
+    path: Path
+    recorded: int
+    kept: int = 0
+    skipped: Mapping[str, str] = field(default_factory=dict)
+    failed: Mapping[str, TrueupError] = field(default_factory=dict)
+    flagged: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Task:
+    """One motion with one payload."""
+
+    id: str
+    plan: str
+    number: int
+    payload_kg: float
+
+
+def record(
+    out: Path | str,
+    robot: RobotSpec,
+    rig: Rig,
+    plans: PlanSetSpec | Path,
+    *,
+    payloads_kg: Sequence[float] = (0.0,),
+    settings: RecordSettings | None = None,
+    model: Path | None = None,
+    jobs: int = 1,
+    overwrite: bool = False,
+    resume: bool = False,
+    track: Track = silent,
+) -> RecordSummary:
+    """Execute a set of plans on a robot and keep commands and measurements as a dataset.
+
+    Plans that are given as a description are made first and kept in the dataset's folder, under `plans`. A motion that
+    goes wrong is kept with a warning, one of which nothing was recorded is listed in the summary; neither stops the
+    others. What was interrupted is gone on with when the same is asked for again, and becomes the same files as
+    without the interruption, apart from times in provenance.
+
+    Args:
+        out: the dataset's folder.
+        robot: the robot; joints and limits count.
+        rig: where its hardware comes from.
+        plans: what to plan, or the folder of a plan set.
+        payloads_kg: every motion is recorded with each of these payloads [kg].
+        settings: rates, speeds, tolerances.
+        model: MJCF or URDF of the robot; found as for replay if None.
+        jobs: processes.
+        overwrite: delete the dataset that is there first.
+        resume: go on with a dataset that is there even if it is complete.
+        track: shows progress.
+
+    Raises:
+        OutputExists: a complete dataset is there, or one of another recording, or something else.
+        NameMismatch: the plans are of another robot.
+        ConfigError: settings, payloads or plans that do not fit.
+        DataError: the disk is full, or nothing could be recorded.
+    """
+    from trueup.record import PlanSet, RecordSettings
+
+    started, out = time.perf_counter(), Path(out)
+    settings = settings or RecordSettings()
+    if not payloads_kg or len(set(payloads_kg)) != len(payloads_kg) or not all(load >= 0 for load in payloads_kg):
+        raise ConfigError("payloads must be different masses >= 0", got=list(payloads_kg))
+    if jobs < 1:
+        raise ConfigError("jobs must be at least 1", got=jobs)
+    path = find_model(robot, given=model)
+    rig.session(0, payloads_kg[0])  # refuses what cannot be recorded at all, before anything is written
+    given = None
+    if isinstance(plans, Path):
+        given = PlanSet(plans)
+        if sorted(given.joints) != sorted(robot.joint_names):
+            raise NameMismatch(f"the plans in {plans} are of another robot", left=given.joints, right=robot.joint_names)
+        plans = given.spec
+    config = {
+        "robot": robot.name,
+        "rig": rig.describe(),
+        "plans": plans.to_dict(),
+        "payloads_kg": list(payloads_kg),
+        "settings": asdict(settings),
+    }
+    info = DatasetInfo(
+        robot=robot.name,
+        licence="Apache-2.0",
+        provenance={**provenance(config=config, seed=plans.seed), "complete": False},
+    )
+    failed: dict[str, TrueupError] = {}
+    flagged: dict[str, tuple[str, ...]] = {}
+    recorded = 0
+    with _writer(out, info, overwrite=overwrite, resume=resume) as writer:
+        kept = len(writer.ids)
+        if given is None:
+            given = _planned(out / PLANS, plans, robot, path, jobs, overwrite=overwrite and not kept, track=track)
+        tasks = [task for task in _tasks(given, payloads_kg) if task.id not in writer.ids]
+        worker = _Worker(robot, path, rig, given.path, settings)
+        for name, result in track(_results(worker, tasks, jobs), "record", len(tasks)):
+            if isinstance(result, TrueupError):
+                failed[name] = result
+                continue
+            if result.meta.warned:
+                flagged[name] = warning_kinds(result.meta.flags)
+            writer.append(result)
+            recorded += 1
+        skipped = given.skipped()
+        notes = tuple(f"{name} was not planned: {why}" for name, why in skipped.items())
+        notes += tuple(f"{name} was not recorded: {error.summary}" for name, error in failed.items())
+        writer.info = replace(writer.info, provenance={**writer.info.provenance, "complete": True}, notes=notes)
+        writer.info.save(out)
+    if not recorded and not kept:
+        reasons = [*skipped.values(), *(error.summary for error in failed.values())]
+        raise DataError("nothing was recorded, the first because", got=reasons[0] if reasons else "no motion")
+    return RecordSummary(out, recorded, kept, skipped, failed, flagged, time.perf_counter() - started)
+
+
+def _writer(out: Path, info: DatasetInfo, *, overwrite: bool, resume: bool) -> DatasetWriter:
+    """A new dataset, or the one that an earlier call of the same recording began."""
+    if not is_dataset(out) or overwrite:
+        return DatasetWriter.create(out, info, overwrite=overwrite)
+    stored = DatasetInfo.load(out)
+    before, now = stored.provenance.get("config", {}), as_read_back(info.provenance["config"])
+    changed = sorted(key for key in now if before.get(key) != now[key])
+    if changed:
+        raise OutputExists(
+            f"{out} was recorded with other settings ({', '.join(changed)})",
+            hint="Choose another --out, or give --overwrite to delete it first.",
+        )
+    if stored.provenance.get("complete") and not resume:
+        refuse_occupied(out, overwrite=False)
+    return DatasetWriter.resume(out, info)
+
+
+def _planned(
+    folder: Path, spec: PlanSetSpec, robot: RobotSpec, model: Path, jobs: int, *, overwrite: bool, track: Track
+) -> PlanSet:
+    from trueup.record import PlanSet, plan_all
+
+    # Planning calls back, and a track is asked for the next item: one item is taken for each motion that is done.
+    bar = track(itertools.count(), "plan", len(spec))
+    shown = 0
+
+    def show(done: int, _total: int, _skipped: int) -> None:
+        nonlocal shown
+        for _ in range(done - shown):
+            next(bar)
+        shown = done
+
+    with contextlib.closing(bar):
+        plan_all(spec, robot, folder, model=model, jobs=jobs, overwrite=overwrite, progress=show)
+    return PlanSet(folder)
+
+
+def _tasks(plans: PlanSet, payloads_kg: Sequence[float]) -> Iterator[_Task]:
+    """All motions with the first payload, then all with the next: a payload is not changed more often than it must."""
+    for place, payload_kg in enumerate(payloads_kg):
+        for id in plans.ids():
+            name = id if len(payloads_kg) == 1 else f"{id}/{payload_kg:g}kg"
+            yield _Task(name, id, place * len(plans.spec) + plans.spec.number(id), payload_kg)
+
+
+class _Worker:
+    """Records motions; one per process."""
+
+    def __init__(self, robot: RobotSpec, model: Path, rig: Rig, plans: Path, settings: RecordSettings) -> None:
+        self.arguments = (robot, model, rig, plans, settings)
+        self._robot, self._model, self._rig, self._settings = robot, model, rig, settings
+        self._folder = plans
+        self._plans: PlanSet | None = None
+        self._scene: Scene | None = None
+
+    def record(self, tasks: Sequence[_Task]) -> list[tuple[str, Episode | TrueupError]]:
+        """What became of each of these motions."""
+        results: list[tuple[str, Episode | TrueupError]] = []
+        for task in tasks:
+            try:
+                results.append((task.id, self._episode(task)))
+            except TrueupError as error:
+                results.append((task.id, error))
+        return results
+
+    def _episode(self, task: _Task) -> Episode:
+        from trueup.record import PlanSet, Recorder
+
+        if self._scene is None or self._plans is None:
+            self._plans = PlanSet(self._folder)
+            spec = self._plans.spec
+            # A robot that stopped a little beside its path still finds its way.
+            self._scene = replace(spec, clearance_m=spec.clearance_m / 2).scene(self._robot, model=self._model)
+        plan = self._plans[task.plan]
+        hardware = self._rig.session(task.number, task.payload_kg)
+        done = Recorder(hardware, self._scene, self._settings).record(plan)
+        meta = EpisodeMeta(
+            id=task.id,
+            robot=self._robot.name,
+            unit=self._rig.unit,
+            payload_kg=task.payload_kg,
+            condition=plan.condition,
+            split=plan.split,
+            source=f"{PLANS}/{task.plan}",
+        )
+        episode = checked(Episode(meta, done.measured, done.command), self._robot)
+        return episode.with_flags((*done.flags, *episode.meta.flags))
+
+
+def _results(worker: _Worker, tasks: Sequence[_Task], jobs: int) -> Iterator[tuple[str, Episode | TrueupError]]:
+    if jobs == 1 or len(tasks) <= _AT_ONCE:
+        for task in tasks:
+            yield from worker.record([task])
+        return
+    for results in in_processes(_record, _batches(tasks), jobs=jobs, begin=_begin, with_args=worker.arguments):
+        yield from results
+
+
+def _batches(tasks: Sequence[_Task]) -> Iterator[Sequence[_Task]]:
+    for first in range(0, len(tasks), _AT_ONCE):
+        yield tasks[first : first + _AT_ONCE]
+
+
+_worker: _Worker | None = None
+
+
+def _begin(robot: RobotSpec, model: Path, rig: Rig, plans: Path, settings: RecordSettings) -> None:
+    global _worker  # what a process keeps between motions
+    _worker = _Worker(robot, model, rig, plans, settings)
+    threadpool_limits(1)  # the matrices are small, and the other processes want their cores
+
+
+def _record(tasks: Sequence[_Task]) -> list[tuple[str, Episode | TrueupError]]:
+    assert _worker is not None
+    return _worker.record(tasks)

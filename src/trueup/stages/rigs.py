@@ -1,0 +1,209 @@
+"""Where a recording gets its robots from: virtual hardware, or an engine that plays the robot."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from trueup.core.protocols import Hardware
+from trueup.errors import ConfigError, NameMismatch
+from trueup.robots import RobotSpec, load_robot
+
+if TYPE_CHECKING:
+    from trueup.lab import Fault, LabSpec, Truth, VirtualRobot
+
+# A recording of many motions takes a working robot about this long each; it is switched off every two hours.
+_MOTION_S = 8.0
+_DAY_S = 7200.0
+# Something goes wrong in the first seconds of a motion or of the way to it.
+_FAULT_WITHIN_S = 4.0
+
+
+@runtime_checkable
+class Rig(Protocol):
+    """Robots for a recording. Each motion is a session of its own, so that motions do not depend on their order."""
+
+    @property
+    def unit(self) -> str:
+        """Which individual it is."""
+        ...
+
+    def describe(self) -> dict[str, Any]:
+        """What decides about what it does, JSON types only."""
+        ...
+
+    def session(self, number: int, payload_kg: float) -> Hardware:
+        """The robot at home, ready for motion `number` with this payload."""
+        ...
+
+
+@dataclass
+class LabRig:
+    """One individual of virtual hardware.
+
+    Attributes:
+        spec: sizes of its effects.
+        number: which individual.
+        seed: of noise, jitter and faults.
+        fault_share: share of the motions in which something goes wrong: a stop, lost readings, or a stalled joint.
+
+    Raises:
+        ConfigError: a share that is none.
+    """
+
+    spec: LabSpec
+    number: int = 1
+    seed: int = 0
+    fault_share: float = 0.0
+    _robots: dict[float, VirtualRobot] = field(default_factory=dict, repr=False, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What another process needs; it makes a robot of its own."""
+        return {**self.__dict__, "_robots": {}}
+
+    def __post_init__(self) -> None:
+        """Refuse a share that is none."""
+        if not 0 <= self.fault_share <= 1:
+            raise ConfigError("the share of motions with faults is none", got=self.fault_share, expected="0 to 1")
+
+    @property
+    def unit(self) -> str:
+        """Which individual it is."""
+        return f"lab-{self.number}"
+
+    def truth(self) -> Truth:
+        """What is true of it."""
+        from trueup.lab import draw_truth
+
+        return draw_truth(self.spec, unit=self.number)
+
+    def describe(self) -> dict[str, Any]:
+        """What decides about what it does; its numbers are not said here."""
+        return {
+            "hardware": "lab",
+            "unit": self.number,
+            "seed": self.seed,
+            "fault_share": self.fault_share,
+            "spec": asdict(self.spec),
+        }
+
+    def session(self, number: int, payload_kg: float) -> VirtualRobot:
+        """The robot at home, as warm as the motions before left it."""
+        from trueup.lab import VirtualRobot
+
+        if payload_kg not in self._robots:
+            self._robots.clear()  # payloads come one after the other
+            self._robots[payload_kg] = VirtualRobot(self.truth(), payload_kg=payload_kg)
+        robot = self._robots[payload_kg]
+        robot.restart(
+            seed=(self.seed, number), faults=self._faults(number, robot), worked_s=number * _MOTION_S % _DAY_S
+        )
+        return robot
+
+    def _faults(self, number: int, robot: VirtualRobot) -> tuple[Fault, ...]:
+        from trueup.lab import Fault
+
+        rng = np.random.default_rng([self.seed, number, 1])
+        if rng.uniform() >= self.fault_share:
+            return ()
+        at_s, joint = float(rng.uniform(0.0, _FAULT_WITHIN_S)), str(rng.choice(robot.joints))
+        kinds = (
+            Fault("stop", at_s=at_s),
+            Fault("drop", at_s=at_s, duration_s=1.0),
+            Fault("stall", at_s=at_s, duration_s=1.0, joint=joint),
+        )
+        return (kinds[int(rng.integers(len(kinds)))],)
+
+
+@dataclass
+class EngineRig:
+    """An engine that plays the robot (LSTM thesis, Algorithm 4: a saved plan, executed in simulation).
+
+    Attributes:
+        robot: its description.
+        engine: `mujoco` or `dart`.
+        model: its MJCF or URDF.
+        control_hz: rate of the commands [Hz].
+    """
+
+    robot: RobotSpec
+    engine: str
+    model: Path
+    control_hz: float = 1000.0
+    _simulator: Any = field(default=None, repr=False, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What another process needs; it makes a simulator of its own."""
+        return {**self.__dict__, "_simulator": None}
+
+    @property
+    def unit(self) -> str:
+        """There is one of it."""
+        return self.engine
+
+    def describe(self) -> dict[str, Any]:
+        """Which engine and robot."""
+        return {"hardware": self.engine, "robot": self.robot.to_dict(), "control_hz": self.control_hz}
+
+    def session(self, number: int, payload_kg: float) -> Hardware:  # noqa: ARG002 - it has no days
+        """The robot at home.
+
+        Raises:
+            ConfigError: a payload, which the model has no place for; a step that does not fit the control rate.
+        """
+        from trueup.lab import SimulatedRobot
+        from trueup.record import whole_ratio
+        from trueup.sim import make_simulator
+
+        if payload_kg:
+            raise ConfigError("an engine's model carries no payload", got=f"{payload_kg:g} kg", expected="0")
+        if self._simulator is None:
+            self._simulator = make_simulator(self.engine, self.robot, self.model)
+        model = self._simulator.model
+        steps = whole_ratio(
+            1.0 / self._simulator.timestep_s, self.control_hz, "the physics rate must be a multiple of control_hz"
+        )
+        homes = {model.key(row).name: model.key_qpos[row] for row in range(model.nkey)}
+        pose = homes.get("home", model.qpos0)
+        home = np.array([pose[model.joint(name).qposadr[0]] for name in self.robot.joint_names], np.float64)
+        return SimulatedRobot(self._simulator, position=home, steps_per_control=steps)
+
+
+def make_rig(
+    hardware: str,
+    robot: RobotSpec,
+    model: Path,
+    *,
+    unit: int = 1,
+    seed: int = 0,
+    lab: LabSpec | None = None,
+    fault_share: float = 0.0,
+    control_hz: float = 1000.0,
+) -> LabRig | EngineRig:
+    """A rig by the name of its hardware.
+
+    Raises:
+        ConfigError: there is no such hardware, or only the lab has units, faults or a lab file.
+        NameMismatch: the lab is of another robot; both lists are printed.
+    """
+    if hardware == "lab":
+        from trueup.lab import LabSpec
+
+        spec = lab or LabSpec()
+        own = load_robot(spec.robot)
+        if own.joint_names != robot.joint_names:
+            raise NameMismatch(
+                f"the lab's {own.name!r} is no {robot.name!r}",
+                left=own.joint_names,
+                right=robot.joint_names,
+                hint="Give --lab with a YAML file that names this robot and the sizes of its effects.",
+            )
+        return LabRig(spec, unit, seed, fault_share)
+    if hardware not in ("mujoco", "dart"):
+        raise ConfigError(f"there is no hardware {hardware!r}", available=("lab", "mujoco", "dart"))
+    if lab is not None or fault_share:
+        raise ConfigError(f"{hardware} has no faults and no lab file", hint="Give --hardware lab.")
+    return EngineRig(robot, hardware, model, control_hz)
