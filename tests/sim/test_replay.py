@@ -54,6 +54,32 @@ def test_every_window_starts_in_the_measured_state(tmp_path):
     assert np.abs(result["position"] - noisy)[starts[1] - 1].max() > 1e-3
 
 
+def sagging_log(simulator, seconds=0.5):
+    """Held in a pose by a soft servo that its weight pulls down; the log says that the robot rested in that pose."""
+    time_s = np.arange(0, seconds, 0.01)
+    held = series(time_s, position=np.tile([0.8, -0.3], (time_s.size, 1)))
+    return episode(held, held)
+
+
+def test_a_settled_replay_begins_where_the_controller_carries_the_weight(tmp_path):
+    simulator = two_links(tmp_path, ControllerSpec(kind="position", kp=200.0, kv=20.0))
+    log = sagging_log(simulator)
+    sagging, settled = (replay_episode(log, simulator, ReplaySettings(settle_s=settle)) for settle in (0.0, 3.0))
+    assert np.ptp(sagging["position"], axis=0).max() > 1e-3
+    assert np.ptp(settled["position"], axis=0).max() < 1e-6
+    # The longer one of two replays that do not settle ends in the same pose.
+    longer = replay_episode(sagging_log(simulator, 3.5), simulator, ReplaySettings())
+    np.testing.assert_allclose(settled["position"][-1], longer["position"][349], atol=1e-9)
+    assert len(settled) == len(log.measured)
+
+
+def test_windows_do_not_settle(tmp_path):
+    simulator = two_links(tmp_path, SERVO)
+    log = logged_motion(simulator)
+    plain, other = (replay_episode(log, simulator, ReplaySettings(window_s=0.5, settle_s=s)) for s in (0.0, 1.0))
+    np.testing.assert_array_equal(plain["position"], other["position"])
+
+
 @given(delay=st.integers(0, 60))
 def test_a_delay_is_the_command_shifted(tmp_path_factory, delay):
     simulator = two_links(tmp_path_factory.mktemp("model"), SERVO)

@@ -85,7 +85,7 @@ def explain(
         logs["train"], soft.robot.scored_joints, soft.robot.controller.signal, soft.simulator.torque_limits
     )
     data = settled.data
-    rule = SegmentRule(data.window_s, data.cut_s, data.budget_s / 2, data.burn_in_s, seed)
+    rule = SegmentRule(data.window_s, data.cut_s, data.budget_s / 2, data.burn_in_s, seed, soft.robot.replay.settle_s)
     segments, refused = make_segments(logs["train"], soft.simulator, rule)
     motions = [segment.episode_id for segment in segments]
     settings = replace(settled.solver.settings(seed), solver="gauss-newton", starts=1)

@@ -78,7 +78,9 @@ class Bench:
             self._train, nominal.robot.scored_joints, self._signal, nominal.simulator.torque_limits
         )
         data = self.config.data
-        rule = SegmentRule(data.window_s, data.cut_s, data.budget_s, data.burn_in_s, seed)
+        rule = SegmentRule(
+            data.window_s, data.cut_s, data.budget_s, data.burn_in_s, seed, nominal.robot.replay.settle_s
+        )
         self._segments, refused = make_segments(self._train, nominal.simulator, rule)
         self._unfitted = {name: error.summary for name, error in refused.items()}
         self.motions = [segment.episode_id for segment in self._segments]

@@ -95,7 +95,12 @@ class Scorer:
     def __init__(
         self, nominal: Nominal, episodes: Mapping[str, Sequence[Episode]], *, jobs: int = 1, seed: int = 0
     ) -> None:
-        rule = SegmentRule(window_s=nominal.robot.replay.window_s, cut_s=None, budget_s=float("inf"))
+        rule = SegmentRule(
+            window_s=nominal.robot.replay.window_s,
+            cut_s=None,
+            budget_s=float("inf"),
+            settle_s=nominal.robot.replay.settle_s,
+        )
         self._nominal, self._jobs, self._seed = nominal, jobs, seed
         self._segments: dict[str, list[Segment]] = {}
         self.refused: dict[str, dict[str, str]] = {}

@@ -27,6 +27,7 @@ class SegmentRule:
         burn_in_s: leave the first seconds of a piece that begins in the middle of a motion out of the residual,
             since nobody knows in which state its friction was.
         seed: where in the motions the pieces lie.
+        settle_s: hold the first command for this long before a whole motion [s].
     """
 
     window_s: float | None = None
@@ -34,6 +35,7 @@ class SegmentRule:
     budget_s: float = 400.0
     burn_in_s: float = 1.0
     seed: int = 0
+    settle_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +95,11 @@ def make_segments(
             else:
                 piece = _cut(log, place * (duration_s - cut_s), cut_s)
                 burn_in_s = 0.0 if rule.window_s else min(rule.burn_in_s, cut_s / 4)
-            settings = ReplaySettings(rule.window_s, "measured" if rule.window_s or not whole else None)
+            settings = ReplaySettings(
+                rule.window_s,
+                "measured" if rule.window_s or not whole else None,
+                settle_s=rule.settle_s if whole else 0.0,
+            )
             plan = ReplayPlan(piece, simulator, settings)
         except TrueupError as error:
             refused[log.id] = error

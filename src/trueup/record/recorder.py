@@ -28,6 +28,7 @@ class RecordSettings:
         control_hz: commands per second [Hz]; the plans' rate is a multiple of it.
         record_hz: rows per second of the recording [Hz]; the control rate is a multiple of it.
         transfer_share: share of the limits of velocity and acceleration on the way to the start of a motion.
+        settle_s: wait at the start of a motion before it is recorded [s]; joints creep for a while after they moved.
         tolerance_rad: how far a joint may be from where it should be before and after a motion [rad or m].
         silent_s: unchanged readings for longer than this, while the command moves, mean a silent robot [s].
         recoveries: how often a robot may stop on its way home or to a start before it is given up.
@@ -39,6 +40,7 @@ class RecordSettings:
     control_hz: float = 1000.0
     record_hz: float = 100.0
     transfer_share: float = 0.5
+    settle_s: float = 0.5
     tolerance_rad: float = 0.05
     silent_s: float = 0.2
     recoveries: int = 3
@@ -48,6 +50,8 @@ class RecordSettings:
         for name in ("control_hz", "record_hz", "tolerance_rad", "silent_s"):
             if not (getattr(self, name) > 0 and np.isfinite(getattr(self, name))):
                 raise ConfigError(f"{name} must be positive", got=getattr(self, name))
+        if not 0 <= self.settle_s < np.inf:
+            raise ConfigError("settle_s must not be negative", got=self.settle_s)
         if not 0 < self.transfer_share <= 1:
             raise ConfigError("transfer_share is no share", got=self.transfer_share, expected="above 0, up to 1")
         if self.recoveries < 1:
@@ -125,6 +129,7 @@ class Recorder:
             raise self._lost
         columns = [plan.joints.index(name) for name in self.scene.joints]
         self.reach(plan.start[columns])
+        self.robot.wait_until_s(self.robot.now_s() + self.settings.settle_s)
         done = self._follow(plan)
         flags = [*self._late(done), *self._troubles(done)]
         if done.trouble is None:

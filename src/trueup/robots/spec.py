@@ -159,10 +159,14 @@ class ReplaySpec:
             chaotic systems need short windows (0.2 to 0.5 s): their open-loop error says nothing after that.
         initial_velocity: start with `zero` velocity (a robot at rest) or the `measured` one; if not given, windows
             start with the measured one and whole motions with zero.
+        settle_s: hold the first command for this long before a whole motion begins [s]. A robot that waited for its
+            motion hangs in its controller; a simulation that is put into its pose first sags. Windows begin in the
+            middle and need none.
     """
 
     window_s: float | None = None
     initial_velocity: Literal["zero", "measured"] | None = None
+    settle_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -220,6 +224,8 @@ class RobotSpec:
         for label, value in (("timestep_s", self.simulation.timestep_s), ("window_s", self.replay.window_s)):
             if value is not None and value <= 0:
                 raise ConfigError(f"robot {self.name!r}: {label} must be positive", got=value)
+        if not 0 <= self.replay.settle_s < np.inf:
+            raise ConfigError(f"robot {self.name!r}: settle_s must be >= 0", got=self.replay.settle_s)
 
     @property
     def joint_names(self) -> tuple[str, ...]:

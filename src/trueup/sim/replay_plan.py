@@ -21,7 +21,8 @@ class ReplayPlan:
     """What does not depend on the model or the delay: made once per log, used for every candidate of a fit.
 
     The simulation starts in the measured pose at the first measured stamp that has a command, runs on its own grid,
-    and is read at the measured stamps by linear interpolation (torque: the one acting at the stamp).
+    and is read at the measured stamps by linear interpolation (torque: the one acting at the stamp). With `settle_s`
+    it starts that much earlier, and holds the first command until then.
 
     Args:
         episode: in the joint names and units of the robot (see `align.JointMap`).
@@ -51,7 +52,9 @@ class ReplayPlan:
         self.measured = measured.rows(slice(int(rows[0]), None))
         self.starts = window_starts(self.measured.time_s, settings.window_s)
         self._step_s = simulator.timestep_s
-        self._steps = self._count_steps(settings.window_s)
+        settle_s = 0.0 if settings.window_s else settings.settle_s
+        self._settling = int(np.ceil(settle_s / self._step_s - 1e-6))
+        self._steps = self._settling + self._count_steps(settings.window_s)
         self._signals = [name for name in simulator.command_signals if name in self._command]
         self._position = self.measured["position"][self.starts].astype(np.float64)
         self._velocity = np.zeros_like(self._position)
@@ -125,17 +128,21 @@ class ReplayPlan:
         """One joint's command per step; the last delay's is kept, since most candidates of a fit share it."""
         known = self._held.get((signal, joint))
         if known is None or known[0] != delay_s:
-            grid = self.measured.time_s[self.starts][:, None] + np.arange(self._steps) * self._step_s
+            grid = self.measured.time_s[self.starts][:, None] + self._ticks() * self._step_s
             column = self._command[signal][:, joint].astype(np.float64)
             values = held_commands(self._command.time_s, column, grid, step_s=self._step_s, delay_s=delay_s)
             known = self._held[signal, joint] = (delay_s, values)
         return known[1]
 
+    def _ticks(self) -> Int[np.ndarray, "N"]:
+        """Simulation steps, counted from the start of a window; what comes before 0 is for settling."""
+        return np.arange(self._steps) - self._settling
+
     def _stamps(self) -> tuple[Int[np.ndarray, "T"], Int[np.ndarray, "T"], Float64[np.ndarray, "T"]]:
         """For each stamp its window, the grid point before it, and how far it is to the next."""
         clock = self.measured.time_s
         window = np.searchsorted(self.starts, np.arange(clock.size), side="right") - 1
-        steps = (clock - clock[self.starts][window]) / self._step_s
+        steps = self._settling + (clock - clock[self.starts][window]) / self._step_s
         # The last stamp of a motion sits on the last grid point, up to rounding.
         row = np.minimum(np.floor(steps + 1e-6).astype(np.int64), self._steps - 1)
         return window, row, steps - row

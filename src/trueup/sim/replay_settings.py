@@ -19,12 +19,14 @@ class ReplaySettings:
         window_s: restart from the measured state this often [s]; None replays whole motions.
         initial_velocity: `zero`, or the `measured` one (its derivative of position where there is no channel);
             None takes the measured one at the start of windows and zero at that of a whole motion.
+        settle_s: a whole motion begins after its first command was held for this long [s]; windows need none.
         delay_s: the command acts this much later [s], >= 0; one number for all joints, or one per joint.
     """
 
     window_s: float | None = None
     initial_velocity: Literal["zero", "measured"] | None = None
     delay_s: float | tuple[float, ...] = 0.0
+    settle_s: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what cannot be replayed."""
@@ -32,6 +34,8 @@ class ReplaySettings:
             raise ConfigError("window_s must be positive", got=self.window_s)
         if not all(0 <= delay_s < np.inf for delay_s in np.atleast_1d(self.delay_s)):
             raise ConfigError("delay_s must be >= 0", got=self.delay_s)
+        if not 0 <= self.settle_s < np.inf:
+            raise ConfigError("settle_s must be >= 0", got=self.settle_s)
 
     @property
     def starts_moving(self) -> bool:
@@ -41,4 +45,5 @@ class ReplaySettings:
     @staticmethod
     def of(robot: RobotSpec) -> ReplaySettings:
         """What the robot description asks for."""
-        return ReplaySettings(robot.replay.window_s, robot.replay.initial_velocity, robot.delay_s)
+        replay = robot.replay
+        return ReplaySettings(replay.window_s, replay.initial_velocity, robot.delay_s, replay.settle_s)
