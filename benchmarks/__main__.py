@@ -14,6 +14,7 @@ NAMES = (
     "friction",
     "engines",
     "lab",
+    "alignment",
     "pipeline",
     "identify_servo",
     "identify_torque",
