@@ -41,7 +41,7 @@ def run() -> list[Row]:
 
 
 def _engines(friction: float) -> tuple[DartSimulator, MujocoSimulator]:
-    robot = replace(load_robot("panda"), controller=ControllerSpec(kind="position", kp=600.0, kv=50.0))
+    robot = replace(load_robot("panda_torque"), controller=ControllerSpec(kind="position", kp=600.0, kv=50.0))
     path = find_model(robot)
     spec = load_spec(path)
     for joint in spec.joints:

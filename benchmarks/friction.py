@@ -41,7 +41,7 @@ def run() -> list[Row]:
     against MuJoCo's friction without islands too; with them, as it comes, is only shown.
     """
     servos = ControllerSpec(kind="position", kp=600.0, kv=50.0)
-    plain = replace(load_robot("panda"), controller=servos, friction={})
+    plain = replace(load_robot("panda_torque"), controller=servos, friction={})
     law = replace(plain, friction=dict.fromkeys(plain.joint_names, _ALL_TERMS))
     rows = []
     for threads in (1, 2):

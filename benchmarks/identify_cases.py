@@ -64,7 +64,7 @@ def panda_case(seed: int, *, torque: bool = False) -> Case:
 
     The servos leave the arm's weight to the controller, as the real one does; the torques carry it.
     """
-    robot = load_robot("panda")
+    robot = load_robot("panda_torque")
     if torque:
         robot = replace(robot, simulation=replace(robot.simulation, gravity_compensation=False))
     else:

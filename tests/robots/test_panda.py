@@ -7,7 +7,8 @@ import pytest
 from conftest import shared_folder
 from trueup.core.protocols import RolloutRequest
 from trueup.robots import find_model, load_robot
-from trueup.sim import MujocoSimulator
+from trueup.sim import MujocoSimulator, ReplaySettings
+from trueup.sim.model import load_spec
 
 GRAVITY = 9.81
 HOME = np.array([0, -np.pi / 4, 0, -3 * np.pi / 4, 0, np.pi / 2, np.pi / 4])
@@ -194,17 +195,56 @@ def simulate(robot, torque):
     return simulator.rollout(RolloutRequest(HOME[None], np.zeros((1, 7)), command)).position[0, -1]
 
 
-def test_the_robot_loads_by_its_name():
-    robot = load_robot("panda")
+@pytest.mark.parametrize(
+    ("name", "signal", "step_s"), [("panda", "position", 0.0008), ("panda_torque", "torque", 0.001)]
+)
+def test_the_robot_loads_by_its_name(name, signal, step_s):
+    robot = load_robot(name)
     simulator = MujocoSimulator.from_robot(robot, find_model(robot))
     assert simulator.joints == tuple(f"joint{number}" for number in range(1, 8))
-    assert simulator.command_signals == ("torque",)
-    assert simulator.timestep_s == 0.001
+    assert simulator.command_signals == (signal,)
+    assert simulator.timestep_s == step_s
     assert tuple(simulator.torque_limits.values()) == (87.0,) * 4 + (12.0,) * 3
 
 
-def test_the_robot_carries_its_weight_unless_told_otherwise():
+def test_position_and_torque_driven_pandas_are_one_arm():
+    by_position, by_torque = load_robot("panda"), load_robot("panda_torque")
+    assert (by_position.joints, by_position.model) == (by_torque.joints, by_torque.model)
+    assert ReplaySettings.of(by_position).window_s is None
+    assert ReplaySettings.of(by_torque).window_s == 0.5
+
+
+def test_the_twin_carries_its_weight_by_standing_off_its_command():
     robot = load_robot("panda")
+    simulator = MujocoSimulator.from_robot(robot, find_model(robot))
+    command = {"position": np.tile(HOME, (1, 5000, 1))}
+    rest = simulator.rollout(RolloutRequest(HOME[None], np.zeros((1, 7)), command))
+    stiffness = np.array([robot.controller.gain("kp", joint) for joint in robot.joint_names])
+    gravity = dynamics_by_hand(rest.position[0, -1])[1]
+    assert np.abs(gravity).max() > 15.0
+    np.testing.assert_allclose(rest.torque[0, -1], gravity, atol=1e-3)
+    np.testing.assert_allclose(HOME - rest.position[0, -1], gravity / stiffness, atol=1e-6)
+
+
+def test_the_twin_falls_behind_a_steady_command_by_its_damping():
+    """At constant speed v the PID lags by kv v / kp, and by what the joint's own damping and the weight take."""
+    robot = load_robot("panda")
+    model = load_spec(find_model(robot))
+    model.option.gravity = np.zeros(3)
+    simulator = MujocoSimulator.from_spec(model, robot, origin=find_model(robot))
+    speed, steps = 0.3, 2000
+    command = np.tile(HOME, (1, steps, 1))
+    command[0, :, 6] += speed * np.arange(steps) * simulator.timestep_s
+    ask = RolloutRequest(HOME[None], np.zeros((1, 7)), {"position": command})
+    result = simulator.rollout(ask)
+    stiffness, damping = (robot.controller.gain(gain, "joint7") for gain in ("kp", "kv"))
+    own = simulator.model.dof_damping[6]
+    lag = command[0, -1, 6] - result.position[0, steps - 1, 6]
+    assert lag == pytest.approx((damping + own) * speed / stiffness, rel=0.02)
+
+
+def test_the_torque_driven_robot_carries_its_weight_unless_told_otherwise():
+    robot = load_robot("panda_torque")
     heavy = replace(robot, simulation=replace(robot.simulation, gravity_compensation=False))
     np.testing.assert_allclose(simulate(robot, np.zeros(7)), HOME, atol=1e-9)
     np.testing.assert_allclose(simulate(heavy, dynamics_by_hand(HOME)[1]), HOME, atol=1e-9)
@@ -214,11 +254,11 @@ def test_the_robot_carries_its_weight_unless_told_otherwise():
 def test_torque_turns_the_joint_it_is_commanded_on():
     for joint in range(7):
         torque = np.where(np.arange(7) == joint, 1.0, 0.0)
-        assert simulate(load_robot("panda"), torque)[joint] > HOME[joint] + 0.001
+        assert simulate(load_robot("panda_torque"), torque)[joint] > HOME[joint] + 0.001
 
 
 def test_robot_file_and_model_agree_on_the_limits(panda):
-    robot = load_robot("panda")
+    robot = load_robot("panda_torque")
     for joint in robot.joints:
         assert tuple(panda.joint(joint.name).range) == joint.position_limits
         assert tuple(panda.actuator(joint.name).forcerange) == (-joint.torque_limit, joint.torque_limit)

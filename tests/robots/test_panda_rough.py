@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from trueup.core.protocols import RolloutRequest
-from trueup.robots import ControllerSpec, find_model, load_robot
+from trueup.robots import find_model, load_robot
 from trueup.sim import MujocoSimulator
 from trueup.sim.model import load_spec
 
@@ -82,12 +82,9 @@ def test_it_is_rough(models):
 
 def test_a_rough_simulator_is_further_from_a_robot_than_the_good_one():
     """As in tables 2 and 4 of the LSTM thesis: positions hardly differ, torques by a factor of 2 to 10."""
-    servos = ControllerSpec(kind="position", kp=600.0, kv=50.0)
 
     def follow(name, frictionloss=0.0, heavier=1.0):
         robot = load_robot(name)
-        carried = replace(robot.simulation, gravity_compensation=False)
-        robot = replace(robot, controller=servos, simulation=carried)
         spec = load_spec(find_model(robot))
         for joint in spec.joints:
             joint.frictionloss = frictionloss

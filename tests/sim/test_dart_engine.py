@@ -269,6 +269,21 @@ def test_a_limit_of_the_integral_holds_as_in_mujoco(tmp_path):
     np.testing.assert_allclose(twin(mine).rollout(ask).torque, mine.rollout(ask).torque, atol=1e-9)
 
 
+@pytest.mark.parametrize("name", ["panda", "panda_rough"])
+def test_the_shipped_twins_follow_steps_of_100_hz_as_in_mujoco(name):
+    """Commands that jump at 100 Hz, some so far that the wrist's torques saturate."""
+    robot = load_robot(name)
+    mine, other = (engine.from_robot(robot, find_model(robot)) for engine in (MujocoSimulator, DartSimulator))
+    time_s = np.floor(np.arange(1500) * mine.timestep_s / 0.01 + 1e-9)[:, None] * 0.01
+    command = HOME + 0.4 * (1 - np.cos(np.array([2, 1.5, 2.5, 1.8, 4, 5, 5]) * time_s))
+    ask = RolloutRequest(HOME[None], np.zeros((1, 7)), {"position": command[None]})
+    first, second = mine.rollout(ask), other.rollout(ask)
+    assert np.ptp(first.position[0], axis=0).min() > 0.4
+    assert (np.abs(first.torque[0, :, 4:]).max(axis=0) == 12.0).any()
+    np.testing.assert_allclose(second.position, first.position, atol=1e-9)
+    np.testing.assert_allclose(second.torque, first.torque, atol=1e-6)
+
+
 def test_the_models_own_actuators_with_gears_and_ranges():
     spec = mujoco.MjSpec.from_string("""
     <mujoco><option timestep="0.001" integrator="implicitfast"/><worldbody><body>

@@ -16,7 +16,7 @@ def test_every_engine_makes_the_robot():
     assert len({simulator.fingerprint for simulator in simulators}) == len(ENGINES)
     for simulator in simulators:
         assert simulator.joints == robot.joint_names
-        assert (simulator.timestep_s, simulator.command_signals) == (0.001, ("torque",))
+        assert (simulator.timestep_s, simulator.command_signals) == (robot.simulation.timestep_s, ("position",))
         assert tuple(simulator.torque_limits.values()) == (87.0,) * 4 + (12.0,) * 3
 
 

@@ -110,7 +110,7 @@ class HiddenPanda:
 
     def simulator(self) -> MujocoSimulator:
         """The true arm, simulated with half the time step of the model."""
-        robot = load_robot("panda")
+        robot = load_robot("panda_torque")
         path = find_model(robot)
         spec = load_spec(path)
         for index, joint in enumerate(robot.joint_names):
@@ -150,7 +150,7 @@ def published_panda(folder: Path) -> tuple[RobotSpec, Path]:
     Returns:
         The robot and the file.
     """
-    robot = load_robot("panda")
+    robot = load_robot("panda_torque")
     spec = load_spec(find_model(robot))
     for joint in spec.joints:
         joint.damping[0] = 0.0
