@@ -67,6 +67,43 @@ def test_what_makes_no_line():
     assert trend(np.array([0.0, 0.0, 0.0, 1.0]), np.arange(4.0), "rad").slope.low is None
 
 
+def repeated(rng, *, slope=0.02, motions=10, level=1.0):
+    """Motions of very different size, each with four payloads; what one motion adds to the noise, all payloads share."""
+    loads = np.tile([0.0, 1.0, 2.0, 3.0], motions)
+    names = np.repeat([f"m{k}" for k in range(motions)], 4)
+    own = np.repeat(level * rng.normal(size=motions), 4)
+    tilt = np.repeat(0.01 * rng.normal(size=motions), 4)
+    return loads, own + (slope + tilt) * loads + 0.002 * rng.normal(size=loads.size), names
+
+
+def test_repeated_motions_are_compared_with_themselves():
+    """The same slope as with a column per motion in the design, written with matrices."""
+    loads, values, names = repeated(np.random.default_rng(2))
+    design = np.column_stack([loads, *(names == name for name in np.unique(names))]).astype(float)
+    expected = np.linalg.lstsq(design, values, rcond=None)[0][0]
+    paired, alone = trend(loads, values, "rad", motions=list(names)), trend(loads, values, "rad")
+    assert paired.slope.value == pytest.approx(expected, rel=1e-9)
+    assert paired.verdict == "grows"
+    assert alone.verdict == "undecided"
+
+
+def test_the_interval_of_repeated_motions_covers_the_truth():
+    rng = np.random.default_rng(3)
+    hits = 0
+    for _ in range(600):
+        loads, values, names = repeated(rng)
+        found = trend(loads, values, "rad", motions=list(names)).slope
+        hits += found.low <= 0.02 <= found.high
+    assert 0.92 < hits / 600 < 0.98
+
+
+def test_two_repeated_motions_are_too_few_to_compare():
+    loads, values, names = repeated(np.random.default_rng(4), motions=2)
+    alone = trend(loads, values, "rad")
+    assert trend(loads, values, "rad", motions=list(names)) == alone
+    assert trend(loads, values, "rad", motions=[f"m{k}" for k in range(8)]) == alone
+
+
 def test_trends_of_a_gap_leave_out_motions_without_payload():
     names = [f"m{k}" for k in range(6)]
     loads = dict(zip(names, [0.0, 0.0, 2.0, 2.0, None, 4.0], strict=True))
@@ -78,7 +115,7 @@ def test_trends_of_a_gap_leave_out_motions_without_payload():
         scored_joints=("a", "b"),
         episodes={"dart/stock": {n: {"position": {"rmse": {"a": v, "b": 3 * v}}} for n, v in value.items()}},
     )
-    found = trends_of(result, loads)["dart/stock"]["rmse"]
+    found = trends_of(result, loads)["dart/stock"]["position"]["rmse"]
     assert {joint: item.slope.value for joint, item in found.items()} == pytest.approx({"": 0.1, "a": 0.05, "b": 0.15})
     assert {item.motions for item in found.values()} == {5}
     assert trends_of(result, dict.fromkeys(names, 1.0)) == {}

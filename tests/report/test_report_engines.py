@@ -43,7 +43,9 @@ def run():
         for metrics in splits.values():
             lag = {joint: Estimate(-0.01, "s", -0.02, 0.0) for joint in gap.joints}
             metrics["position"]["phase_lag"] = MetricResult(Estimate(-0.01, "s"), lag, 8)
-    trends = {label: {"rmse": {"": TREND, "elbow_flex": replace(TREND, verdict="falls")}} for label in RUNS}
+    trends = {
+        label: {"position": {"rmse": {"": TREND, "elbow_flex": replace(TREND, verdict="falls")}}} for label in RUNS
+    }
     return RunFolder(gap, engines=EngineComparison(trends, PLANE))
 
 
@@ -76,12 +78,12 @@ def test_engines_are_compared_joint_by_joint_and_payload_by_payload(run):
     table = chooser.shown.tables["engines"]
     assert list(table.columns) == ["Joint", *run.simulators]
     assert [row.head for row in table.rows] == [*run.gap.joints, "Mean of scored joints"]
-    assert [value for value, _ in chooser.menus[1].options] == ["", "0.0", "0.25"]
-    loaded = chooser.variants["rmse"]["0.25"].tables["engines"]
+    assert [value for value, _ in chooser.menus[2].options] == ["", "0.0", "0.25"]
+    loaded = chooser.variants["position"]["rmse"]["0.25"].tables["engines"]
     result = run.gap.groups["payload_kg"]["0.25"]["dart/stock"]["position"]["rmse"]
     column = run.simulators.index("dart/stock")
     assert loaded.rows[-1].cells[column].text.startswith(f"{result.total.value:.4f}"[:5])
-    lags = chooser.variants["phase_lag"][""].figures["engines"]
+    lags = chooser.variants["position"]["phase_lag"][""].figures["engines"]
     assert "rangemode" not in lags["layout"]["xaxis"]
 
 
@@ -97,7 +99,7 @@ def test_the_slope_stands_below_the_payloads(run):
     rows = {row.head: row.cells for row in chooser.shown.tables["payloads"].rows}
     assert list(rows) == ["0 kg", "0.25 kg", "Change per kg", "With the payload it"]
     assert [cell.text for cell in rows["With the payload it"]][1:] == ["grows", "grows"]
-    flex = chooser.variants["rmse"]["elbow_flex"].tables["payloads"]
+    flex = chooser.variants["position"]["rmse"]["elbow_flex"].tables["payloads"]
     assert "falls" in {cell.text for cell in flex.rows[-1].cells}
     # A payload that is no number cannot be an axis.
     groups = {"payload_kg": {"heavy": {}, "light": {}}}

@@ -440,7 +440,7 @@ def test_two_engines_or_two_payloads_are_compared(demo, tmp_path):
     loads = {"0", "0.4", ""}
     assert set(both.engines.plane.envelopes["dart/stock"]) == loads
     assert set(both.engines.trends) == {"mujoco/stock", "dart/stock", "command"}
-    slope = both.engines.trends["dart/stock"]["rmse"][""]
+    slope = both.engines.trends["dart/stock"]["position"]["rmse"][""]
     by_payload = both.gap.groups["payload_kg"]
     means = [by_payload[load]["dart/stock"]["position"]["rmse"].total.value for load in ("0", "0.4")]
     # With two payloads the line goes through both means.

@@ -142,13 +142,13 @@ class EngineComparison:
     """The content of engines.json.
 
     Attributes:
-        trends: run -> metric of the position -> joint (`""`: mean of the scored joints) -> trend; empty unless two or
-            more payloads were recorded.
+        trends: run -> signal -> metric -> joint (`""`: mean of the scored joints) -> trend; empty unless two or more
+            payloads were recorded.
         plane: None where positions of fewer than two joints were measured.
         provenance: versions, git hash, data hash.
     """
 
-    trends: Mapping[str, Mapping[str, Mapping[str, Trend]]] = field(default_factory=dict)
+    trends: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Trend]]]] = field(default_factory=dict)
     plane: JointPlane | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -156,9 +156,13 @@ class EngineComparison:
         """Write engines.json atomically."""
         trends = {
             run: {
-                metric: {joint: item.to_json() for joint, item in joints.items()} for metric, joints in metrics.items()
+                signal: {
+                    metric: {joint: item.to_json() for joint, item in joints.items()}
+                    for metric, joints in metrics.items()
+                }
+                for signal, metrics in signals.items()
             }
-            for run, metrics in self.trends.items()
+            for run, signals in self.trends.items()
         }
         plane = None if self.plane is None else self.plane.to_json()
         content = {"schema": ENGINES_SCHEMA, "trends": trends, "plane": plane, "provenance": dict(self.provenance)}
@@ -179,10 +183,13 @@ class EngineComparison:
             return EngineComparison(
                 trends={
                     run: {
-                        metric: {joint: Trend.from_json(item) for joint, item in joints.items()}
-                        for metric, joints in metrics.items()
+                        signal: {
+                            metric: {joint: Trend.from_json(item) for joint, item in joints.items()}
+                            for metric, joints in metrics.items()
+                        }
+                        for signal, metrics in signals.items()
                     }
-                    for run, metrics in data["trends"].items()
+                    for run, signals in data["trends"].items()
                 },
                 plane=None if data["plane"] is None else JointPlane.from_json(data["plane"]),
                 provenance=dict(data.get("provenance", {})),

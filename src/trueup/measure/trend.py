@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float64
@@ -11,20 +11,37 @@ from scipy.special import stdtrit
 from trueup.core.engines import Trend
 from trueup.core.results import Estimate, GapResult
 
-TREND_METRICS = ("rmse", "phase_lag")
+# Signal -> metrics: errors of what a payload changes first, and the lag.
+TREND_METRICS: Mapping[str, tuple[str, ...]] = {
+    "position": ("rmse", "phase_lag"),
+    "velocity": ("rmse",),
+    "torque": ("rmse",),
+}
 _LEVEL = 0.95
+_FEWEST_PAIRS = 3
 
 
-def trend(payload_kg: Float64[np.ndarray, "E"], values: Float64[np.ndarray, "E"], unit: str) -> Trend | None:
+def trend(
+    payload_kg: Float64[np.ndarray, "E"],
+    values: Float64[np.ndarray, "E"],
+    unit: str,
+    *,
+    motions: Sequence[str] | None = None,
+) -> Trend | None:
     """The straight line of a metric over the payload, by least squares over motions.
 
-    The interval is Student's t with the covariance HC3 (MacKinnon and White 1985), since motions with a payload scatter
-    more than those without. A curved dependence is not seen by it; the values per payload are for that.
+    Where at least three motions were repeated with another payload, the slope is that within motions: each motion has a
+    level of its own, which no longer hides what the payload does, and motions without a repetition do not count. Its
+    interval is Student's t with a covariance that is robust to what the repetitions of a motion have in common (Liang
+    and Zeger 1986). Otherwise the interval is Student's t with the covariance HC3 (MacKinnon and White 1985), since
+    motions with a payload scatter more than those without. A curved dependence is not seen by either; the values per
+    payload are for that.
 
     Args:
         payload_kg: one per motion, (E,) [kg].
         values: one per motion, (E,); NaN where it is not defined, which leaves the motion out.
         unit: of the values.
+        motions: name of the motion that was executed, one per motion; equal names are repetitions. All differ if None.
 
     Returns:
         None with fewer than two different payloads; without interval with fewer than three motions, or where a single
@@ -34,37 +51,72 @@ def trend(payload_kg: Float64[np.ndarray, "E"], values: Float64[np.ndarray, "E"]
     x, y = payload_kg[valid], values[valid]
     if x.size < 2 or np.ptp(x) == 0.0:
         return None
+    if motions is not None:
+        names = np.asarray(motions, dtype=str)[valid]
+        repeated = _within(x, y, names, unit)
+        if repeated is not None:
+            return repeated
     centered = x - x.mean()
     spread = float(centered @ centered)
     slope = float(centered @ y) / spread
     at_zero = float(y.mean() - slope * x.mean())
-    per_kg = "1/kg" if unit == "1" else f"{unit}/kg"
+    per_kg = _per_kg(unit)
     leverage = 1.0 / x.size + centered**2 / spread
     if x.size < 3 or leverage.max() > 1.0 - 1e-9:
         return Trend(Estimate(slope, per_kg), at_zero, int(x.size), "undecided")
     residual = (y - at_zero - slope * x) / (1.0 - leverage)
     error = float(np.sqrt(centered**2 @ residual**2)) / spread
-    half = float(stdtrit(x.size - 2, 0.5 + 0.5 * _LEVEL)) * error
+    return _judged(slope, error, x.size - 2, at_zero, x.size, per_kg)
+
+
+def _within(x: Float64[np.ndarray, "E"], y: Float64[np.ndarray, "E"], names: np.ndarray, unit: str) -> Trend | None:
+    """The slope within repeated motions; None if fewer than three were repeated with another payload."""
+    _, motion = np.unique(names, return_inverse=True)
+    count = np.bincount(motion)
+    across = x - (np.bincount(motion, x) / count)[motion]
+    along = y - (np.bincount(motion, y) / count)[motion]
+    moved = np.bincount(motion, across**2)
+    pairs = int(np.count_nonzero(moved > 0.0))
+    if pairs < _FEWEST_PAIRS:
+        return None
+    spread = float(moved.sum())
+    slope = float(across @ along) / spread
+    score = np.bincount(motion, across * (along - slope * across))
+    error = float(np.sqrt(pairs / (pairs - 1) * score @ score)) / spread
+    used = moved[motion] > 0.0
+    at_zero = float(y[used].mean() - slope * x[used].mean())
+    return _judged(slope, error, pairs - 1, at_zero, int(used.sum()), _per_kg(unit))
+
+
+def _judged(slope: float, error: float, freedom: int, at_zero: float, motions: int, per_kg: str) -> Trend:
+    half = float(stdtrit(freedom, 0.5 + 0.5 * _LEVEL)) * error
     low, high = slope - half, slope + half
     verdict = "grows" if low > 0 else "falls" if high < 0 else "undecided"
-    return Trend(Estimate(slope, per_kg, low, high), at_zero, int(x.size), verdict)
+    return Trend(Estimate(slope, per_kg, low, high), at_zero, int(motions), verdict)
+
+
+def _per_kg(unit: str) -> str:
+    return "1/kg" if unit == "1" else f"{unit}/kg"
 
 
 def trends_of(
-    result: GapResult, payload_kg: Mapping[str, float | None], *, signal: str = "position"
-) -> dict[str, dict[str, dict[str, Trend]]]:
-    """Run -> metric -> joint -> trend, over the motions whose payload is known; `""` is the mean of the scored joints.
+    result: GapResult, payload_kg: Mapping[str, float | None], *, motions: Mapping[str, str] | None = None
+) -> dict[str, dict[str, dict[str, dict[str, Trend]]]]:
+    """Run -> signal -> metric -> joint -> trend; `""` is the mean of the scored joints.
+
+    Episodes whose payload is not known are left out.
 
     Args:
-        result: with values motion by motion.
-        payload_kg: motion -> payload [kg].
-        signal: whose error and lag.
+        result: with values episode by episode.
+        payload_kg: episode -> payload [kg].
+        motions: episode -> the motion that was executed, the same for its repetitions with another payload.
     """
-    trends: dict[str, dict[str, dict[str, Trend]]] = {}
+    trends: dict[str, dict[str, dict[str, dict[str, Trend]]]] = {}
     for run, episodes in result.episodes.items():
         known = [name for name in episodes if payload_kg.get(name) is not None]
         loads = np.array([float(payload_kg[name] or 0.0) for name in known])
-        for metric in TREND_METRICS:
+        repeated = None if motions is None else [motions.get(name) or name for name in known]
+        for signal, metric in ((signal, metric) for signal, own in TREND_METRICS.items() for metric in own):
             units = _units(result, run, signal, metric)
             rows = [episodes[name].get(signal, {}).get(metric, {}) for name in known]
             columns = {joint: np.array([row.get(joint, np.nan) for row in rows], dtype=np.float64) for joint in units}
@@ -72,10 +124,10 @@ def trends_of(
             if scored:
                 unit = units[next(joint for joint in result.scored_joints if joint in units)]
                 columns, units = {"": _mean(np.stack(scored)), **columns}, {"": unit, **units}
-            found = {joint: trend(loads, values, units[joint]) for joint, values in columns.items()}
+            found = {joint: trend(loads, values, units[joint], motions=repeated) for joint, values in columns.items()}
             kept = {joint: item for joint, item in found.items() if item is not None}
             if kept:
-                trends.setdefault(run, {})[metric] = kept
+                trends.setdefault(run, {}).setdefault(signal, {})[metric] = kept
     return trends
 
 

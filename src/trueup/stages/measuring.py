@@ -123,6 +123,7 @@ def gap(
     several_engines = len({label.partition("/")[0] for label in labels}) > 1
     comparing = several_engines or _several({meta.id: meta.payload_kg for meta in dataset.metas}, kept)
     payload_kg: dict[str, float | None] = {}
+    executed = {meta.id: meta.source for meta in dataset.metas}
     errors: dict[str, float] = {}
     left_out: dict[str, TrueupError] = {}
     signs = Signs()
@@ -207,7 +208,7 @@ def gap(
     quality = quality_of(dataset, set(kept), frame.joint_map, far_motions(errors), split=split)
     engines = None
     if several_engines or _several(payload_kg, payload_kg):
-        engines = EngineComparison(trends_of(result, payload_kg), plane.result(), origin)
+        engines = EngineComparison(trends_of(result, payload_kg, motions=executed), plane.result(), origin)
     return Measurement(result, analysis, traces, replace(quality, provenance=origin), engines)
 
 

@@ -18,6 +18,7 @@ from trueup.report.sections.cells import difference_cell, estimate_cell
 from trueup.report.sections.groups import group_order
 
 _SHOWN = ("rmse", "phase_lag", "smoothness")
+_SIGNALS = ("position", "velocity", "torque")
 _MEAN = ""
 _PAYLOAD = "payload_kg"
 
@@ -40,13 +41,16 @@ def engines_chooser(run: RunFolder) -> Chooser | None:
         return None
     payloads = group_order(list(run.gap.groups.get(_PAYLOAD, {})))
     menus = [
+        Menu("Signal", [(name, name) for name in _SIGNALS]),
         Menu("Metric", [(name, metric_title(name)) for name in _SHOWN]),
         Menu("Payload", [(ANY_PAYLOAD, "all motions"), *((load, f"{load} kg") for load in payloads)]),
     ]
 
-    def make(metric: str, payload: str) -> Variant | None:
+    def make(signal: str, metric: str, payload: str) -> Variant | None:
         results = {
-            label: found for label in run.simulators if (found := _result(run, label, payload, metric)) is not None
+            label: found
+            for label in run.simulators
+            if (found := _result(run, label, payload, signal, metric)) is not None
         }
         if len(results) < 2:
             return None
@@ -60,7 +64,7 @@ def engines_chooser(run: RunFolder) -> Chooser | None:
         where = "all motions" if payload == ANY_PAYLOAD else f"motions with {payload} kg"
         count = max(item.episodes for item in results.values())
         caption = (
-            f"{metric_title(metric)} of position, {where} ({plural(count, 'motion')}), 95 % interval below it. "
+            f"{metric_title(metric)} of {signal}, {where} ({plural(count, 'motion')}), 95 % interval below it. "
             f"{_MEANING[metric]}"
         )
         unit = next(iter(results.values())).total.unit
@@ -69,13 +73,13 @@ def engines_chooser(run: RunFolder) -> Chooser | None:
             for label, item in results.items()
         }
         shown = [joint for joint in joints if any(joint in items for items in bars.values())]
-        figure = bars_figure(shown, bars, run.styles, title=axis_title("position", metric, unit))
+        figure = bars_figure(shown, bars, run.styles, title=axis_title(signal, metric, unit))
         if any(value.value < 0 for items in bars.values() for value in items.values()):
             figure["layout"]["xaxis"].pop("rangemode")
         table = Table(["Joint", *(run_title(label) for label in results)], rows, caption)
         return Variant(tables={"engines": table}, figures={"engines": figure})
 
-    return make_chooser("engines-chooser", menus, make, preferred=("rmse", ANY_PAYLOAD))
+    return make_chooser("engines-chooser", menus, make, preferred=("position", "rmse", ANY_PAYLOAD))
 
 
 _MEANING = {
@@ -91,15 +95,16 @@ def payloads_chooser(run: RunFolder, engines: EngineComparison) -> Chooser | Non
     if len(groups) < 2 or not all(_is_number(load) for load in groups):
         return None
     menus = [
+        Menu("Signal", [(name, name) for name in _SIGNALS]),
         Menu("Metric", [(name, metric_title(name)) for name in _SHOWN]),
         Menu("Joint", [(_MEAN, "mean of scored joints"), *((joint, joint) for joint in run.gap.joints)]),
     ]
 
-    def make(metric: str, joint: str) -> Variant | None:
+    def make(signal: str, metric: str, joint: str) -> Variant | None:
         values: dict[str, dict[float, Estimate]] = {}
         for load in group_order(list(groups)):
             for label in run.runs:
-                result = _result(run, label, load, metric)
+                result = _result(run, label, load, signal, metric)
                 estimate = None if result is None else result.per_joint.get(joint) if joint else result.total
                 if estimate is not None:
                     values.setdefault(label, {})[float(load)] = estimate
@@ -108,26 +113,40 @@ def payloads_chooser(run: RunFolder, engines: EngineComparison) -> Chooser | Non
         trends = {
             label: item
             for label in values
-            if (item := engines.trends.get(label, {}).get(metric, {}).get(joint)) is not None
+            if (item := engines.trends.get(label, {}).get(signal, {}).get(metric, {}).get(joint)) is not None
         }
         unit = next(iter(next(iter(values.values())).values())).unit
-        figure = payload_figure(values, trends, run.styles, title=axis_title("position", metric, unit))
-        return Variant(tables={"payloads": _payload_table(values, trends, metric)}, figures={"payloads": figure})
+        figure = payload_figure(values, trends, run.styles, title=axis_title(signal, metric, unit))
+        return Variant(
+            tables={"payloads": _payload_table(values, trends, signal, metric)}, figures={"payloads": figure}
+        )
 
-    return make_chooser("payloads-chooser", menus, make, preferred=("rmse", _MEAN))
+    return make_chooser("payloads-chooser", menus, make, preferred=(_first_to_grow(engines), "rmse", _MEAN))
 
 
-def _payload_table(values: Mapping[str, Mapping[float, Estimate]], trends: Mapping[str, Trend], metric: str) -> Table:
+def _first_to_grow(engines: EngineComparison) -> str:
+    """The signal whose error a payload visibly changes, the position if it does."""
+    for signal in _SIGNALS:
+        for label, signals in engines.trends.items():
+            item = signals.get(signal, {}).get("rmse", {}).get(_MEAN)
+            if label != COMMAND and item is not None and item.verdict == "grows":
+                return signal
+    return _SIGNALS[0]
+
+
+def _payload_table(
+    values: Mapping[str, Mapping[float, Estimate]], trends: Mapping[str, Trend], signal: str, metric: str
+) -> Table:
     loads = sorted({load for items in values.values() for load in items})
     rows = [TableRow(f"{load:g} kg", [estimate_cell(items.get(load)) for items in values.values()]) for load in loads]
-    caption = f"{metric_title(metric)} of position by payload, 95 % interval below it."
+    caption = f"{metric_title(metric)} of {signal} by payload, 95 % interval below it."
     if trends:
         cells = [difference_cell(trends[label].slope) if label in trends else Cell(NOTHING) for label in values]
         rows.append(TableRow("Change per kg", cells, strong=True))
         words = [Cell(trends[label].verdict) if label in trends else Cell(NOTHING) for label in values]
         rows.append(TableRow("With the payload it", words))
-        caption += " The change is the slope of a straight line through all motions; it grows or falls only if the "
-        caption += "interval of the slope excludes zero."
+        caption += " The change is the slope of a straight line, within motions where they were repeated with other "
+        caption += "payloads; it grows or falls only if the interval of the slope excludes zero."
     if metric == "phase_lag" and COMMAND in values:
         caption += " The column of the command is the lag of the robot behind what it was told."
     return Table(["Payload", *(run_title(label) for label in values)], rows, caption)
@@ -161,10 +180,10 @@ def _is_number(text: str) -> bool:
         return False
 
 
-def _result(run: RunFolder, label: str, payload: str, metric: str) -> MetricResult | None:
+def _result(run: RunFolder, label: str, payload: str, signal: str, metric: str) -> MetricResult | None:
     metrics: Metrics = (
         run.gap.runs.get(label, {}).get("all", {})
         if payload == ANY_PAYLOAD
         else run.gap.groups.get(_PAYLOAD, {}).get(payload, {}).get(label, {})
     )
-    return metrics.get("position", {}).get(metric)
+    return metrics.get(signal, {}).get(metric)
