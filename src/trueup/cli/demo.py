@@ -19,14 +19,19 @@ def register(app: typer.Typer) -> None:
 
 def demo(
     out_dir: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("runs/demo"),
+    robot: Annotated[
+        str, typer.Option("--robot", help="panda, or demo_arm: three joints, simulated and fitted in seconds.")
+    ] = "panda",
     seed: options.Seed = 0,
     jobs: options.Jobs = None,
     overwrite: options.Overwrite = False,
 ) -> int:
-    """Close on the built-in arm, whose hardware has other gains, friction, delay and payload than its model."""
+    """Record virtual hardware, whose physics its model does not know, and close on the recording."""
     from trueup.stages.demonstrating import demo as run
 
-    closed = run(out_dir, seed=seed, jobs=jobs, overwrite=overwrite, track=track)
-    out.print("12 motions of the built-in arm, recorded on hardware that its model does not know", markup=False)
+    closed = run(out_dir, robot=robot, seed=seed, jobs=jobs, overwrite=overwrite, track=track)  # type: ignore[arg-type]
+    out.print(
+        f"{len(closed.dataset)} motions of a virtual {robot}, whose physics its model does not know", markup=False
+    )
     show(closed, out_dir)
     return 0
