@@ -26,8 +26,8 @@ ARROWS = {
     "record": {"dataset", "robots"},
     "identify": {"align", "measure", "robots", "sim"},
     "report": set(),
-    "stages": {"dataset", "align", "measure", "robots", "sim", "lab", "identify"},
-    "cli": {"dataset", "align", "measure", "robots", "sim", "lab", "identify", "report", "stages"},
+    "stages": {"dataset", "align", "measure", "robots", "sim", "lab", "record", "identify"},
+    "cli": {"dataset", "align", "measure", "robots", "sim", "lab", "record", "identify", "report", "stages"},
 }
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
