@@ -28,6 +28,7 @@ from trueup.record import (
     load_workspace,
     paper_plans,
     plan_all,
+    store_plans,
 )
 from trueup.record.planstore import BLOCK
 from trueup.robots import load_robot
@@ -214,6 +215,74 @@ def test_motions_that_are_not_found_are_skipped_and_counted(tmp_path):
     assert len(list(plans)) == counts.planned
     with pytest.raises(MissingSignal, match="was skipped"):
         plans[next(iter(skipped))]
+
+
+GIVEN_IDS = [f"mine/{number}" for number in range(BLOCK + 3)]
+
+
+def given(folder, *, before=(), **changes):
+    """Twice as many plans as fit into a block and a bit, copied from a planned set."""
+    with_ids = list(PlanSet(folder))[: len(GIVEN_IDS)]
+
+    def make(made):
+        for stop, error in before:
+            if len(made) == stop:
+                raise error
+        return with_ids[len(made)]
+
+    return lambda path: store_plans(make, GIVEN_IDS, PANDA, path, **{"origin": {"by": "test", "size": 1.5}, **changes})
+
+
+def test_given_plans_are_stored_and_read_as_a_set(folder, tmp_path):
+    seen = []
+    stored = given(folder, progress=lambda *state: seen.append(state))(tmp_path / "given")
+    assert seen[-1] == (len(GIVEN_IDS), len(GIVEN_IDS), 0)
+    plans = PlanSet(tmp_path / "given")
+    assert (plans.complete, plans.robot, plans.joints, len(plans)) == (True, "panda", PANDA.joint_names, len(GIVEN_IDS))
+    assert plans.spec is None
+    assert plans.origin == {"by": "test", "size": 1.5}
+    assert PlanSet(folder).origin == {}
+    assert list(plans.ids()) == GIVEN_IDS
+    for plan, made, id in zip(plans, stored, GIVEN_IDS, strict=True):
+        assert plan.id == made.id == id
+        for name in ("time_s", "position", "velocity", "acceleration"):
+            np.testing.assert_array_equal(getattr(plan, name), getattr(made, name))
+        assert plan.to_row() == made.to_row()
+    assert plans[GIVEN_IDS[-1]].id == GIVEN_IDS[-1]
+    with pytest.raises(ConfigError, match="there is no motion"):
+        plans["mine/99"]
+
+
+@pytest.mark.parametrize("stop", [0, 5, BLOCK, BLOCK + 1])
+def test_given_plans_go_on_where_they_were_interrupted(folder, tmp_path, stop):
+    given(folder)(tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        given(folder, before=[(stop, KeyboardInterrupt())])(tmp_path / "parts")
+    parts = PlanSet(tmp_path / "parts")
+    assert not parts.complete
+    assert len(list(parts.there())) == stop
+    with pytest.raises(MissingSignal, match="not complete"):
+        parts[GIVEN_IDS[stop]]
+    parts.close()
+    # Nothing that is there is made again.
+    given(folder, before=[(early, AssertionError()) for early in range(stop)])(tmp_path / "parts")
+    assert contents(tmp_path / "parts") == contents(tmp_path / "whole")
+
+
+def test_other_given_plans_are_refused(folder, tmp_path):
+    given(folder)(tmp_path / "set")
+    with pytest.raises(OutputExists, match="another plan set"):
+        given(folder, origin={"by": "others"})(tmp_path / "set")
+    with pytest.raises(OutputExists, match="another plan set"):
+        plan_all(small(), PANDA, tmp_path / "set")
+    given(folder, origin={"by": "others"}, overwrite=True)(tmp_path / "set")
+    assert PlanSet(tmp_path / "set").origin == {"by": "others"}
+    for ids in ([], ["a", "a"]):
+        with pytest.raises(ConfigError, match="different ids"):
+            store_plans(lambda _: None, ids, PANDA, tmp_path / "none", origin={})
+    arm = replace(PANDA, joints=PANDA.joints[:3])
+    with pytest.raises(NameMismatch, match="another robot"):
+        store_plans(lambda _: next(iter(PlanSet(folder))), ["a"], arm, tmp_path / "arm", origin={})
 
 
 def test_damaged_sets_are_refused(folder, tmp_path):

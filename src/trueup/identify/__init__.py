@@ -9,6 +9,9 @@ from trueup.identify.export import save_identification as save_identification
 from trueup.identify.identification import Identification as Identification
 from trueup.identify.identification import identify as identify
 from trueup.identify.inertial import Inertial as Inertial
+from trueup.identify.information import PlannedInformation as PlannedInformation
+from trueup.identify.knowledge import Knowledge as Knowledge
+from trueup.identify.knowledge import deviations as deviations
 from trueup.identify.problem import Problem as Problem
 from trueup.identify.problem import Weights as Weights
 from trueup.identify.quantities import QUANTITIES as QUANTITIES
@@ -25,13 +28,16 @@ __all__ = [
     "Identification",
     "IdentifyConfig",
     "Inertial",
+    "Knowledge",
     "Nominal",
     "OnModel",
+    "PlannedInformation",
     "Problem",
     "Progress",
     "SegmentRule",
     "SolveSettings",
     "Weights",
+    "deviations",
     "explain",
     "identify",
     "judged",

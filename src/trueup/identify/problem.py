@@ -49,6 +49,12 @@ class Problem:
         segments: parts of the logs.
         weights: of signals and joints; position and the scored joints alone if None.
         jobs: threads.
+
+    Attributes:
+        columns: of the joints that enter the residual.
+        size: length N of the residual.
+        scale: the factor 1 / sqrt(N) in it.
+        evaluations: candidates that were simulated.
     """
 
     def __init__(
@@ -85,7 +91,7 @@ class Problem:
         counts = [(signal, np.count_nonzero(own)) for rows in self._rows.values() for signal, own in rows.items()]
         self.size = int(sum(count for _, count in counts)) * self.columns.size
         positions = sum(count for signal, count in counts if signal == "position")
-        self._scale = 1.0 / np.sqrt(max(1, positions) * self.columns.size)
+        self.scale = float(1.0 / np.sqrt(max(1, positions) * self.columns.size))
         self.evaluations = 0
 
     def _counted(self, segment: Segment) -> dict[str, Bool[np.ndarray, "T"]]:
@@ -135,7 +141,7 @@ class Problem:
 
     def unscaled_rms(self, residual: Float64[np.ndarray, "M"], column: int) -> float:
         """Root mean square of position residuals of one joint in the joint's unit [rad or m]."""
-        weight = self.weights.signals["position"] * float(self._joint_weights[column]) * self._scale
+        weight = self.weights.signals["position"] * float(self._joint_weights[column]) * self.scale
         return float(np.sqrt(np.mean(residual**2)) / weight)
 
     def colors(self) -> Int[np.ndarray, "P"]:
@@ -225,7 +231,7 @@ class Problem:
             if signal == "position":
                 simulated = simulated - zeros[:, None, :]
             residual = (simulated - plan.measured[signal])[:, counted][:, :, self.columns]
-            residual *= self.weights.signals[signal] * self._joint_weights[self.columns] * self._scale
+            residual *= self.weights.signals[signal] * self._joint_weights[self.columns] * self.scale
             blocks.append(residual.reshape(task.rows.size, -1))
         return np.concatenate(blocks, axis=1)
 

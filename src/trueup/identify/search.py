@@ -122,6 +122,14 @@ class Search:
         left = search.loss_of(search.residual).cost(search.residual)
         return Descent(solution, 1.0 - left / max(state.start_cost, 1e-300), search)
 
+    def start_jacobian(self) -> Float64[np.ndarray, "P N"]:
+        """Derivatives of the residual at the start, one row per parameter, as those of the last stage of a fit.
+
+        Raises:
+            DataError: the start cannot be simulated.
+        """
+        return self._derivatives(GaussNewtonState(self.problem.parameters.start)).final_jacobian()
+
     def at_minimum(self, descent: Descent) -> bool:
         """Whether Gauss-Newton ended at a minimum that its derivatives can see.
 

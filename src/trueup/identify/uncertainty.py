@@ -14,7 +14,7 @@ from trueup.identify.problem import Problem
 from trueup.identify.quantities import quantity
 from trueup.identify.solvers import Loss
 
-_Z95 = 1.959964
+Z95 = 1.959964
 # Posterior over prior variance: above the first the prior speaks, below the second the data do.
 _NO, _YES = 0.5, 0.05
 # Half a unit of z is a factor of 1.6, or half of what counts as a large change.
@@ -158,24 +158,16 @@ class Posterior:
 
     def of_model(self) -> Posterior:
         """The same without what belongs to single recordings: their uncertainty stays in that of the others."""
-        kept = [index for index, item in enumerate(self.parameters.free) if quantity(item.quantity).of != "motion"]
-        own = tuple(item for item in self.parameters if quantity(item.quantity).of != "motion")
-        # Information about the others is what is left when the recordings' own numbers are unknown.
-        gone = [index for index in range(self.z.size) if index not in kept]
-        data = self.data[np.ix_(kept, kept)]
-        if gone:
-            _, std = self.parameters.prior
-            inner = self.data[np.ix_(gone, gone)] + np.diag(std[gone] ** -2.0)
-            cross = self.data[np.ix_(kept, gone)]
-            data = data - cross @ np.linalg.solve(inner, cross.T)
-        return Posterior(ParameterSet(own), self.z[kept], self.covariance[np.ix_(kept, kept)], 0.5 * (data + data.T))
+        own, kept = model_part(self.parameters)
+        data = of_model(self.parameters, self.data)
+        return Posterior(own, self.z[kept], self.covariance[np.ix_(kept, kept)], data)
 
     def interval(self, index: int) -> tuple[float, float]:
         """95 % interval of a free parameter [its unit], inside its bounds."""
         parameter, std = self.parameters.free[index], float(self.std[index])
         z = float(self.z[index])
         # from_z keeps inside the bounds; a wide interval would overflow before that.
-        reach = min(_Z95 * std, 100.0)
+        reach = min(Z95 * std, 100.0)
         return parameter.from_z(z - reach), parameter.from_z(z + reach)
 
     def draw(self, count: int, rng: np.random.Generator) -> dict[str, Float64[np.ndarray, "S"]]:
@@ -191,6 +183,34 @@ class Posterior:
         return {name: np.array([row[name] for row in rows]) for name in self.parameters.names}
 
 
+def model_part(parameters: ParameterSet) -> tuple[ParameterSet, list[int]]:
+    """The parameters that do not belong to single recordings, and which of the free ones they are."""
+    own = tuple(item for item in parameters if quantity(item.quantity).of != "motion")
+    return ParameterSet(own), [
+        index for index, item in enumerate(parameters.free) if quantity(item.quantity).of != "motion"
+    ]
+
+
+def of_model(parameters: ParameterSet, information: Float64[np.ndarray, "Q Q"]) -> Float64[np.ndarray, "P P"]:
+    """Information about the model's parameters alone: what is left when the recordings' own numbers are unknown."""
+    _, kept = model_part(parameters)
+    gone = [index for index in range(len(information)) if index not in kept]
+    data = information[np.ix_(kept, kept)]
+    if gone:
+        _, std = parameters.prior
+        inner = information[np.ix_(gone, gone)] + np.diag(std[gone] ** -2.0)
+        cross = information[np.ix_(kept, gone)]
+        data = data - cross @ np.linalg.solve(inner, cross.T)
+    return np.asarray(0.5 * (data + data.T))
+
+
+def precision_of(parameters: ParameterSet) -> Float64[np.ndarray, "P P"]:
+    """What is known before any data: the inverse covariance of the prior, in z."""
+    _, std = parameters.prior
+    # A parameter without prior that the data do not show could be anything, which a pseudo-inverse would take for zero.
+    return np.diag(np.minimum(std, _FLAT) ** -2.0)
+
+
 def posterior_of(
     problem: Problem,
     z: Float64[np.ndarray, "P"],
@@ -204,9 +224,7 @@ def posterior_of(
     memory of the residuals in place of their neighbours' products.
     """
     noise = noise_of(problem, residual)
-    _, std = problem.parameters.prior
-    # A parameter without prior that the data do not show could be anything, which a pseudo-inverse would take for zero.
-    precision = np.diag(np.minimum(std, _FLAT) ** -2.0)
+    precision = precision_of(problem.parameters)
     weight = noise.weight
     data = jacobian @ jacobian.T
     bread = data + weight * precision

@@ -30,6 +30,7 @@ from trueup.record.planstore import Planned as Planned
 from trueup.record.planstore import PlanSet as PlanSet
 from trueup.record.planstore import describe as describe
 from trueup.record.planstore import plan_all as plan_all
+from trueup.record.planstore import store_plans as store_plans
 from trueup.record.profile import ClockSettings as ClockSettings
 from trueup.record.recorder import Recorder as Recorder
 from trueup.record.recorder import Recording as Recording
@@ -84,6 +85,7 @@ __all__ = [
     "random_spline",
     "require_valid",
     "spline_reference",
+    "store_plans",
     "straightness_m",
     "whole_ratio",
 ]

@@ -12,12 +12,12 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float64
 
-from trueup.errors import ConfigError, NotIdentifiable
+from trueup.errors import ConfigError, NoPlan, NotIdentifiable
 from trueup.record.functions import FourierSum
 from trueup.record.motion import MotionSettings, as_plan
 from trueup.record.plan import Plan
 from trueup.record.profile import ClockSettings, Profile
-from trueup.record.references import ReferenceSettings, amplitudes, scaled, shape
+from trueup.record.references import INNER, ReferenceSettings, amplitudes, scaled, shape
 from trueup.record.scene import Scene
 
 
@@ -72,7 +72,8 @@ class Design:
     Attributes:
         plan: the motion.
         log_det: log det of its information matrix.
-        random_log_det: the best of the random series that the search began with; the gain is the difference.
+        random_log_det: the best of the random series that the search began with, minus infinity if none was of use; the
+            gain is the difference.
         evaluations: motions that were tried.
     """
 
@@ -94,16 +95,17 @@ def design_excitation(
     settings: MotionSettings | None = None,
     id: str = "excitation",
 ) -> Design:
-    """The motion around a pose with the largest log det of the information, within limits and free of collision.
+    """The motion with the largest log det of the information, within limits and free of collision.
 
-    CMA-ES searches the coefficients of one Fourier series for each joint. A series that exceeds a limit is scaled down
-    to it; where something is in the way, all joints move less.
+    CMA-ES searches the coefficients of one Fourier series for each joint, and the pose around which they move. A series
+    that exceeds a limit is scaled down to it; where something is in the way, all joints move less.
 
     Args:
         scene: robot and obstacles.
         information: what a motion tells about the parameters; gets samples at the design's rate.
         moving: joints that may move; all if not given.
-        center: pose to move around, (J,); the scene's home if not given.
+        center: pose to move around, (J,). If not given it is searched, too, in the inner part of the ranges; joints
+            that do not move stay where the scene's home has them.
         velocity_share: share of the velocity limits, above 0, up to 1.
         seed: of the search.
         design: series and budget.
@@ -118,6 +120,12 @@ def design_excitation(
     """
     search = _Search(scene, information, moving, center, velocity_share, design, settings)
     best, random_best, evaluations = search.run(seed)
+    if not search.executable:
+        raise NoPlan(
+            "something is in the way of every motion that was tried",
+            got=f"{evaluations} motions",
+            hint="Choose another center, move fewer joints, or correct the workspace.",
+        )
     if not np.isfinite(best.log_det):
         raise NotIdentifiable(
             "no motion that was tried determines all parameters",
@@ -131,7 +139,11 @@ def design_excitation(
         kind="excitation",
         moving=search.moving,
         id=id,
-        details={"velocity_share": velocity_share, "log_det": best.log_det, "random_log_det": random_best},
+        details={
+            "velocity_share": velocity_share,
+            "log_det": best.log_det,
+            "random_log_det": random_best if np.isfinite(random_best) else None,
+        },
     )
     return Design(replace(plan, seed=seed), best.log_det, random_best, evaluations)
 
@@ -160,8 +172,10 @@ class _Search:
         self.columns = scene.limits.columns(self.moving)
         if not self.columns:
             raise ConfigError("an excitation needs at least one joint", available=scene.joints)
-        self.center = scene.home if center is None else center
-        scene.require_free(self.center, "the center of the excitation")
+        self.center = center
+        self.executable = False
+        if center is not None:
+            scene.require_free(center, "the center of the excitation")
         self.limits = scene.limits.scaled(velocity_share, self.settings.acceleration_share)
         ramp_s = min(1.0, self.design.duration_s / 4)
         self.reference = ReferenceSettings(duration_s=self.design.duration_s, ramp_s=ramp_s)
@@ -172,7 +186,7 @@ class _Search:
         """The best candidate, the best log det of the first generation, and how many were tried."""
         import cma
 
-        size = 2 * len(self.columns) * self.design.harmonics
+        size = 2 * len(self.columns) * self.design.harmonics + (len(self.columns) if self.center is None else 0)
         population = 4 + int(3 * np.log(size))
         rng = np.random.default_rng(seed)
         first = [self.evaluate(rng.standard_normal(size)) for _ in range(population)]
@@ -191,23 +205,36 @@ class _Search:
 
     def profile(self, coefficients: Float64[np.ndarray, "D"], clock: ClockSettings, factor: float) -> Profile:
         """The motion of some coefficients, within the limits, times a factor."""
-        series = coefficients.reshape(len(self.columns), 2, -1)
+        center = self.center_of(coefficients)
+        series = coefficients[-2 * len(self.columns) * self.design.harmonics :].reshape(len(self.columns), 2, -1)
         functions = {
             column: FourierSum(self.omega, cosine, sine)
             for column, (cosine, sine) in zip(self.columns, series, strict=True)
         }
         unit = shape(functions, len(self.scene.joints), clock, self.reference)
         # A coefficient of 1 is the whole room: less is taken as it is, more is scaled down.
-        room = np.minimum(self.limits.high - self.center, self.center - self.limits.low)
-        largest = amplitudes(unit, clock.timestep_s, self.center, self.limits, self.design.position_share)
+        room = np.minimum(self.limits.high - center, center - self.limits.low)
+        largest = amplitudes(unit, clock.timestep_s, center, self.limits, self.design.position_share)
         # The final clock sees peaks between the samples of the search.
-        return scaled(unit, factor * np.minimum(0.99 * largest, room), self.center)
+        return scaled(unit, factor * np.minimum(0.99 * largest, room), center)
+
+    def center_of(self, coefficients: Float64[np.ndarray, "D"]) -> Float64[np.ndarray, "J"]:
+        """The pose that the motion goes around: what was asked for, or what the first coefficients say."""
+        if self.center is not None:
+            return self.center
+        center, columns = self.scene.home.copy(), self.columns
+        low, high = self.limits.low[columns], self.limits.high[columns]
+        center[columns] = (low + high) / 2 + INNER * (high - low) / 2 * np.tanh(coefficients[: len(columns)])
+        return center
 
     def evaluate(self, coefficients: Float64[np.ndarray, "D"]) -> _Candidate:
         factor = 1.0
+        if not self.scene.free(self.center_of(coefficients)):
+            return _Candidate(coefficients, factor, -np.inf)
         for _ in range(8):
             profile = self.profile(coefficients, self.coarse, factor)
             if self.scene.first_collision(profile.position, clearance_m=self.scene.clearance_m) is None:
+                self.executable = True
                 matrix = np.asarray(self.information(profile.position, profile.velocity, profile.acceleration))
                 return _Candidate(coefficients, factor, _log_det(matrix))
             factor *= 0.7

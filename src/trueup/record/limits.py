@@ -12,6 +12,12 @@ from jaxtyping import Float64
 from trueup.errors import ConfigError, NameMismatch
 from trueup.robots import RobotSpec
 
+# Where a model has them; a URDF has no accelerations.
+_PLACE = {
+    "velocity": "<custom><numeric name='velocity_limit' data='…'/> in the MJCF, or <limit velocity='…'/> in the URDF",
+    "acceleration": "<custom><numeric name='acceleration_limit' data='…'/> in the MJCF",
+}
+
 
 @dataclass(frozen=True, eq=False)
 class JointLimits:
@@ -163,6 +169,6 @@ def _rates(
     if missing:
         raise ConfigError(
             f"joints {missing} have no {kind} limit",
-            hint=f"Give {kind} limits for each joint, or <custom><numeric name='{kind}_limit' data='…'/> in the model.",
+            hint=f"Give {kind}_limits for each joint, or {_PLACE[kind]}.",
         )
     return np.array([float(found[name]) for name in joints])

@@ -1,10 +1,12 @@
 """Plan sets on disk: JSON for what was planned, Parquet for the samples.
 
-    plans.json             what was asked for: description, robot, hash of the model; how many were planned
+    plans.json             what was asked for: description (or ids and origin of plans that were made elsewhere), robot,
+                           hash of the model; how many were planned
     blocks/00000.json      rows of the first block of motions: ids, joints, splits, draws; which were skipped, and why
     blocks/00000.parquet   their samples, one row group a motion
 
 A block is planned and written as a whole, its JSON last; so a block is there or not, wherever planning was stopped.
+Plans that are given one by one are written so, too: their block again with each of them.
 """
 
 from __future__ import annotations
@@ -13,8 +15,9 @@ import hashlib
 import importlib
 import shutil
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +30,11 @@ from trueup.core.workers import in_processes
 from trueup.dataset.columns import from_table, layout_of, to_table
 from trueup.dataset.lock import LOCK_NAME, FolderLock
 from trueup.dataset.shards import ShardReader, shard_name, write_shard
-from trueup.errors import ConfigError, DataError, FormatError, MissingSignal, NoPlan, OutputExists
+from trueup.errors import ConfigError, DataError, FormatError, MissingSignal, NameMismatch, NoPlan, OutputExists
 from trueup.record.plan import Plan
 from trueup.record.planset import PLANS_SCHEMA, PlanSetSpec
 from trueup.record.scene import Scene
+from trueup.record.workspace import Workspace
 from trueup.robots import RobotSpec, find_model
 
 PLANS_NAME = "plans.json"
@@ -40,6 +44,9 @@ BLOCK_SCHEMA = "trueup.plan-block/1"
 BLOCK = 16
 
 _OPEN_BLOCKS = 8
+# What plans.json says about what decided about the plans.
+_ASKED = ("spec", "ids", "origin", "robot", "joints", "model")
+_AGAIN = "Plan the set again into the same folder: what is there is kept."
 
 Progress = Callable[[int, int, int], None]
 
@@ -90,22 +97,87 @@ def plan_all(
         raise ConfigError("jobs must be at least 1", got=jobs)
     path = find_model(robot, given=model)
     spec.scene(robot, model=path)  # refuses what cannot be planned at all, before anything is written
-    asked = _asked(spec, robot, path)
+    asked = _asked({"spec": spec.to_dict()}, robot, path)
     _refuse_other(folder, asked, overwrite=overwrite)
-    make_folder(folder / BLOCKS)
-    lock = FolderLock(folder)
-    try:
-        for left in (folder / BLOCKS).glob(".*.tmp"):  # of a process that was killed
-            left.unlink(missing_ok=True)
+    with _planning(folder):
         record = {**asked, "complete": False, "provenance": provenance(config=asked, seed=spec.seed)}
         write_json(folder / PLANS_NAME, record)
         counts = _plan_blocks(spec, robot, path, folder, jobs, progress)
         found = {"complete": True, "planned": counts.planned, "skipped": counts.skipped}
         write_json(folder / PLANS_NAME, {**record, **found})
+    return counts
+
+
+@contextmanager
+def _planning(folder: Path) -> Iterator[None]:
+    """The folder, locked for one planner, without what a killed one has left."""
+    make_folder(folder / BLOCKS)
+    lock = FolderLock(folder)
+    try:
+        for left in (folder / BLOCKS).glob(".*.tmp"):  # of a process that was killed
+            left.unlink(missing_ok=True)
+        yield
     finally:
         lock.release()
         (folder / LOCK_NAME).unlink(missing_ok=True)
-    return counts
+
+
+def store_plans(
+    make: Callable[[Sequence[Plan]], Plan],
+    ids: Sequence[str],
+    robot: RobotSpec,
+    folder: Path,
+    *,
+    origin: Mapping[str, Any],
+    seed: int | None = None,
+    model: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> tuple[Plan, ...]:
+    """Store plans that no description makes, e.g. designed ones, as a plan set.
+
+    Each is stored as soon as it is made, and what is there from an interrupted run of the same ids and origin is kept.
+
+    Args:
+        make: makes the next plan from all those before it, stored ones included.
+        ids: of the plans, in order.
+        robot: the robot.
+        folder: where to.
+        origin: what decides about the plans, JSON types only.
+        seed: of their draws, for the provenance.
+        model: its MJCF or URDF; found as for replay if not given.
+        overwrite: delete another set that is in the folder.
+        progress: called with (plans done, of how many, 0) after each plan.
+
+    Returns:
+        All plans.
+
+    Raises:
+        ConfigError: no ids, or one of them twice.
+        NameMismatch: a plan is for other joints.
+        OutputExists: another set is in the folder.
+        DataError: the disk is full or not writable, or another process is planning into the folder.
+    """
+    if not ids or len(set(ids)) != len(ids):
+        raise ConfigError("a plan set needs motions with different ids", got=list(ids))
+    asked = _asked({"ids": list(ids), "origin": dict(origin)}, robot, find_model(robot, given=model))
+    _refuse_other(folder, asked, overwrite=overwrite)
+    with _planning(folder):
+        record = {**asked, "complete": False, "provenance": provenance(config=asked, seed=seed)}
+        write_json(folder / PLANS_NAME, record)
+        with closing(PlanSet(folder)) as stored:
+            made = list(stored.there())
+        while len(made) < len(ids):
+            number = len(made)
+            plan = replace(make(made), id=ids[number])
+            if plan.joints != robot.joint_names:
+                raise NameMismatch("a plan is for another robot", left=plan.joints, right=robot.joint_names)
+            made.append(plan)
+            _write_block(folder, number // BLOCK, made[number // BLOCK * BLOCK :], ())
+            if progress is not None:
+                progress(len(made), len(ids), 0)
+        write_json(folder / PLANS_NAME, {**record, "complete": True, "planned": len(made), "skipped": 0})
+    return tuple(made)
 
 
 def _plan_blocks(
@@ -145,27 +217,17 @@ class _BlockPlanner:
 
     def plan(self, block: int) -> tuple[int, int]:
         """Plan and write one block; how many motions were planned and skipped."""
-        rows: list[dict[str, Any]] = []
+        plans: list[Plan] = []
         skipped: list[dict[str, str]] = []
-        tables = []
-        layout = None
         for number in range(block * BLOCK, min(len(self._spec), (block + 1) * BLOCK)):
             try:
                 plan = self._spec.plan(self._scene, number)
             except NoPlan as error:
                 skipped.append({"id": self._spec.id(number), "reason": error.summary})
                 continue
-            series = plan.to_series()
-            layout = layout_of(series)
-            tables.append(to_table(series, layout))
-            rows.append(plan.to_row())
-        if layout is not None:
-            write_shard(self._folder / BLOCKS / shard_name(block), layout, tables)
-        write_json(
-            _block_path(self._folder, block),
-            {"schema": BLOCK_SCHEMA, "plans": rows, "skipped": skipped},
-        )
-        return len(rows), len(skipped)
+            plans.append(plan)
+        _write_block(self._folder, block, plans, skipped)
+        return len(plans), len(skipped)
 
 
 _worker: _BlockPlanner | None = None
@@ -184,6 +246,15 @@ def _plan_block(number: int) -> tuple[int, int]:
     return _worker.plan(number)
 
 
+def _write_block(folder: Path, block: int, plans: Sequence[Plan], skipped: Sequence[Mapping[str, str]]) -> None:
+    if plans:
+        series = [plan.to_series() for plan in plans]
+        layout = layout_of(series[0])
+        write_shard(folder / BLOCKS / shard_name(block), layout, [to_table(item, layout) for item in series])
+    rows = [plan.to_row() for plan in plans]
+    write_json(_block_path(folder, block), {"schema": BLOCK_SCHEMA, "plans": rows, "skipped": list(skipped)})
+
+
 def _block_path(folder: Path, number: int) -> Path:
     return folder / BLOCKS / f"{number:05d}.json"
 
@@ -196,10 +267,10 @@ def _read_block(folder: Path, number: int) -> dict[str, Any]:
     return data
 
 
-def _asked(spec: PlanSetSpec, robot: RobotSpec, model: Path) -> dict[str, Any]:
+def _asked(what: Mapping[str, Any], robot: RobotSpec, model: Path) -> dict[str, Any]:
     return {
         "schema": PLANS_SCHEMA,
-        "spec": spec.to_dict(),
+        **what,
         "robot": robot.name,
         "joints": list(robot.joint_names),
         "model": {"name": model.name, "sha256": hashlib.sha256(model.read_bytes()).hexdigest()},
@@ -233,7 +304,9 @@ class PlanSet:
 
     Attributes:
         path: its folder.
-        spec: what was asked for.
+        spec: what was asked for; None for plans that were made elsewhere and stored.
+        origin: what decided about those; empty where there is a spec.
+        asked: all that decides about the plans, JSON types only.
         joints: the robot's joints.
         robot: the robot's name.
         complete: whether planning went through.
@@ -249,7 +322,12 @@ class PlanSet:
         if not isinstance(record, dict) or record.get("schema") != PLANS_SCHEMA:
             raise FormatError(f"{self.path} holds no plan set, or one of another version", expected=PLANS_SCHEMA)
         try:
-            self.spec = build(PlanSetSpec, record["spec"], str(self.path / PLANS_NAME))
+            self.spec: PlanSetSpec | None = None
+            self.origin: Mapping[str, Any] = record.get("origin", {})
+            self._ids: tuple[str, ...] = tuple(record.get("ids", ()))
+            if not self._ids:
+                self.spec = build(PlanSetSpec, record["spec"], str(self.path / PLANS_NAME))
+            self.asked = {name: record[name] for name in _ASKED if name in record}
             self.joints = tuple(record["joints"])
             self.robot = str(record["robot"])
             self.complete = bool(record["complete"])
@@ -260,7 +338,7 @@ class PlanSet:
 
     def __len__(self) -> int:
         """The number of motions that were asked for, skipped ones included."""
-        return len(self.spec)
+        return len(self._ids) if self.spec is None else len(self.spec)
 
     def __getitem__(self, id: str) -> Plan:
         """One plan.
@@ -270,31 +348,74 @@ class PlanSet:
             MissingSignal: it was skipped, or is not planned yet.
             DataError: it is damaged.
         """
-        number = self.spec.number(id)
+        number = self.number(id)
         rows = self._block(number // BLOCK)
         for group, row in enumerate(rows["plans"]):
             if row["id"] == id:
                 return self._plan(number // BLOCK, group, row)
         reasons = {item["id"]: item["reason"] for item in rows["skipped"]}
+        if id not in reasons:
+            raise MissingSignal(f"{self.path} is not complete", got=f"no motion {id!r}", hint=_AGAIN)
         raise MissingSignal(f"motion {id!r} was skipped when the set was planned", got=reasons.get(id))
 
     def __iter__(self) -> Iterator[Plan]:
         """All plans in order, one at a time; skipped motions are left out."""
-        for block in range(-(-len(self.spec) // BLOCK)):
+        for block in range(-(-len(self) // BLOCK)):
             for group, row in enumerate(self._block(block)["plans"]):
                 yield self._plan(block, group, row)
 
     def ids(self) -> Iterator[str]:
         """Ids of the plans in order."""
-        for block in range(-(-len(self.spec) // BLOCK)):
+        for block in range(-(-len(self) // BLOCK)):
             yield from (row["id"] for row in self._block(block)["plans"])
+
+    def there(self) -> Iterator[Plan]:
+        """The plans of a set that is perhaps not complete, up to the first block that is missing."""
+        for block in range(-(-len(self) // BLOCK)):
+            if not _block_path(self.path, block).exists():
+                return
+            for group, row in enumerate(self._block(block)["plans"]):
+                yield self._plan(block, group, row)
+
+    def scene(self, robot: RobotSpec, *, model: Path | None = None, clearance_share: float = 1.0) -> Scene:
+        """The surroundings that the motions were planned in, for the ways between them; see `Scene` for errors.
+
+        Args:
+            robot: the robot.
+            model: its MJCF or URDF; found as for replay if not given.
+            clearance_share: of the clearance that the plans keep.
+        """
+        if self.spec is not None:
+            spec = replace(self.spec, clearance_m=clearance_share * self.spec.clearance_m)
+            return spec.scene(robot, model=model)
+        limits = self.origin.get("limits", {})
+        return Scene(
+            robot,
+            workspace=build(Workspace, self.origin.get("workspace", {}), str(self.path / PLANS_NAME)),
+            model=model,
+            clearance_m=clearance_share * PlanSetSpec.clearance_m,
+            velocity=dict(zip(self.joints, limits.get("velocity", ()), strict=False)),
+            acceleration=dict(zip(self.joints, limits.get("acceleration", ()), strict=False)),
+        )
 
     def skipped(self) -> dict[str, str]:
         """Id -> why no plan was found."""
         found: dict[str, str] = {}
-        for block in range(-(-len(self.spec) // BLOCK)):
+        for block in range(-(-len(self) // BLOCK)):
             found |= {item["id"]: item["reason"] for item in self._block(block)["skipped"]}
         return found
+
+    def number(self, id: str) -> int:
+        """The number of a motion, from its id, skipped ones included.
+
+        Raises:
+            ConfigError: there is no such motion.
+        """
+        if self.spec is not None:
+            return self.spec.number(id)
+        if id not in self._ids:
+            raise ConfigError(f"there is no motion {id!r}", available=self._ids)
+        return self._ids.index(id)
 
     def _block(self, number: int) -> dict[str, Any]:
         if number in self._blocks:
@@ -304,7 +425,7 @@ class PlanSet:
             raise MissingSignal(
                 f"{self.path} is not complete",
                 got=f"no block {number}",
-                hint="Plan the set again into the same folder: what is there is kept.",
+                hint=_AGAIN,
             )
         self._blocks[number] = _read_block(self.path, number)
         if len(self._blocks) > _OPEN_BLOCKS:

@@ -24,7 +24,7 @@ FUNCTIONS: tuple[FunctionKind, ...] = ("chirp", "multisine", "random-field", "ch
 _SHRINK, _SHRINKS = 0.7, 8
 _MARGIN = 1 - 1e-9
 # Centers are drawn from this share of the ranges: beside a limit, there is no room for a reference.
-_INNER = 0.6
+INNER = 0.6
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ def random_reference(
     functions_of_pose = tuple[Float64[np.ndarray, "J"], dict[str, Function]]
 
     def draw() -> functions_of_pose:
-        center = random_pose(scene, rng, share=_INNER)
+        center = random_pose(scene, rng, share=INNER)
         return center, {joint: draw_function(kind, rng, reference) for joint in moving}
 
     def plan(drawn: functions_of_pose) -> Plan:

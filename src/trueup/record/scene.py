@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float, Float64, Int
 
 from trueup.errors import ConfigError, NoPlan
 from trueup.record.limits import JointLimits, limits_of
+from trueup.record.urdf import urdf_velocity_limits
 from trueup.record.workspace import Workspace
 from trueup.robots import RobotSpec, find_model
 
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 _HORIZON_M = 0.10
 # Along an edge, contact is never looked for more finely than this [m].
 _LEAST_STEP_M = 1e-3
+# Names of the geoms that the workspace adds begin so.
+_WORKSPACE = "workspace/"
 
 
 class Scene:
@@ -43,11 +46,12 @@ class Scene:
         model: MJCF or URDF; the robot's own if not given.
         clearance_m: what planning keeps between things that must not touch [m], >= 0.
         site: site of the end effector; `end_effector`, or the only site, if not given.
-        velocity: joint -> largest speed, where the model has none.
-        acceleration: joint -> largest acceleration, where the model has none.
+        velocity: joint -> largest speed, where the model has none or another one; a URDF has them.
+        acceleration: joint -> largest acceleration, where the model has none; a URDF never has any.
 
     Raises:
-        ConfigError: the model cannot be read, has joints other than hinges and slides, or lacks limits.
+        ConfigError: the model cannot be read (its meshes must be there, since they collide), has joints other than
+            hinges and slides, or lacks limits.
         NameMismatch: a joint is not in the model.
     """
 
@@ -72,7 +76,8 @@ class Scene:
         self._data = mujoco.MjData(self._model)
         self.robot = robot
         self.joints = robot.joint_names
-        self.limits: JointLimits = limits_of(robot, self._model, velocity=velocity, acceleration=acceleration)
+        speeds = {**_own(urdf_velocity_limits(path), robot), **(velocity or {})}
+        self.limits: JointLimits = limits_of(robot, self._model, velocity=speeds, acceleration=acceleration)
         self.clearance_m = clearance_m
         numbers = [self._model.joint(name).id for name in self.joints]
         hinges = [int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)]
@@ -88,6 +93,8 @@ class Scene:
             self._rest_pose = self._model.qpos0.copy()
             self.home = (self.limits.low + self.limits.high) / 2
         self._data.qpos[:] = self._rest_pose
+        self._joined: frozenset[tuple[int, int]] = frozenset()
+        self._joined = self._joined_geoms()
         self.site = _site(self._model, site, path)
 
     @property
@@ -113,13 +120,42 @@ class Scene:
         self._mujoco.mj_comPos(self._model, data)
         self._mujoco.mj_collision(self._model, data)
 
+    def _near(self, position: Float[np.ndarray, "J"]) -> tuple[Float64[np.ndarray, "C"], Int[np.ndarray, "C 2"]]:
+        """Distances and geoms of the pairs that are near each other and must not touch."""
+        self._place(position)
+        contact = self._data.contact
+        distances, pairs = contact.dist, contact.geom
+        if self._joined and distances.size:
+            counted = [tuple(sorted(pair)) not in self._joined for pair in pairs.tolist()]
+            distances, pairs = distances[counted], pairs[counted]
+        return distances, pairs
+
+    def _joined_geoms(self) -> frozenset[tuple[int, int]]:
+        """Pairs of geoms that touch because a joint holds them together: a first link in the base that carries it.
+
+        MuJoCo leaves out what a link and its parent do to each other, but not where the parent is fixed to the world.
+        """
+        model = self._model
+        distances, pairs = self._near(self.home)
+        found = set()
+        for distance, (one, other) in zip(distances, np.sort(pairs, axis=1).tolist(), strict=True):
+            bodies = [int(model.geom_bodyid[geom]) for geom in (one, other)]
+            fixed = [body for body in bodies if model.body_weldid[body] == 0]
+            moving = [body for body in bodies if model.body_weldid[body] != 0]
+            placed = any(model.geom(geom).name.startswith(_WORKSPACE) for geom in (one, other))
+            if fixed and moving and not placed and distance <= self.clearance_m:
+                root = int(model.body_weldid[moving[0]])
+                if model.body_weldid[model.body_parentid[root]] == 0:
+                    found.add((one, other))
+        return frozenset(found)
+
     def distance_m(self, position: Float[np.ndarray, "J"]) -> float:
         """The smallest distance between things that must not touch [m], negative in contact.
 
         Distances beyond 0.1 m are not looked for; they count as 0.1 m.
         """
-        self._place(position)
-        return float(min(_HORIZON_M, self._data.contact.dist.min())) if self._data.ncon else _HORIZON_M
+        distances, _ = self._near(position)
+        return float(min(_HORIZON_M, distances.min(initial=_HORIZON_M)))
 
     def free(self, position: Float[np.ndarray, "J"]) -> bool:
         """Whether the clearance is kept in this pose."""
@@ -127,12 +163,10 @@ class Scene:
 
     def touching(self, position: Float[np.ndarray, "J"]) -> str:
         """The two things that are nearest to one another, in words; for messages."""
-        self._place(position)
-        if not self._data.ncon:
+        distances, pairs = self._near(position)
+        if not distances.size:
             return "nothing"
-        contact = self._data.contact
-        row = int(np.argmin(contact.dist))
-        return " and ".join(self._thing(int(geom)) for geom in contact.geom[row])
+        return " and ".join(self._thing(int(geom)) for geom in pairs[int(np.argmin(distances))])
 
     def _thing(self, geom: int) -> str:
         name = self._model.geom(geom).name
@@ -210,6 +244,10 @@ class Scene:
             )
 
 
+def _own(limits: Mapping[str, float], robot: RobotSpec) -> dict[str, float]:
+    return {name: limit for name, limit in limits.items() if name in robot.joint_names}
+
+
 def _compile(path: Path, workspace: Workspace) -> mujoco.MjModel:
     import mujoco
 
@@ -233,12 +271,12 @@ def _furnish(spec: mujoco.MjSpec, workspace: Workspace) -> None:
 
     if workspace.floor_m is not None:
         floor = spec.worldbody.add_geom()
-        floor.name, floor.type = "workspace/floor", mujoco.mjtGeom.mjGEOM_PLANE
+        floor.name, floor.type = f"{_WORKSPACE}floor", mujoco.mjtGeom.mjGEOM_PLANE
         floor.size, floor.pos = [0.0, 0.0, 1.0], [0.0, 0.0, workspace.floor_m]
         floor.contype = floor.conaffinity = 1
     for box in workspace.boxes:
         geom = spec.worldbody.add_geom()
-        geom.name, geom.type = f"workspace/{box.name}", mujoco.mjtGeom.mjGEOM_BOX
+        geom.name, geom.type = f"{_WORKSPACE}{box.name}", mujoco.mjtGeom.mjGEOM_BOX
         geom.size, geom.pos = [length / 2 for length in box.size_m], list(box.center_m)
         geom.quat = [np.cos(box.yaw_rad / 2), 0.0, 0.0, np.sin(box.yaw_rad / 2)]
         geom.contype = geom.conaffinity = 1

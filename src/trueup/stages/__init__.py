@@ -4,6 +4,9 @@ from trueup.stages.closing import Closed as Closed
 from trueup.stages.closing import close as close
 from trueup.stages.demonstrating import demo as demo
 from trueup.stages.demonstrating import demo_dataset as demo_dataset
+from trueup.stages.designing import Designed as Designed
+from trueup.stages.designing import Foreseen as Foreseen
+from trueup.stages.designing import design as design
 from trueup.stages.experimenting import experiment as experiment
 from trueup.stages.exporting import export_dataset as export_dataset
 from trueup.stages.identifying import FITTED as FITTED
@@ -23,6 +26,8 @@ __all__ = [
     "FITTED",
     "STOCK",
     "Closed",
+    "Designed",
+    "Foreseen",
     "Identified",
     "ImportSummary",
     "Measurement",
@@ -30,6 +35,7 @@ __all__ = [
     "close",
     "demo",
     "demo_dataset",
+    "design",
     "experiment",
     "explain",
     "export_dataset",

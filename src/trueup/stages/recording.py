@@ -105,7 +105,7 @@ def record(
         ConfigError: settings, payloads or plans that do not fit.
         DataError: the disk is full, or nothing could be recorded.
     """
-    from trueup.record import PlanSet, RecordSettings
+    from trueup.record import RecordSettings
 
     started, out = time.perf_counter(), Path(out)
     settings = settings or RecordSettings()
@@ -115,33 +115,30 @@ def record(
         raise ConfigError("jobs must be at least 1", got=jobs)
     path = find_model(robot, given=model)
     rig.session(0, payloads_kg[0])  # refuses what cannot be recorded at all, before anything is written
-    given = None
-    if isinstance(plans, Path):
-        given = PlanSet(plans)
-        if sorted(given.joints) != sorted(robot.joint_names):
-            raise NameMismatch(f"the plans in {plans} are of another robot", left=given.joints, right=robot.joint_names)
-        plans = given.spec
+    asked = _stored(plans, robot).asked if isinstance(plans, Path) else plans.to_dict()
     config = {
         "robot": robot.name,
         "rig": rig.describe(),
-        "plans": plans.to_dict(),
+        "plans": asked,
         "payloads_kg": list(payloads_kg),
         "settings": asdict(settings),
     }
     info = DatasetInfo(
         robot=robot.name,
         licence="Apache-2.0",
-        provenance={**provenance(config=config, seed=plans.seed), "complete": False},
+        provenance={**provenance(config=config), "complete": False},
     )
     failed: dict[str, TrueupError] = {}
     flagged: dict[str, tuple[str, ...]] = {}
     recorded = 0
     with _writer(out, info, overwrite=overwrite, resume=resume) as writer:
         kept = len(writer.ids)
-        if given is None:
-            given = _planned(out / PLANS, plans, robot, path, jobs, overwrite=overwrite and not kept, track=track)
-        tasks = [task for task in _tasks(given, payloads_kg) if task.id not in writer.ids]
-        worker = _Worker(robot, path, rig, given.path, settings)
+        if isinstance(plans, Path):
+            motions = _stored(plans, robot)
+        else:
+            motions = _planned(out / PLANS, plans, robot, path, jobs, overwrite=overwrite and not kept, track=track)
+        tasks = [task for task in _tasks(motions, payloads_kg) if task.id not in writer.ids]
+        worker = _Worker(robot, path, rig, motions.path, settings)
         for name, result in track(_results(worker, tasks, jobs), "record", len(tasks)):
             if isinstance(result, TrueupError):
                 failed[name] = result
@@ -150,7 +147,7 @@ def record(
                 flagged[name] = warning_kinds(result.meta.flags)
             writer.append(result)
             recorded += 1
-        skipped = given.skipped()
+        skipped = motions.skipped()
         notes = tuple(f"{name} was not planned: {why}" for name, why in skipped.items())
         notes += tuple(f"{name} was not recorded: {error.summary}" for name, error in failed.items())
         writer.info = replace(writer.info, provenance={**writer.info.provenance, "complete": True}, notes=notes)
@@ -178,6 +175,17 @@ def _writer(out: Path, info: DatasetInfo, *, overwrite: bool, resume: bool) -> D
     return DatasetWriter.resume(out, info)
 
 
+def _stored(folder: Path, robot: RobotSpec) -> PlanSet:
+    from trueup.record import PlanSet
+
+    found = PlanSet(folder)
+    if not found.complete:
+        raise DataError(f"the plan set {folder} is not complete", hint="Plan it again: what is there is kept.")
+    if sorted(found.joints) != sorted(robot.joint_names):
+        raise NameMismatch(f"the plans in {folder} are of another robot", left=found.joints, right=robot.joint_names)
+    return found
+
+
 def _planned(
     folder: Path, spec: PlanSetSpec, robot: RobotSpec, model: Path, jobs: int, *, overwrite: bool, track: Track
 ) -> PlanSet:
@@ -203,7 +211,7 @@ def _tasks(plans: PlanSet, payloads_kg: Sequence[float]) -> Iterator[_Task]:
     for place, payload_kg in enumerate(payloads_kg):
         for id in plans.ids():
             name = id if len(payloads_kg) == 1 else f"{id}/{payload_kg:g}kg"
-            yield _Task(name, id, place * len(plans.spec) + plans.spec.number(id), payload_kg)
+            yield _Task(name, id, place * len(plans) + plans.number(id), payload_kg)
 
 
 class _Worker:
@@ -231,9 +239,8 @@ class _Worker:
 
         if self._scene is None or self._plans is None:
             self._plans = PlanSet(self._folder)
-            spec = self._plans.spec
             # A robot that stopped a little beside its path still finds its way.
-            self._scene = replace(spec, clearance_m=spec.clearance_m / 2).scene(self._robot, model=self._model)
+            self._scene = self._plans.scene(self._robot, model=self._model, clearance_share=0.5)
         plan = self._plans[task.plan]
         hardware = self._rig.session(task.number, task.payload_kg)
         done = Recorder(hardware, self._scene, self._settings).record(plan)
