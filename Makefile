@@ -43,7 +43,7 @@ $(VENV)/.venv:
 	touch $@
 
 $(VENV)/.base: $(VENV)/.venv pyproject.toml requirements.lock
-	$(PIP) install --quiet -c requirements.lock -e .
+	$(PIP) install --quiet -c requirements.lock -e '.[plan]'
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.venv pyproject.toml requirements.lock

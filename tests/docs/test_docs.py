@@ -2,7 +2,7 @@
 
 An HTML comment before a fenced block says what is done with it here: `<!-- run -->` runs it, `<!-- run: exit 3 -->`
 expects this exit code of its last command, `<!-- file: NAME -->` writes it to a file. The blocks of a page run in
-order in one folder, in which `runs/demo` is what `trueup demo` made. All other `trueup ...` lines are only parsed.
+order in one folder, in which `runs/arm` is what `trueup demo --robot demo_arm` made. All other `trueup ...` lines are only parsed.
 """
 
 import ast
@@ -62,16 +62,15 @@ def command_lines(block):
 def demo(tmp_path_factory):
     folder = tmp_path_factory.mktemp("demo")
     with pytest.raises(SystemExit) as left:
-        main(["demo", "--out", str(folder / "demo")])
+        main(["demo", "--robot", "demo_arm", "--out", str(folder / "arm")])
     assert left.value.code == 0
-    return folder / "demo"
+    return folder / "arm"
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if any(block.what == "run" for block in blocks(name))])
 def test_the_blocks_of_a_page_run_in_order(name, demo, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    if ["demo"] not in [line for block in blocks(name) for line in command_lines(block)]:
-        shutil.copytree(demo, "runs/demo")
+    shutil.copytree(demo, "runs/arm")
     for block in blocks(name):
         if block.what == "file":
             Path(block.value).write_text(block.body)

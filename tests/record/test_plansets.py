@@ -280,7 +280,7 @@ def test_other_given_plans_are_refused(folder, tmp_path):
     for ids in ([], ["a", "a"]):
         with pytest.raises(ConfigError, match="different ids"):
             store_plans(lambda _: None, ids, PANDA, tmp_path / "none", origin={})
-    arm = replace(PANDA, joints=PANDA.joints[:3])
+    arm = replace(load_robot("panda_torque"), joints=PANDA.joints[:3])
     with pytest.raises(NameMismatch, match="another robot"):
         store_plans(lambda _: next(iter(PlanSet(folder))), ["a"], arm, tmp_path / "arm", origin={})
 

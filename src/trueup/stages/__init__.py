@@ -18,19 +18,27 @@ from trueup.stages.importing import import_logs as import_logs
 from trueup.stages.importing import plan_import as plan_import
 from trueup.stages.measuring import Measurement as Measurement
 from trueup.stages.measuring import gap as gap
+from trueup.stages.recording import RecordSummary as RecordSummary
+from trueup.stages.recording import record as record
 from trueup.stages.replaying import STOCK as STOCK
 from trueup.stages.replaying import ReplaySummary as ReplaySummary
 from trueup.stages.replaying import replay as replay
+from trueup.stages.rigs import EngineRig as EngineRig
+from trueup.stages.rigs import LabRig as LabRig
+from trueup.stages.rigs import make_rig as make_rig
 
 __all__ = [
     "FITTED",
     "STOCK",
     "Closed",
     "Designed",
+    "EngineRig",
     "Foreseen",
     "Identified",
     "ImportSummary",
+    "LabRig",
     "Measurement",
+    "RecordSummary",
     "ReplaySummary",
     "close",
     "demo",
@@ -42,6 +50,8 @@ __all__ = [
     "fit",
     "gap",
     "import_logs",
+    "make_rig",
     "plan_import",
+    "record",
     "replay",
 ]
