@@ -8,8 +8,10 @@ import plotly.graph_objects as go
 import pytest
 
 from report.run_folders import World, make_gap, simulate
+from report.test_report_builder import mutate
 from trueup.core.engines import MEASURED, EngineComparison, Envelope, JointPlane, Trend
 from trueup.core.results import Estimate, MetricResult
+from trueup.errors import TrueupError
 from trueup.report import build_report
 from trueup.report.chooser import Variant
 from trueup.report.engine_figures import envelope_figure, path_figure, payload_figure
@@ -140,3 +142,18 @@ def test_the_page_is_built_with_it(run, tmp_path):
     html = build_report(tmp_path)
     assert "Engines and payloads" in html
     assert html == build_report(tmp_path)
+
+
+def test_changed_files_give_a_page_or_a_clear_error(run, tmp_path):
+    run.gap.save(tmp_path / "gap.json")
+    run.engines.save(tmp_path / "engines.json")
+    whole, rng = (tmp_path / "engines.json").read_text(), np.random.default_rng(0)
+    errors = []
+    for _ in range(40):
+        (tmp_path / "engines.json").write_text(json.dumps(mutate(json.loads(whole), rng)))
+        try:
+            assert build_report(tmp_path).endswith("</html>")
+        except TrueupError as error:
+            errors.append(str(error))
+    assert len(errors) > 5
+    assert all("engines" in text for text in errors)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from trueup.core.attribution import Attribution
+from trueup.core.engines import EngineComparison
 from trueup.core.fit_result import FitResult, FittedParameter
 from trueup.core.results import Estimate, GapResult, Ladder, Metrics
 from trueup.errors import DataError
@@ -91,6 +92,23 @@ def check_attribution(attribution: Attribution, path: Path) -> None:
     """
     for step in attribution.steps:
         check_estimate(step.total, path)
+
+
+def check_engines(engines: EngineComparison, path: Path) -> None:
+    """Values of engines.json.
+
+    Raises:
+        DataError: one is of another kind than it should be.
+    """
+    for signals in engines.trends.values():
+        for joints in (joints for metrics in signals.values() for joints in metrics.values()):
+            for item in joints.values():
+                check_estimate(item.slope, path)
+                if item.verdict not in ("grows", "falls", "undecided"):
+                    raise DataError(f"{path} holds a broken trend", got=repr(item.verdict))
+    check_types(path, (engines.provenance, Mapping))
+    if engines.plane is not None:
+        check_types(path, *((name, str) for name in engines.plane.joints))
 
 
 def check_estimate(estimate: Estimate, path: Path) -> None:

@@ -16,7 +16,7 @@ from trueup.core.quality import Quality
 from trueup.core.results import GapResult, Ladder
 from trueup.core.traces import TraceSet
 from trueup.errors import DataError, TrueupError
-from trueup.report.checks import check_attribution, check_fit, check_gap, check_ladder
+from trueup.report.checks import check_attribution, check_engines, check_fit, check_gap, check_ladder
 from trueup.report.graybox import Graybox
 from trueup.report.labels import COMMAND, ordered_runs
 from trueup.report.palette import Style, run_styles
@@ -108,6 +108,9 @@ class RunFolder:
         attribution = _optional(folder / "explain.json", Attribution.load)
         if attribution is not None:
             check_attribution(attribution, folder / "explain.json")
+        engines = _optional(folder / "engines.json", EngineComparison.load)
+        if engines is not None:
+            check_engines(engines, folder / "engines.json")
         model = folder / "model.fitted.xml"
         return RunFolder(
             gap=gap,
@@ -120,7 +123,7 @@ class RunFolder:
             traces=_optional(folder / "traces.json", lambda path: TraceSet.load(path.parent)),
             quality=_optional(folder / "quality.json", Quality.load),
             analysis=_optional(folder / "analysis.json", Analysis.load),
-            engines=_optional(folder / "engines.json", EngineComparison.load),
+            engines=engines,
         )
 
 
