@@ -152,10 +152,9 @@ class EngineRig:
         """The robot at home.
 
         Raises:
-            ConfigError: a payload, which the model has no place for; a step that does not fit the control rate.
+            ConfigError: a payload, which the model has no place for.
         """
         from trueup.lab import SimulatedRobot
-        from trueup.record import whole_ratio
         from trueup.sim import make_simulator
 
         if payload_kg:
@@ -163,9 +162,9 @@ class EngineRig:
         if self._simulator is None:
             self._simulator = make_simulator(self.engine, self.robot, self.model)
         model = self._simulator.model
-        steps = whole_ratio(
-            1.0 / self._simulator.timestep_s, self.control_hz, "the physics rate must be a multiple of control_hz"
-        )
+        # Where the control step is no whole number of physics steps, commands and readings come at the next of these.
+        ratio = 1.0 / (self.control_hz * self._simulator.timestep_s)
+        steps = round(ratio) if ratio >= 1 and abs(ratio - round(ratio)) < 1e-6 else 1
         homes = {model.key(row).name: model.key_qpos[row] for row in range(model.nkey)}
         pose = homes.get("home", model.qpos0)
         home = np.array([pose[model.joint(name).qposadr[0]] for name in self.robot.joint_names], np.float64)
