@@ -95,7 +95,7 @@ def plan_all(
     make_folder(folder / BLOCKS)
     lock = FolderLock(folder)
     try:
-        for left in (folder / BLOCKS).glob(".*.tmp"):  # of a process that was killed
+        for left in [*_left_behind(folder), *(folder / BLOCKS).glob(".*.tmp")]:
             left.unlink(missing_ok=True)
         record = {**asked, "complete": False, "provenance": provenance(config=asked, seed=spec.seed)}
         write_json(folder / PLANS_NAME, record)
@@ -206,12 +206,20 @@ def _asked(spec: PlanSetSpec, robot: RobotSpec, model: Path) -> dict[str, Any]:
     }
 
 
+def _left_behind(folder: Path) -> list[Path]:
+    """Half a description that a process left which was killed."""
+    return list(folder.glob(f".{PLANS_NAME}.*.tmp"))
+
+
 def _refuse_other(folder: Path, asked: Mapping[str, Any], *, overwrite: bool) -> None:
     """Keep what is there of the same set; delete it or refuse if it is of another."""
     if not folder.exists() or not any(folder.iterdir()):
         return
     if not (folder / PLANS_NAME).exists():
-        if overwrite and {entry.name for entry in folder.iterdir()} <= {BLOCKS, LOCK_NAME}:
+        names = {entry.name for entry in folder.iterdir()} - {path.name for path in _left_behind(folder)}
+        if names <= {BLOCKS, LOCK_NAME} and not any((folder / BLOCKS).glob("*")):
+            return  # of a process that was killed before it had written the description
+        if overwrite and names <= {BLOCKS, LOCK_NAME}:
             shutil.rmtree(folder / BLOCKS, ignore_errors=True)
             return
         raise OutputExists(f"{folder} is not empty and holds no plan set", hint="Choose another folder.")
