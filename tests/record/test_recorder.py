@@ -30,7 +30,8 @@ ROW_S = 0.02
 class Driver:
     """A robot as a driver has it: commands and readings one by one, its joints in an order of its own.
 
-    Everything that is written is compared with where the robot really is: nothing may make it jump.
+    Everything that is written is compared with where the robot really is: nothing may make it jump, least of all what
+    comes first after a stop.
     """
 
     def __init__(self, robot, *, order=None):
@@ -40,7 +41,9 @@ class Driver:
         self.command_signals = robot.command_signals
         self.recovered = 0
         self.jump = 0.0
+        self.jolt = 0.0
         self.written = 0
+        self.resting = True
 
     def now_s(self):
         return self.robot.now_s()
@@ -56,10 +59,14 @@ class Driver:
         asked = {name: values[back] for name, values in command.items()}
         self.robot.write(asked)
         self.written += 1
-        self.jump = max(self.jump, np.abs(asked["position"] - self.robot._plant.position()).max())
+        away = np.abs(asked["position"] - self.robot._plant.position()).max()
+        self.jump = max(self.jump, away)
+        self.jolt = max(self.jolt, away if self.resting else 0.0)
+        self.resting = False
 
     def recover(self):
         self.recovered += 1
+        self.resting = True
         self.robot.recover()
 
 
@@ -356,6 +363,15 @@ def test_a_stop_on_the_way_to_the_start_is_recovered_from(wrap):
     done = recorder(wrap(robot)).record(PLAN)
     assert done.flags == ()
     np.testing.assert_allclose(done.measured["position"][0], PLAN.start, atol=0.02)
+
+
+@pytest.mark.parametrize("stop_s", [0.2, 0.3, BEGIN_S + MIDDLE_S])
+def test_a_robot_that_stopped_goes_on_from_where_it_is(stop_s):
+    """Also beside home: a stop at 0.2 s leaves it a few hundredths away."""
+    robot = Driver(lab(faults=[Fault("stop", at_s=stop_s)]))
+    recorder(robot).record(PLAN)
+    assert robot.recovered == 1
+    assert robot.jolt < 0.011
 
 
 class Dead(Driver):

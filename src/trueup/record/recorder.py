@@ -23,6 +23,9 @@ _WHOLE = 1e-6  # rates may miss a whole ratio by this share
 # What went wrong leaves a robot in motion: it is given this long to come to rest before anything is asked of it [s].
 _SETTLE_S = 0.2
 _LISTEN_EVERY_S = 0.05
+# Noise and its weight keep a robot that stands at home this near to it; farther away, a command of home would be a jolt
+# [rad or m].
+_AT_HOME = 0.01
 _SEE_TO_IT = "See to the robot, then repeat with --resume: what was recorded is kept."
 
 
@@ -226,8 +229,8 @@ class Recorder:
     def _here(self) -> Float64[np.ndarray, "J"]:
         """Where the next way begins: the last command if the robot is there, home if it is, else where it is."""
         measured = self._position()
-        for pose in (self._commanded, self.scene.home):
-            if pose is not None and np.abs(measured - pose).max() <= self.settings.tolerance_rad:
+        for pose, near in ((self._commanded, self.settings.tolerance_rad), (self.scene.home, _AT_HOME)):
+            if pose is not None and np.abs(measured - pose).max() <= near:
                 return pose
         limits = self.scene.limits
         return np.asarray(np.clip(measured, limits.low, limits.high))
