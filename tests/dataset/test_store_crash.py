@@ -95,6 +95,15 @@ def test_any_cut_of_the_journal_leaves_the_finished_prefix(tmp_path_factory, who
     complete(path, EPISODES)
 
 
+def test_half_written_files_of_the_dead_are_cleared_away(tmp_path):
+    path = tmp_path / "d"
+    with DatasetWriter.create(path, INFO) as writer:
+        writer.append(make_episode(0))
+    for left in (".dataset.json.ab12.tmp", ".episodes.parquet.ab12.tmp", "measured/.00001.parquet.ab12.tmp"):
+        (path / left).write_text("half")
+    complete(path, 2)
+
+
 def test_damage_in_the_middle_is_said_and_stepped_over(tmp_path, whole_journal, caplog):
     ends = frame_ends(whole_journal)
     for position in (ends[1] + 2, ends[1] + 6, ends[1] + 300, 3):

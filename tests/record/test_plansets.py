@@ -185,6 +185,18 @@ def test_a_killed_planner_leaves_nothing_half_done(folder, tmp_path):
     assert contents(path) == contents(folder)
 
 
+def test_a_planner_that_was_killed_before_it_had_written_the_description_is_no_other_set(folder, tmp_path):
+    path = tmp_path / "begun"
+    (path / "blocks").mkdir(parents=True)
+    for leftover in (".lock", ".plans.json.ab12.tmp"):
+        (path / leftover).write_text("")
+    plan_all(small(), PANDA, path)
+    assert contents(path) == contents(folder)
+    (path / "plans.json").unlink()  # whose blocks these are, nobody knows
+    with pytest.raises(OutputExists, match="holds no plan set"):
+        plan_all(small(), PANDA, path)
+
+
 def test_the_same_set_again_changes_nothing_and_another_is_refused(folder, tmp_path):
     path = tmp_path / "again"
     shutil.copytree(folder, path)

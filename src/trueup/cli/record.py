@@ -9,7 +9,7 @@ import typer
 
 from trueup.cli import options
 from trueup.cli.console import note, out, problem, track
-from trueup.errors import ConfigError
+from trueup.errors import ConfigError, OutputExists
 
 if TYPE_CHECKING:
     from trueup.record import PlanSetSpec
@@ -46,7 +46,9 @@ def record(
     control_hz: Annotated[float, typer.Option("--control-hz", help="Commands per second.")] = 1000.0,
     record_hz: Annotated[float, typer.Option("--record-hz", help="Rows per second of the recording.")] = 100.0,
     model: options.Model = None,
-    seed: options.Seed = 0,
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, help="Seed of all draws; that of the plans if not given.")
+    ] = None,
     jobs: Annotated[
         int | None, typer.Option("--jobs", min=1, help="Processes; the number of cores if not given.")
     ] = None,
@@ -58,18 +60,27 @@ def record(
     from dataclasses import replace
 
     from trueup.lab import load_lab
-    from trueup.record import RecordSettings, load_plans
+    from trueup.record import PLANS_NAME, PlanSet, RecordSettings, load_plans
     from trueup.robots import find_model, load_robot
     from trueup.stages.recording import record as run
     from trueup.stages.rigs import LabRig, make_rig
 
     spec = load_robot(robot)
+    plans: PlanSet | PlanSetSpec
+    if (Path(plan) / PLANS_NAME).exists():
+        plans = PlanSet(plan)
+        if scale != 1.0:
+            raise ConfigError("a stored plan set is recorded as it is", got=f"--scale {scale:g}")
+    else:
+        described = load_plans(plan)
+        plans = replace(described, seed=described.seed if seed is None else seed).scaled(scale)
+        seed = plans.seed
     rig = make_rig(
         hardware,
         spec,
         find_model(spec, given=model),
         unit=unit,
-        seed=seed,
+        seed=seed or 0,
         lab=load_lab(lab) if lab else None,
         fault_share=faults,
         control_hz=control_hz,
@@ -79,12 +90,8 @@ def record(
             raise ConfigError("only the lab's robots have a truth to write down", got=f"--hardware {hardware}")
         if truth.resolve().is_relative_to(out_dir.resolve()):
             raise ConfigError("the truth is kept apart from the data", got=truth, hint="Choose another folder for it.")
-    plans: Path | PlanSetSpec = Path(plan)
-    if isinstance(plans, Path) and plans.is_dir():
-        if scale != 1.0:
-            raise ConfigError("a stored plan set is recorded as it is", got=f"--scale {scale:g}")
-    else:
-        plans = replace(load_plans(plan), seed=seed).scaled(scale)
+        if truth.exists() and not (overwrite or resume):
+            raise OutputExists(f"{truth} exists", hint="Give --overwrite, or choose another --truth.")
     summary = run(
         out_dir,
         spec,
@@ -113,7 +120,7 @@ def show(summary: RecordSummary) -> None:
         note(f"{name}: warning: {', '.join(kinds)}")
     _more(len(summary.flagged))
     for name, error in list(summary.failed.items())[:_SHOWN]:
-        problem(f"{name} was not recorded: {error.what}: {error.details}", error.hint)
+        problem(f"{name} was not recorded: {error.summary}", error.hint)
     _more(len(summary.failed))
     kept = f", {summary.kept} were there" if summary.kept else ""
     out.print(f"{summary.recorded} motions recorded{kept} in {summary.seconds:.1f} s -> {summary.path}", markup=False)

@@ -122,7 +122,10 @@ class Clock(Protocol):
 
 @runtime_checkable
 class Hardware(RobotIO, Clock, Protocol):
-    """A robot on its clock, as a recorder drives it. It holds the command that was written last."""
+    """A robot on its clock, as a recorder drives it. It holds the command that was written last.
+
+    After a stop it refuses commands with `RobotStopped`; a driver without an answer raises an `OSError`.
+    """
 
     @property
     def command_signals(self) -> tuple[str, ...]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
 from typing import Any, TypeVar
 
 from trueup.errors import ConfigError
@@ -60,4 +62,13 @@ def in_processes(
 def _begin(begin: Callable[..., None], arguments: tuple[Any, ...]) -> None:
     # Ctrl-C reaches all processes; the one that was asked says so, and the others end with it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     begin(*arguments)
+
+
+def _end_with_parent() -> None:
+    """A parent that is killed says nothing; its processes would wait for more work as long as the machine runs."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -73,7 +73,7 @@ class StoreWriter:
         Later shards that no index names are left alone: the next flush replaces them.
         """
         for folder in {self.spec.folder, *map(self.spec.shard_folder, self.spec.series)}:
-            for temporary in folder.glob(".*.parquet.*.tmp"):
+            for temporary in (*folder.glob(".*.parquet.*.tmp"), *folder.glob(".*.json.*.tmp")):
                 temporary.unlink(missing_ok=True)
         for series in self.spec.series:
             named = set(self._table.column(f"{series}_shard").drop_null().to_pylist())

@@ -26,6 +26,7 @@ from trueup.record.planset import MotionGroup as MotionGroup
 from trueup.record.planset import PlanSetSpec as PlanSetSpec
 from trueup.record.planset import load_plans as load_plans
 from trueup.record.planset import paper_plans as paper_plans
+from trueup.record.planstore import PLANS_NAME as PLANS_NAME
 from trueup.record.planstore import Planned as Planned
 from trueup.record.planstore import PlanSet as PlanSet
 from trueup.record.planstore import describe as describe
@@ -47,6 +48,7 @@ from trueup.record.workspace import Workspace as Workspace
 from trueup.record.workspace import load_workspace as load_workspace
 
 __all__ = [
+    "PLANS_NAME",
     "Box",
     "ClockSettings",
     "Design",

@@ -89,6 +89,22 @@ def follow(
     return _drive(robot, command, step_s, every, silent_s)
 
 
+def own_steps(robot: TrajectoryIO, step_s: float) -> int:
+    """How many of the robot's own control steps one of the recorder's lasts.
+
+    Raises:
+        ConfigError: not a whole number of them.
+    """
+    steps = round(step_s / robot.control_step_s)
+    if steps < 1 or abs(steps * robot.control_step_s / step_s - 1) > _WHOLE:
+        raise ConfigError(
+            "the control step must be a whole number of the robot's own",
+            got=f"{step_s:g} s",
+            expected=f"a multiple of {robot.control_step_s:g} s",
+        )
+    return steps
+
+
 class _Silence:
     """Notices that readings stand still while the command moves."""
 
@@ -115,7 +131,7 @@ class _Silence:
 def _drive(robot: Hardware, command: Mapping[str, np.ndarray], step_s: float, every: int, silent_s: float) -> Followed:
     first = next(iter(command.values()))
     silence = _Silence(silent_s)
-    start = robot.now_s()
+    start, now = robot.now_s(), 0.0
     stamps: list[float] = []
     sent: list[tuple[float, int]] = []
     readings: list[Mapping[str, np.ndarray]] = []
@@ -124,11 +140,13 @@ def _drive(robot: Hardware, command: Mapping[str, np.ndarray], step_s: float, ev
         try:
             if tick:
                 robot.wait_until_s(start + tick * step_s)
-            now = robot.now_s() - start
+            now = float(robot.now_s() - start)
             behind = now - tick * step_s
-            late, latest_s = late + (behind > step_s), max(latest_s, behind)
-            if tick % every == 0 and not (stamps and now <= stamps[-1]):
-                reading = robot.read()
+            late, latest_s = late + int(behind > step_s), max(latest_s, behind)
+            # A clock with few ticks may say the same twice; a row more would not be one.
+            kept = tick % every == 0 and not (stamps and now <= stamps[-1])
+            if kept:
+                reading = _reading(robot, like=readings[0] if readings else None)
                 stamps.append(now)
                 readings.append(reading)
                 if silence.noticed(now, reading, first[min(tick, len(first) - 1)]):
@@ -136,13 +154,13 @@ def _drive(robot: Hardware, command: Mapping[str, np.ndarray], step_s: float, ev
                     break
             if tick < len(first):
                 robot.write({name: values[tick] for name, values in command.items()})
-                if tick % every == 0:
+                if kept:
                     sent.append((now, tick))
         except RobotStopped as error:
-            trouble = Trouble("stopped", robot.now_s() - start, error.what)
+            trouble = Trouble("stopped", now, error.what)
             break
         except (TrueupError, OSError) as error:  # of a driver: lost connection, no answer
-            trouble = Trouble("failed", tick * step_s, " ".join(str(error).split()))
+            trouble = Trouble("failed", now, " ".join(str(error).split()))
             break
     measured = {name: np.array([reading[name] for reading in readings]) for name in (readings[0] if readings else {})}
     asked = {name: values[[tick for _, tick in sent]] for name, values in command.items()}
@@ -150,21 +168,30 @@ def _drive(robot: Hardware, command: Mapping[str, np.ndarray], step_s: float, ev
         _series(robot, stamps, measured),
         _series(robot, [stamp for stamp, _ in sent], asked),
         trouble,
-        late if latest_s > step_s else 0,
-        latest_s if latest_s > step_s else 0.0,
+        late,
+        latest_s if late else 0.0,
     )
+
+
+def _reading(robot: Hardware, like: Mapping[str, np.ndarray] | None) -> Mapping[str, np.ndarray]:
+    """A reading to keep: a driver may fill the same arrays anew each time.
+
+    Raises:
+        DataError: not one value per joint, or other signals than before.
+    """
+    reading = {name: np.array(values, np.float64) for name, values in robot.read().items()}
+    if like is not None and reading.keys() != like.keys():
+        raise DataError("the robot reads other signals than before", got=list(reading), expected=list(like))
+    for name, values in reading.items():
+        if values.shape != (len(robot.joints),):
+            raise DataError(f"a reading of {name!r} needs one value per joint", got=values, expected=robot.joints)
+    return reading
 
 
 def _execute(
     robot: TrajectoryIO, command: Mapping[str, np.ndarray], step_s: float, every: int, silent_s: float
 ) -> Followed:
-    repeat = round(step_s / robot.control_step_s)
-    if repeat < 1 or abs(repeat * robot.control_step_s / step_s - 1) > _WHOLE:
-        raise ConfigError(
-            "the control step must be a whole number of the robot's own",
-            got=f"{step_s:g} s",
-            expected=f"a multiple of {robot.control_step_s:g} s",
-        )
+    repeat = own_steps(robot, step_s)
     first, start = next(iter(command.values())), robot.now_s()
     try:
         done = robot.execute(
@@ -185,7 +212,7 @@ def _execute(
             trouble, end = silence.trouble(stamp), row + 1
             break
     # What was written at the very end of a motion that was broken off did not reach the robot.
-    last = len(first) if trouble is None else round(trouble.time_s / step_s)
+    last = len(first) if trouble is None else int(np.ceil(trouble.time_s / step_s - _WHOLE))
     ticks = np.arange(0, min(last, len(first)), every)
     measured = {name: values[:end] for name, values in done.measured.signals.items()}
     return Followed(

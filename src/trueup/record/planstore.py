@@ -114,7 +114,7 @@ def _planning(folder: Path) -> Iterator[None]:
     make_folder(folder / BLOCKS)
     lock = FolderLock(folder)
     try:
-        for left in (folder / BLOCKS).glob(".*.tmp"):  # of a process that was killed
+        for left in [*_left_behind(folder), *(folder / BLOCKS).glob(".*.tmp")]:
             left.unlink(missing_ok=True)
         yield
     finally:
@@ -277,12 +277,20 @@ def _asked(what: Mapping[str, Any], robot: RobotSpec, model: Path) -> dict[str, 
     }
 
 
+def _left_behind(folder: Path) -> list[Path]:
+    """Half a description that a process left which was killed."""
+    return list(folder.glob(f".{PLANS_NAME}.*.tmp"))
+
+
 def _refuse_other(folder: Path, asked: Mapping[str, Any], *, overwrite: bool) -> None:
     """Keep what is there of the same set; delete it or refuse if it is of another."""
     if not folder.exists() or not any(folder.iterdir()):
         return
     if not (folder / PLANS_NAME).exists():
-        if overwrite and {entry.name for entry in folder.iterdir()} <= {BLOCKS, LOCK_NAME}:
+        names = {entry.name for entry in folder.iterdir()} - {path.name for path in _left_behind(folder)}
+        if names <= {BLOCKS, LOCK_NAME} and not any((folder / BLOCKS).glob("*")):
+            return  # of a process that was killed before it had written the description
+        if overwrite and names <= {BLOCKS, LOCK_NAME}:
             shutil.rmtree(folder / BLOCKS, ignore_errors=True)
             return
         raise OutputExists(f"{folder} is not empty and holds no plan set", hint="Choose another folder.")
@@ -306,7 +314,6 @@ class PlanSet:
         path: its folder.
         spec: what was asked for; None for plans that were made elsewhere and stored.
         origin: what decided about those; empty where there is a spec.
-        asked: all that decides about the plans, JSON types only.
         joints: the robot's joints.
         robot: the robot's name.
         complete: whether planning went through.
@@ -327,7 +334,7 @@ class PlanSet:
             self._ids: tuple[str, ...] = tuple(record.get("ids", ()))
             if not self._ids:
                 self.spec = build(PlanSetSpec, record["spec"], str(self.path / PLANS_NAME))
-            self.asked = {name: record[name] for name in _ASKED if name in record}
+            self._asked = {name: record[name] for name in _ASKED if name in record}
             self.joints = tuple(record["joints"])
             self.robot = str(record["robot"])
             self.complete = bool(record["complete"])
@@ -404,6 +411,15 @@ class PlanSet:
         for block in range(-(-len(self) // BLOCK)):
             found |= {item["id"]: item["reason"] for item in self._block(block)["skipped"]}
         return found
+
+    @property
+    def seed(self) -> int | None:
+        """The seed of its draws, if a description made it."""
+        return None if self.spec is None else self.spec.seed
+
+    def to_dict(self) -> dict[str, Any]:
+        """All that decides about the plans, JSON types only."""
+        return dict(self._asked)
 
     def number(self, id: str) -> int:
         """The number of a motion, from its id, skipped ones included.

@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
 from trueup.core.episode import Flag
-from trueup.core.protocols import Hardware
+from trueup.core.protocols import Hardware, TrajectoryIO
 from trueup.core.timeseries import TimeSeries
-from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, NoPlan, RobotStopped
-from trueup.record.following import Followed, Trouble, follow
+from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, NoPlan, RobotStopped, TrueupError
+from trueup.record.following import Followed, follow, own_steps
 from trueup.record.motion import MotionSettings, joint_motion
 from trueup.record.plan import Plan
 from trueup.record.profile import ClockSettings
 from trueup.record.scene import Scene
 
 _WHOLE = 1e-6  # rates may miss a whole ratio by this share
+# What went wrong leaves a robot in motion: it is given this long to come to rest before anything is asked of it [s].
+_SETTLE_S = 0.2
+_LISTEN_EVERY_S = 0.05
+# Noise and its weight keep a robot that stands at home this near to it; farther away, a command of home would be a jolt
+# [rad or m].
+_AT_HOME = 0.01
+_SEE_TO_IT = "See to the robot, then repeat with --resume: what was recorded is kept."
 
 
 @dataclass(frozen=True)
@@ -30,7 +39,10 @@ class RecordSettings:
         transfer_share: share of the limits of velocity and acceleration on the way to the start of a motion.
         settle_s: wait at the start of a motion before it is recorded [s]; joints creep for a while after they moved.
         tolerance_rad: how far a joint may be from where it should be before and after a motion [rad or m].
+        path_tolerance_rad: how far a joint may be from its command on the way [rad or m]; delay and a soft controller
+            take half of it at full speed.
         silent_s: unchanged readings for longer than this, while the command moves, mean a silent robot [s].
+        patience_s: how long a silent robot may take to answer again; it is not driven before that [s].
         recoveries: how often a robot may stop on its way home or to a start before it is given up.
 
     Raises:
@@ -42,12 +54,14 @@ class RecordSettings:
     transfer_share: float = 0.5
     settle_s: float = 0.5
     tolerance_rad: float = 0.05
+    path_tolerance_rad: float = 0.2
     silent_s: float = 0.2
+    patience_s: float = 2.0
     recoveries: int = 3
 
     def __post_init__(self) -> None:
         """Refuse what makes no recording."""
-        for name in ("control_hz", "record_hz", "tolerance_rad", "silent_s"):
+        for name in ("control_hz", "record_hz", "tolerance_rad", "path_tolerance_rad", "silent_s", "patience_s"):
             if not (getattr(self, name) > 0 and np.isfinite(getattr(self, name))):
                 raise ConfigError(f"{name} must be positive", got=getattr(self, name))
         if not 0 <= self.settle_s < np.inf:
@@ -71,7 +85,7 @@ class Recording:
     Attributes:
         measured: what the robot's sensors said.
         command: what was sent to it.
-        flags: what went wrong: `stopped`, `silent`, `failed`, `goal_missed`, `late`.
+        flags: what went wrong: `stopped`, `silent`, `failed`, `goal_missed`, `off_path`, `late`.
     """
 
     measured: TimeSeries
@@ -93,7 +107,7 @@ class Recorder:
 
     Raises:
         NameMismatch: robot and scene do not have the same joints; both lists are printed.
-        ConfigError: the robot follows no positions.
+        ConfigError: the robot follows no positions, or not at this control rate.
     """
 
     def __init__(self, robot: Hardware, scene: Scene, settings: RecordSettings | None = None) -> None:
@@ -106,6 +120,8 @@ class Recorder:
             )
         self.robot, self.scene = robot, scene
         self.settings = settings or RecordSettings()
+        if isinstance(robot, TrajectoryIO):
+            own_steps(robot, 1.0 / self.settings.control_hz)
         self._commanded: Float64[np.ndarray, "J"] | None = None
         self._lost: RobotStopped | None = None
         self._ways = MotionSettings(
@@ -131,17 +147,21 @@ class Recorder:
         self.reach(plan.start[columns])
         self.robot.wait_until_s(self.robot.now_s() + self.settings.settle_s)
         done = self._follow(plan)
-        flags = [*self._late(done), *self._troubles(done)]
-        if done.trouble is None:
-            flags += self._missed(plan.goal[columns])
-        if done.trouble is not None or any(flag.kind == "goal_missed" for flag in flags):
-            try:
-                self.recover()
-            except (RobotStopped, NoPlan) as error:  # what was recorded comes first
-                self._lost = error if isinstance(error, RobotStopped) else _stuck(error)
+        flags = [*self._late(done), *self._troubles(done), *self._off_path(done)]
+        missed: list[Flag] = []
+        try:
+            missed = self._missed(plan.goal[columns]) if done.trouble is None else []
+            if done.trouble is not None or missed:
+                self._revive(done)
+                self._drive_to(self.scene.home)
+        except TrueupError as error:  # what was recorded comes first
+            self._lost = error if isinstance(error, RobotStopped) else _stuck(error)
+            if done.trouble is None and not missed:
+                flags.append(Flag("failed", detail=error.summary))
+        flags += missed
         if done.measured is None or done.command is None or len(done.measured) < 2:
-            trouble = done.trouble or Trouble("failed", 0.0, "no reading")
-            raise DataError(f"nothing of motion {plan.id!r} was recorded, the robot {trouble.kind}", got=trouble.detail)
+            detail = f"{done.trouble.kind}: {done.trouble.detail}" if done.trouble else "no reading"
+            raise DataError(f"nothing of motion {plan.id!r} was recorded", got=detail)
         return Recording(done.measured, done.command, tuple(flags))
 
     def reach(self, pose: Float64[np.ndarray, "J"]) -> None:
@@ -158,18 +178,18 @@ class Recorder:
             self._drive_to(pose)
 
     def recover(self) -> None:
-        """Make the robot take commands again, and drive home.
+        """Make the robot take commands again, and drive home, also after it was given up.
 
         Raises:
             NoPlan: there is no way home.
             RobotStopped: the robot stopped on its way more often than it may.
         """
-        self.robot.recover()
-        self._commanded = None
+        self._revive(None)
         self._drive_to(self.scene.home)
+        self._lost = None
 
     def _drive_to(self, pose: Float64[np.ndarray, "J"]) -> None:
-        trouble = Trouble("failed", 0.0, "")
+        why = ""
         for _ in range(self.settings.recoveries):
             here = self._here()
             if np.abs(pose - here).max() < 1e-9:
@@ -178,33 +198,60 @@ class Recorder:
                 self.scene, here, pose, velocity_share=self.settings.transfer_share, settings=self._ways, id="way"
             )
             done = self._follow(way)
-            missed = self._missed(pose)
+            missed = self._missed(pose) if done.trouble is None else []
             if done.trouble is None and not missed:
                 return
-            trouble = done.trouble or Trouble("failed", way.duration_s, missed[0].detail)
-            self.robot.recover()
-            self._commanded = None
+            why = f"{done.trouble.kind}: {done.trouble.detail}" if done.trouble else missed[0].detail
+            self._revive(done)
         raise RobotStopped(
-            f"the robot {trouble.kind} on its way {self.settings.recoveries} times, and is given up",
-            got=trouble.detail,
-            hint="See to the robot, then repeat with --resume: what was recorded is kept.",
+            f"the robot did not get where it should {self.settings.recoveries} times, and is given up",
+            got=why,
+            hint=_SEE_TO_IT,
         )
+
+    def _revive(self, done: Followed | None) -> None:
+        """Make the robot take commands again after what went wrong.
+
+        A silent robot is waited for: where it is must be known before it is sent anywhere.
+
+        Raises:
+            RobotStopped: it stays silent, or its driver raises errors.
+        """
+        self._commanded = None
+        with _answering():
+            deadline_s = self.robot.now_s() + self.settings.patience_s
+            self.robot.wait_until_s(self.robot.now_s() + _SETTLE_S)
+            self.robot.recover()
+            while self._still_silent(done):
+                if self.robot.now_s() >= deadline_s:
+                    raise RobotStopped("the robot is silent, and is given up", hint=_SEE_TO_IT)
+                self.robot.wait_until_s(self.robot.now_s() + _LISTEN_EVERY_S)
+
+    def _still_silent(self, done: Followed | None) -> bool:
+        """Whether a robot that was silent in a motion still reads what it read last."""
+        if done is None or done.measured is None or done.trouble is None or done.trouble.kind != "silent":
+            return False
+        last = done.measured.signals
+        return all(np.array_equal(values, last[name][-1]) for name, values in self.robot.read().items())
 
     def _here(self) -> Float64[np.ndarray, "J"]:
         """Where the next way begins: the last command if the robot is there, home if it is, else where it is."""
         measured = self._position()
-        for pose in (self._commanded, self.scene.home):
-            if pose is not None and np.abs(measured - pose).max() <= self.settings.tolerance_rad:
+        for pose, near in ((self._commanded, self.settings.tolerance_rad), (self.scene.home, _AT_HOME)):
+            if pose is not None and np.abs(measured - pose).max() <= near:
                 return pose
         limits = self.scene.limits
         return np.asarray(np.clip(measured, limits.low, limits.high))
 
     def _position(self) -> Float64[np.ndarray, "J"]:
-        reading = self.robot.read()
+        with _answering():
+            reading = self.robot.read()
         if "position" not in reading:
             raise MissingSignal("the robot does not say where it is", available=reading)
-        order = [self.robot.joints.index(name) for name in self.scene.joints]
-        return np.asarray(reading["position"], np.float64)[order]
+        position = np.array(reading["position"], np.float64)
+        if position.shape != (len(self.robot.joints),) or not np.isfinite(position).all():
+            raise DataError("the robot does not say where it is", got=position)
+        return np.asarray(position[[self.robot.joints.index(name) for name in self.scene.joints]])
 
     def _follow(self, plan: Plan) -> Followed:
         settings = self.settings
@@ -213,13 +260,14 @@ class Recorder:
         )
         columns = [plan.joints.index(name) for name in self.robot.joints]
         command = {name: np.ascontiguousarray(getattr(plan, name)[::skip, columns]) for name in self._signals}
-        done = follow(
-            self.robot,
-            command,
-            step_s=1.0 / settings.control_hz,
-            every=settings.every,
-            silent_s=settings.silent_s,
-        )
+        with _answering():
+            done = follow(
+                self.robot,
+                command,
+                step_s=1.0 / settings.control_hz,
+                every=settings.every,
+                silent_s=settings.silent_s,
+            )
         order = [self.robot.joints.index(name) for name in self.scene.joints]
         self._commanded = command["position"][-1][order] if done.trouble is None else None
         return done
@@ -233,6 +281,19 @@ class Recorder:
         return [
             Flag("goal_missed", signal="position", joint=joint, detail=f"{joint} is {away[worst]:.3g} from its goal")
         ]
+
+    def _off_path(self, done: Followed) -> list[Flag]:
+        """A joint that was far from its command and may have caught up, e.g. one that stalled for a while."""
+        if done.measured is None or done.command is None or "position" not in done.measured:
+            return []
+        rows = min(len(done.measured), len(done.command))
+        away = np.abs(done.measured["position"][:rows] - done.command["position"][:rows])
+        if not rows or not away.max() > self.settings.path_tolerance_rad:
+            return []
+        row, column = np.unravel_index(int(np.argmax(away)), away.shape)
+        joint, time_s = self.robot.joints[int(column)], float(done.measured.time_s[row])
+        detail = f"{joint} was {away.max():.3g} from its command"
+        return [Flag("off_path", signal="position", joint=joint, detail=detail, start_s=time_s)]
 
     def _troubles(self, done: Followed) -> list[Flag]:
         if done.trouble is None:
@@ -259,9 +320,14 @@ def whole_ratio(rate_hz: float, of_hz: float, what: str) -> int:
     return round(ratio)
 
 
-def _stuck(error: NoPlan) -> RobotStopped:
-    return RobotStopped(
-        "there is no way home for the robot",
-        got=error.summary,
-        hint="Free it by hand, then repeat with --resume: what was recorded is kept.",
-    )
+def _stuck(error: TrueupError) -> RobotStopped:
+    return RobotStopped("the robot could not be brought home", got=error.summary, hint=_SEE_TO_IT)
+
+
+@contextlib.contextmanager
+def _answering() -> Iterator[None]:
+    """A driver that loses its connection outside of a motion is a robot that has stopped."""
+    try:
+        yield
+    except OSError as error:
+        raise RobotStopped("the robot does not answer", got=" ".join(str(error).split()), hint=_SEE_TO_IT) from error

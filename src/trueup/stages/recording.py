@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import itertools
+import shutil
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -69,7 +71,7 @@ def record(
     out: Path | str,
     robot: RobotSpec,
     rig: Rig,
-    plans: PlanSetSpec | Path,
+    plans: PlanSetSpec | PlanSet,
     *,
     payloads_kg: Sequence[float] = (0.0,),
     settings: RecordSettings | None = None,
@@ -81,16 +83,16 @@ def record(
 ) -> RecordSummary:
     """Execute a set of plans on a robot and keep commands and measurements as a dataset.
 
-    Plans that are given as a description are made first and kept in the dataset's folder, under `plans`. A motion that
-    goes wrong is kept with a warning, one of which nothing was recorded is listed in the summary; neither stops the
-    others. What was interrupted is gone on with when the same is asked for again, and becomes the same files as
+    Plans that are given as a description are made first; all are kept in the dataset's folder, under `plans`. A motion
+    that goes wrong is kept with a warning, one of which nothing was recorded is listed in the summary; neither stops
+    the others. What was interrupted is gone on with when the same is asked for again, and becomes the same files as
     without the interruption, apart from times in provenance.
 
     Args:
         out: the dataset's folder.
         robot: the robot; joints and limits count.
         rig: where its hardware comes from.
-        plans: what to plan, or the folder of a plan set.
+        plans: what to plan, or a plan set, which is copied.
         payloads_kg: every motion is recorded with each of these payloads [kg].
         settings: rates, speeds, tolerances.
         model: MJCF or URDF of the robot; found as for replay if None.
@@ -105,57 +107,109 @@ def record(
         ConfigError: settings, payloads or plans that do not fit.
         DataError: the disk is full, or nothing could be recorded.
     """
-    from trueup.record import RecordSettings
+    from trueup.record import PlanSet, RecordSettings
 
     started, out = time.perf_counter(), Path(out)
     settings = settings or RecordSettings()
-    if not payloads_kg or len(set(payloads_kg)) != len(payloads_kg) or not all(load >= 0 for load in payloads_kg):
+    # They are part of ids, as they are written there.
+    names = {_kilograms(load) for load in payloads_kg}
+    if not payloads_kg or len(names) != len(payloads_kg) or not all(load >= 0 for load in payloads_kg):
         raise ConfigError("payloads must be different masses >= 0", got=list(payloads_kg))
     if jobs < 1:
         raise ConfigError("jobs must be at least 1", got=jobs)
     path = find_model(robot, given=model)
-    rig.session(0, payloads_kg[0])  # refuses what cannot be recorded at all, before anything is written
-    asked = _stored(plans, robot).asked if isinstance(plans, Path) else plans.to_dict()
+    _refuse_unfit(robot, path, rig, plans, payloads_kg, settings)
     config = {
-        "robot": robot.name,
+        "robot": robot.to_dict(),
+        "model": {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()},
         "rig": rig.describe(),
-        "plans": asked,
+        "plans": plans.to_dict(),
         "payloads_kg": list(payloads_kg),
         "settings": asdict(settings),
     }
     info = DatasetInfo(
         robot=robot.name,
         licence="Apache-2.0",
-        provenance={**provenance(config=config), "complete": False},
+        provenance={**provenance(config=config, seed=plans.seed), "complete": False},
     )
     failed: dict[str, TrueupError] = {}
     flagged: dict[str, tuple[str, ...]] = {}
     recorded = 0
     with _writer(out, info, overwrite=overwrite, resume=resume) as writer:
         kept = len(writer.ids)
-        if isinstance(plans, Path):
-            motions = _stored(plans, robot)
+        if isinstance(plans, PlanSet):
+            motions = _copied(plans, out / PLANS)
         else:
             motions = _planned(out / PLANS, plans, robot, path, jobs, overwrite=overwrite and not kept, track=track)
         tasks = [task for task in _tasks(motions, payloads_kg) if task.id not in writer.ids]
         worker = _Worker(robot, path, rig, motions.path, settings)
-        for name, result in track(_results(worker, tasks, jobs), "record", len(tasks)):
-            if isinstance(result, TrueupError):
-                failed[name] = result
-                continue
-            if result.meta.warned:
-                flagged[name] = warning_kinds(result.meta.flags)
-            writer.append(result)
-            recorded += 1
-        skipped = motions.skipped()
-        notes = tuple(f"{name} was not planned: {why}" for name, why in skipped.items())
-        notes += tuple(f"{name} was not recorded: {error.summary}" for name, error in failed.items())
-        writer.info = replace(writer.info, provenance={**writer.info.provenance, "complete": True}, notes=notes)
-        writer.info.save(out)
+        # An error here must not leave processes at work.
+        with contextlib.closing(_results(worker, tasks, jobs)) as results:
+            for name, result in track(results, "record", len(tasks)):
+                if isinstance(result, TrueupError):
+                    failed[name] = result
+                    continue
+                if result.meta.warned:
+                    flagged[name] = warning_kinds(result.meta.flags)
+                writer.append(result)
+                recorded += 1
+    # Complete is what is in its shards, all of it.
+    skipped = motions.skipped()
+    notes = tuple(f"{name} was not planned: {why}" for name, why in skipped.items())
+    notes += tuple(f"{name} was not recorded: {error.summary}" for name, error in failed.items())
+    replace(writer.info, provenance={**writer.info.provenance, "complete": True}, notes=notes).save(out)
     if not recorded and not kept:
         reasons = [*skipped.values(), *(error.summary for error in failed.values())]
         raise DataError("nothing was recorded, the first because", got=reasons[0] if reasons else "no motion")
     return RecordSummary(out, recorded, kept, skipped, failed, flagged, time.perf_counter() - started)
+
+
+def _refuse_unfit(
+    robot: RobotSpec,
+    model: Path,
+    rig: Rig,
+    plans: PlanSetSpec | PlanSet,
+    payloads_kg: Sequence[float],
+    settings: RecordSettings,
+) -> None:
+    """Refuse what no motion could be recorded with, before anything is written."""
+    from trueup.record import PlanSet, Recorder, whole_ratio
+
+    if isinstance(plans, PlanSet):
+        if sorted(plans.joints) != sorted(robot.joint_names):
+            raise NameMismatch(
+                f"the plans in {plans.path} are of another robot", left=plans.joints, right=robot.joint_names
+            )
+        if not plans.complete:
+            raise DataError(f"the plans in {plans.path} are not complete", hint="Plan them to the end first.")
+        rate_hz = next((plan.rate_hz for plan in plans), settings.control_hz)
+    else:
+        rate_hz = plans.motion.clock.rate_hz
+    whole_ratio(rate_hz, settings.control_hz, "the rate of the plans must be a multiple of control_hz")
+    scene = plans.scene(robot, model=model)
+    for payload_kg in payloads_kg:
+        Recorder(rig.session(0, payload_kg), scene, settings)
+
+
+def _copied(plans: PlanSet, folder: Path) -> PlanSet:
+    """The plans in the dataset's own folder, so that it is whole when it is moved."""
+    from trueup.record import PlanSet
+
+    if folder.resolve() == plans.path.resolve():
+        return plans
+    with contextlib.suppress(TrueupError):
+        there = PlanSet(folder)
+        if there.complete and there.to_dict() == plans.to_dict():
+            return there
+    copy = folder.with_name(f".{folder.name}.tmp")
+    try:
+        for left in (copy, folder):
+            shutil.rmtree(left, ignore_errors=True)
+        shutil.copytree(plans.path, copy)
+        copy.replace(folder)
+    except OSError as error:
+        raise DataError(f"cannot copy the plans to {folder}", got=error.strerror or error) from error
+    return PlanSet(folder)
 
 
 def _writer(out: Path, info: DatasetInfo, *, overwrite: bool, resume: bool) -> DatasetWriter:
@@ -163,8 +217,8 @@ def _writer(out: Path, info: DatasetInfo, *, overwrite: bool, resume: bool) -> D
     if not is_dataset(out) or overwrite:
         return DatasetWriter.create(out, info, overwrite=overwrite)
     stored = DatasetInfo.load(out)
-    before, now = stored.provenance.get("config", {}), as_read_back(info.provenance["config"])
-    changed = sorted(key for key in now if before.get(key) != now[key])
+    before, now = stored.provenance.get("config"), as_read_back(info.provenance["config"])
+    changed = sorted(key for key in now if not isinstance(before, dict) or before.get(key) != now[key])
     if changed:
         raise OutputExists(
             f"{out} was recorded with other settings ({', '.join(changed)})",
@@ -206,11 +260,15 @@ def _planned(
     return PlanSet(folder)
 
 
+def _kilograms(payload_kg: float) -> str:
+    return f"{payload_kg:g}kg"
+
+
 def _tasks(plans: PlanSet, payloads_kg: Sequence[float]) -> Iterator[_Task]:
     """All motions with the first payload, then all with the next: a payload is not changed more often than it must."""
     for place, payload_kg in enumerate(payloads_kg):
         for id in plans.ids():
-            name = id if len(payloads_kg) == 1 else f"{id}/{payload_kg:g}kg"
+            name = id if len(payloads_kg) == 1 else f"{id}/{_kilograms(payload_kg)}"
             yield _Task(name, id, place * len(plans) + plans.number(id), payload_kg)
 
 
@@ -257,18 +315,15 @@ class _Worker:
         return episode.with_flags((*done.flags, *episode.meta.flags))
 
 
-def _results(worker: _Worker, tasks: Sequence[_Task], jobs: int) -> Iterator[tuple[str, Episode | TrueupError]]:
+def _results(worker: _Worker, tasks: Sequence[_Task], jobs: int) -> Generator[tuple[str, Episode | TrueupError]]:
     if jobs == 1 or len(tasks) <= _AT_ONCE:
         for task in tasks:
             yield from worker.record([task])
         return
-    for results in in_processes(_record, _batches(tasks), jobs=jobs, begin=_begin, with_args=worker.arguments):
+    batches = [tasks[first : first + _AT_ONCE] for first in range(0, len(tasks), _AT_ONCE)]
+    jobs = min(jobs, len(batches))
+    for results in in_processes(_record, batches, jobs=jobs, begin=_begin, with_args=worker.arguments):
         yield from results
-
-
-def _batches(tasks: Sequence[_Task]) -> Iterator[Sequence[_Task]]:
-    for first in range(0, len(tasks), _AT_ONCE):
-        yield tasks[first : first + _AT_ONCE]
 
 
 _worker: _Worker | None = None
