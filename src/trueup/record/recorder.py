@@ -19,6 +19,7 @@ from trueup.record.plan import Plan
 from trueup.record.profile import ClockSettings
 from trueup.record.scene import Scene
 
+_SEEDS = 4  # of the planner, for one way
 _WHOLE = 1e-6  # rates may miss a whole ratio by this share
 # What went wrong leaves a robot in motion: it is given this long to come to rest before anything is asked of it [s].
 _SETTLE_S = 0.2
@@ -194,9 +195,7 @@ class Recorder:
             here = self._here()
             if np.abs(pose - here).max() < 1e-9:
                 return
-            way = joint_motion(
-                self.scene, here, pose, velocity_share=self.settings.transfer_share, settings=self._ways, id="way"
-            )
+            way = self._way(here, pose)
             done = self._follow(way)
             missed = self._missed(pose) if done.trouble is None else []
             if done.trouble is None and not missed:
@@ -281,6 +280,24 @@ class Recorder:
         return [
             Flag("goal_missed", signal="position", joint=joint, detail=f"{joint} is {away[worst]:.3g} from its goal")
         ]
+
+    def _way(self, here: Float64[np.ndarray, "J"], pose: Float64[np.ndarray, "J"]) -> Plan:
+        """A way from here to there; what one seed of the planner does not find, another may."""
+        for seed in range(_SEEDS):
+            try:
+                return joint_motion(
+                    self.scene,
+                    here,
+                    pose,
+                    velocity_share=self.settings.transfer_share,
+                    seed=seed,
+                    settings=self._ways,
+                    id="way",
+                )
+            except NoPlan:
+                if seed + 1 == _SEEDS:
+                    raise
+        raise AssertionError("a seed was tried last")
 
     def _off_path(self, done: Followed) -> list[Flag]:
         """A joint that was far from its command and may have caught up, e.g. one that stalled for a while."""
