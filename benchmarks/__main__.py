@@ -15,6 +15,7 @@ NAMES = (
     "engines",
     "lab",
     "alignment",
+    "recording",
     "pipeline",
     "identify_servo",
     "identify_torque",
@@ -22,6 +23,7 @@ NAMES = (
     "identify_pace",
     "thesis",
     "real_robots",
+    "panda",
 )
 
 

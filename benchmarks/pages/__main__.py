@@ -5,7 +5,7 @@ from importlib import import_module
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = {"thesis": "thesis.md", "real_robots": "real-robots.md"}
+NAMES = {"thesis": "thesis.md", "real_robots": "real-robots.md", "panda": "panda.md"}
 
 
 def text(name: str) -> str:

@@ -152,7 +152,7 @@ def compiled() -> tuple[Any, Any]:
     knows.
     """
     weigh = numba.njit(nogil=True)(_plain(_weigh))
-    friction = numba.njit(nogil=True)(_plain(friction_level))
+    friction = numba.njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(_plain(friction_level))
     return numba.njit(nogil=True)(_plain(_loop(engine_step(), weigh, friction))), weigh
 
 
@@ -343,9 +343,9 @@ def _loop(step: Any, weigh: Any, friction: Any) -> Any:
             state.joints[j].spring = drive - (brakes * held / total if total > 0.0 else 0.0)
         return pull - brakes, lost
 
-    compiled_joint = numba.njit(nogil=True)(_plain(joint))
-    compiled_control = numba.njit(nogil=True)(_plain(control))
-    compiled_receive = numba.njit(nogil=True)(_plain(receive))
+    compiled_joint = numba.njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(_plain(joint))
+    compiled_control = numba.njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(_plain(control))
+    compiled_receive = numba.njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(_plain(receive))
 
     def advance(
         engine: Engine, numbers: np.ndarray, settings: Settings, state: State, orders: Orders, log: np.ndarray
