@@ -28,7 +28,7 @@ JOBS = os.cpu_count() or 1
 SIGNALS = ("position", "velocity", "torque")
 GOOD, DART, ROUGH = "mujoco/stock", "dart/stock", "mujoco/rough"
 PAYLOADS_KG = (0.0, 1.0, 2.0, 3.0)
-# The twin's gains were chosen on units 1 and 2; these units and motions were looked at afterwards.
+# The twin's gains were chosen on units 1 and 2 and other motions.
 UNSEEN_UNITS, UNSEEN_SEED = (5, 6), 7
 _AVERAGED = 50  # samples, half a second, as in the LSTM thesis
 
@@ -69,8 +69,8 @@ def run() -> list[Row]:
     return [
         at_most("twin, multi-joint torque MSE, worst joint", own.max(), 40, "Nm2"),
         at_least("twin, multi-joint torque MSE, best joint", own.min(), 5, "Nm2"),
-        at_most("the same on units and motions not looked at, worst", fresh.max(), 40, "Nm2"),
-        at_least("the same on units and motions not looked at, best", fresh.min(), 5, "Nm2"),
+        at_most("the same on other units and motions, worst", fresh.max(), 40, "Nm2"),
+        at_least("the same on other units and motions, best", fresh.min(), 5, "Nm2"),
         shown("rough twin, multi-joint torque MSE, worst joint", other.max(), "Nm2"),
         at_least("torque error per kg of payload, lower end", slope["low"], 0, "Nm/kg"),
     ]

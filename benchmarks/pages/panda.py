@@ -75,7 +75,7 @@ def _torque(runs: Mapping[str, Any], unseen: Sequence[Mapping[str, Any]]) -> str
             if run == GOOD or group == "multi-joint":
                 rows[f"{_who(run)}, {group}"] = signals["torque"]["mse"]
     for part in unseen:
-        who = f"`panda`, multi-joint, unit {part['unit']} and motions not looked at before"
+        who = f"`panda`, multi-joint, unit {part['unit']}, other motions"
         rows[who] = part["groups"]["multi-joint"]["torque"]["mse"]
     return _rows({**rows, "Realeasy, Table II, multi-joint": TABLE_II})
 

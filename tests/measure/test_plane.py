@@ -77,7 +77,8 @@ def test_joints_in_another_unit_and_single_joints_make_no_plane():
 
 def test_the_file_is_read_back_as_it_was(tmp_path):
     plane = plane_of(*(comparison(f"m{k}", k, payload=float(k % 2))[0] for k in range(3)))
-    trends = {"dart/stock": {"rmse": {"": Trend(Estimate(0.1, "rad/kg", 0.05, 0.15), 0.2, 8, "grows")}}}
+    found = Trend(Estimate(0.1, "rad/kg", 0.05, 0.15), 0.2, 8, "grows")
+    trends = {"dart/stock": {"position": {"rmse": {"": found}}}}
     written = EngineComparison(trends, plane, {"seed": 1})
     written.save(tmp_path / "engines.json")
     assert EngineComparison.load(tmp_path / "engines.json") == written
