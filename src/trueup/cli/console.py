@@ -66,13 +66,15 @@ def track(items: Iterable[T], what: str, total: int | None = None) -> Generator[
 
 
 def _plain(items: Iterable[T], what: str, total: int | None) -> Generator[T]:
-    started = last = time.monotonic()
+    first = last = time.monotonic()
     for done, item in enumerate(items, start=1):
         yield item
         now = time.monotonic()
-        if now - last >= _PLAIN_EVERY_S:
+        if done == 1:  # before the first one come processes that start and models that are loaded
+            first = last = now
+        elif now - last >= _PLAIN_EVERY_S:
             last = now
-            rate = done / (now - started)
+            rate = (done - 1) / (now - first)
             left = f", {(total - done) / rate:.0f} s left" if total else ""
             err.print(f"{what}: {done}{f'/{total}' if total else ''}, {rate:.3g}/s{left}")
 

@@ -143,6 +143,10 @@ class Orders(NamedTuple):
     stalls: np.ndarray  # (F, 3): joint, first tick, tick after the last
 
 
+# Wrappers for Python take a third of the compilation, and nobody calls these functions from there.
+_INNER: dict[str, Any] = {"nogil": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+
 @cache
 def compiled() -> tuple[Any, Any]:
     """`advance(engine, numbers, settings, state, orders, log)` and `weigh(engine, numbers, state)`, compiled once.
@@ -152,7 +156,7 @@ def compiled() -> tuple[Any, Any]:
     knows.
     """
     weigh = numba.njit(nogil=True)(_plain(_weigh))
-    friction = numba.njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(_plain(friction_level))
+    friction = numba.njit(**_INNER)(_plain(friction_level))
     return numba.njit(nogil=True)(_plain(_loop(engine_step(), weigh, friction))), weigh
 
 
@@ -343,9 +347,9 @@ def _loop(step: Any, weigh: Any, friction: Any) -> Any:
             state.joints[j].spring = drive - (brakes * held / total if total > 0.0 else 0.0)
         return pull - brakes, lost
 
-    compiled_joint = numba.njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(_plain(joint))
-    compiled_control = numba.njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(_plain(control))
-    compiled_receive = numba.njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)(_plain(receive))
+    compiled_joint = numba.njit(**_INNER)(_plain(joint))
+    compiled_control = numba.njit(**_INNER)(_plain(control))
+    compiled_receive = numba.njit(**_INNER)(_plain(receive))
 
     def advance(
         engine: Engine, numbers: np.ndarray, settings: Settings, state: State, orders: Orders, log: np.ndarray
