@@ -81,7 +81,7 @@ class PlannedInformation:
             raise NotIdentifiable("no parameter of the model is free", got=parameters.names)
         self._nominal, self._all = nominal, parameters
         self._rate_hz, self._jobs = rate_hz, jobs
-        self._rule = SegmentRule(window_s=window_s, budget_s=float("inf"))
+        self._rule = SegmentRule(window_s=window_s, budget_s=float("inf"), settle_s=nominal.robot.replay.settle_s)
         self._std = _deviations(nominal, noise)
         measured = np.isfinite(np.stack(list(self._std.values()))).any(axis=0)
         joints = nominal.robot.joint_names
@@ -92,7 +92,10 @@ class PlannedInformation:
         candidate = Problem(nominal, parameters, ()).candidate(parameters.values(parameters.start))
         self._simulator = MujocoSimulator(candidate.compile(), nominal.robot, nominal.simulator.channels)
         self._drives = [candidate.drive(joint, self._simulator.model) for joint in joints]
-        self._settings = ReplaySettings(delay_s=tuple(float(delay) for delay in candidate.delays))
+        self._settings = ReplaySettings(
+            delay_s=tuple(float(delay) for delay in candidate.delays),
+            settle_s=nominal.robot.replay.settle_s or _SETTLE_S,
+        )
 
     def __call__(
         self,
@@ -128,23 +131,14 @@ class PlannedInformation:
         acceleration: Float64[np.ndarray, "N J"],
     ) -> Episode:
         """The recording that the robot would make if it were the model."""
-        joints = self._nominal.robot.joint_names
         time_s = np.arange(len(position)) / self._rate_hz
         meta = EpisodeMeta(PLANNED)
         if self._nominal.robot.controller.signal == "torque":
             torque = self._torque(position, velocity, acceleration)
             seen = self._series(time_s, {"position": position, "velocity": velocity})
             return Episode(meta, seen, self._series(time_s, {"torque": torque}))
-        settle = np.arange(-round(_SETTLE_S * self._rate_hz), 0) / self._rate_hz
-        asked = self._series(
-            np.concatenate([settle, time_s]),
-            {
-                "position": np.concatenate([np.tile(position[0], (settle.size, 1)), position]),
-                "velocity": np.concatenate([np.zeros((settle.size, len(joints))), velocity]),
-            },
-        )
-        found = replay_episode(Episode(meta, asked, asked), self._simulator, self._settings)
-        return Episode(meta, found.rows(slice(settle.size, None)), asked)
+        asked = self._series(time_s, {"position": position, "velocity": velocity})
+        return Episode(meta, replay_episode(Episode(meta, asked, asked), self._simulator, self._settings), asked)
 
     def _series(self, time_s: Float64[np.ndarray, "T"], signals: Mapping[str, np.ndarray]) -> TimeSeries:
         joints = self._nominal.robot.joint_names

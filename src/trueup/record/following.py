@@ -11,17 +11,9 @@ from jaxtyping import Float64
 
 from trueup.core.protocols import Hardware, TrajectoryIO
 from trueup.core.timeseries import TimeSeries, same_units
+from trueup.core.units import SI_UNIT
 from trueup.errors import ConfigError, DataError, RobotStopped, TrueupError
 
-_UNITS = {
-    "position": "rad",
-    "velocity": "rad/s",
-    "acceleration": "rad/s^2",
-    "torque": "Nm",
-    "current": "A",
-    "voltage": "V",
-    "temperature": "degC",
-}
 # A robot whose command went this far and whose readings did not change at all says nothing any more [rad or m].
 _UNANSWERED = 0.01
 # Rates that should be multiples of one another may miss by this share.
@@ -226,8 +218,8 @@ def _series(robot: Hardware, stamps: list[float], signals: Mapping[str, np.ndarr
     """The series, its clock rounded to the nanosecond: differences of clocks carry rounding errors."""
     if not stamps:
         return None
-    unknown = [name for name in signals if name not in _UNITS]
+    unknown = [name for name in signals if name not in SI_UNIT]
     if unknown:
-        raise DataError(f"the robot reads signals of unknown unit: {unknown}", hint=f"Known are {list(_UNITS)}.")
-    units = same_units({name: _UNITS[name] for name in signals}, robot.joints)
+        raise DataError(f"the robot reads signals of unknown unit: {unknown}", hint=f"Known are {list(SI_UNIT)}.")
+    units = same_units({name: SI_UNIT[name] for name in signals}, robot.joints)
     return TimeSeries(np.round(stamps, 9), robot.joints, dict(signals), units)
