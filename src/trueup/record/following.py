@@ -63,7 +63,7 @@ def follow(
     every: int,
     silent_s: float,
 ) -> Followed:
-    """Send one row of the command per control step.
+    """Send one row of the command per control step; the series have the units of hinges.
 
     Args:
         robot: that is where the command begins.

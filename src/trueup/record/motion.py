@@ -83,6 +83,7 @@ def as_plan(
         end_s=(count - 1 - rest) * clock.timestep_s,
         condition=kind,
         details=dict(details or {}),
+        length_units=scene.length_units,
     )
     return require_valid(plan, scene.limits, scene)
 

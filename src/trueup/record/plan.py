@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from trueup.core.timeseries import TimeSeries, same_units
+from trueup.core.timeseries import TimeSeries
+from trueup.core.units import SI_UNIT, joint_unit
 from trueup.errors import DataError, NameMismatch
 
-UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}
+SIGNALS = ("position", "velocity", "acceleration")
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +37,7 @@ class Plan:
         seed: of the set that it belongs to.
         index: its place in the group of its set; with the seed, all that it was drawn from.
         details: what was drawn: velocity share, plane and length of a line, degree of a spline, amplitudes.
+        length_units: `rad` or `m` for each joint, (J,); all `rad` if empty.
 
     Raises:
         DataError: shapes that do not fit, numbers that are not finite, an uneven clock, or no rest at the ends.
@@ -57,6 +59,7 @@ class Plan:
     seed: int | None = None
     index: int | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
+    length_units: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what cannot be executed."""
@@ -64,7 +67,7 @@ class Plan:
         if strangers:
             raise NameMismatch(f"plan {self.id!r} moves {strangers}", left=self.moving, right=self.joints)
         shape = (self.time_s.size, len(self.joints))
-        for name in UNITS:
+        for name in SIGNALS:
             values = getattr(self, name)
             if values.shape != shape:
                 raise DataError(f"{name} of plan {self.id!r} has the wrong shape", got=values.shape, expected=shape)
@@ -105,8 +108,10 @@ class Plan:
 
     def to_series(self) -> TimeSeries:
         """The plan as the command series of an episode: position, velocity, acceleration."""
-        signals = {name: getattr(self, name) for name in UNITS}
-        return TimeSeries(self.time_s, self.joints, signals, same_units(UNITS, self.joints))
+        lengths = self.length_units or ("rad",) * len(self.joints)
+        signals = {name: getattr(self, name) for name in SIGNALS}
+        units = {name: tuple(joint_unit(SI_UNIT[name], length) for length in lengths) for name in SIGNALS}
+        return TimeSeries(self.time_s, self.joints, signals, units)
 
     def to_row(self) -> dict[str, Any]:
         """Everything apart from the samples, JSON types only."""
@@ -148,6 +153,7 @@ class Plan:
                 seed=row["seed"],
                 index=row["index"],
                 details=row["details"],
+                length_units=series.units["position"],
             )
         except (KeyError, TypeError) as error:
             raise DataError("a plan is damaged or of another version", got=repr(error)) from error

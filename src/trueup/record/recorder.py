@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -12,6 +12,7 @@ from jaxtyping import Float64
 from trueup.core.episode import Flag
 from trueup.core.protocols import Hardware, TrajectoryIO
 from trueup.core.timeseries import TimeSeries
+from trueup.core.units import joint_unit
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, NoPlan, RobotStopped, TrueupError
 from trueup.record.following import Followed, follow, own_steps
 from trueup.record.motion import MotionSettings, joint_motion
@@ -163,7 +164,7 @@ class Recorder:
         if done.measured is None or done.command is None or len(done.measured) < 2:
             detail = f"{done.trouble.kind}: {done.trouble.detail}" if done.trouble else "no reading"
             raise DataError(f"nothing of motion {plan.id!r} was recorded", got=detail)
-        return Recording(done.measured, done.command, tuple(flags))
+        return Recording(self._in_units(done.measured), self._in_units(done.command), tuple(flags))
 
     def reach(self, pose: Float64[np.ndarray, "J"]) -> None:
         """Drive to a pose (in the order of the scene's joints), by way of home if there is no straight way.
@@ -270,6 +271,15 @@ class Recorder:
         order = [self.robot.joints.index(name) for name in self.scene.joints]
         self._commanded = command["position"][-1][order] if done.trouble is None else None
         return done
+
+    def _in_units(self, series: TimeSeries) -> TimeSeries:
+        """The same numbers with the units of joints that slide."""
+        lengths = dict(zip(self.scene.joints, self.scene.length_units, strict=True))
+        units = {
+            name: tuple(joint_unit(unit, lengths[joint]) for unit, joint in zip(own, series.joints, strict=True))
+            for name, own in series.units.items()
+        }
+        return replace(series, units=units)
 
     def _missed(self, pose: Float64[np.ndarray, "J"]) -> list[Flag]:
         away = np.abs(self._position() - pose)

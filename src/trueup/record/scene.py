@@ -35,6 +35,7 @@ class Scene:
     Attributes:
         robot: the robot.
         joints: names of its J joints.
+        length_units: `rad` or `m` for each of them, (J,).
         limits: what they can do.
         clearance_m: what planning keeps between things that must not touch [m].
         home: a pose to go back to, (J,); the model's keyframe `home`, else the middle of the ranges.
@@ -80,9 +81,11 @@ class Scene:
         self.limits: JointLimits = limits_of(robot, self._model, velocity=speeds, acceleration=acceleration)
         self.clearance_m = clearance_m
         numbers = [self._model.joint(name).id for name in self.joints]
-        hinges = [int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)]
+        slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
+        hinges = [int(mujoco.mjtJoint.mjJNT_HINGE), slide]
         if not np.isin(self._model.jnt_type, hinges).all():
             raise ConfigError(f"{path} has joints other than hinges and slides", hint="Floating bases are not planned.")
+        self.length_units = tuple("m" if self._model.jnt_type[number] == slide else "rad" for number in numbers)
         self._addresses = self._model.jnt_qposadr[numbers]
         self._reach = np.array([_reach(self._model, number) for number in numbers])
         keys = [self._model.key(row).name for row in range(self._model.nkey)]
