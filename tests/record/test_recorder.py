@@ -1,5 +1,6 @@
 """The recorder on robots that behave, and on robots that stop, go silent, stall, or raise errors."""
 
+import contextlib
 from dataclasses import replace
 from functools import cache
 
@@ -11,6 +12,7 @@ from trueup.core.protocols import Hardware, TrajectoryIO
 from trueup.errors import ConfigError, DataError, NameMismatch, NoPlan, RobotStopped
 from trueup.lab import Fault, LabSpec, SimulatedRobot, VirtualRobot, draw_truth
 from trueup.record import Box, MotionSettings, Recorder, RecordSettings, Scene, Workspace, joint_motion
+from trueup.record.following import follow
 from trueup.record.profile import ClockSettings
 from trueup.robots import ControllerSpec, find_model, load_robot
 from trueup.sim import MujocoSimulator
@@ -622,3 +624,33 @@ def test_seeds_of_several_numbers_are_seeds():
         robot.restart(seed=seed)
         readings.append(robot.read()["position"])
     assert all(not np.array_equal(one, other) for row, one in enumerate(readings) for other in readings[row + 1 :])
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError])
+def test_a_motion_that_is_broken_off_leaves_no_speed_behind(error):
+    """The robot holds its last command: at the speed of the middle of a motion that would be no rest."""
+
+    class BrokenOff(Driver):
+        sent = None
+        reads = 0
+
+        def read(self):
+            self.reads += 1
+            if self.sent is not None and self.reads == 25:
+                raise error
+            return super().read()
+
+        def write(self, command):
+            self.sent, before = command, self.sent
+            self.asked = before
+            super().write(command)
+
+    driver = BrokenOff(lab())
+    driver.robot.place(PLAN.start)
+    command = {"position": PLAN.position[::4], "velocity": PLAN.velocity[::4]}
+    with contextlib.suppress(KeyboardInterrupt):
+        done = follow(driver, command, step_s=0.004, every=5, silent_s=0.5)
+        assert done.trouble.kind == "failed"
+    assert np.abs(driver.asked["velocity"]).max() > 0.1
+    np.testing.assert_array_equal(driver.sent["velocity"], 0.0)
+    np.testing.assert_array_equal(driver.sent["position"], driver.asked["position"])

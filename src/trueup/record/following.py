@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -154,6 +155,11 @@ def _drive(robot: Hardware, command: Mapping[str, np.ndarray], step_s: float, ev
         except (TrueupError, OSError) as error:  # of a driver: lost connection, no answer
             trouble = Trouble("failed", now, " ".join(str(error).split()))
             break
+        except BaseException:  # Ctrl-C
+            _hold(robot, command, tick)
+            raise
+    if trouble is not None and trouble.kind != "stopped":
+        _hold(robot, command, tick)
     measured = {name: np.array([reading[name] for reading in readings]) for name in (readings[0] if readings else {})}
     asked = {name: values[[tick for _, tick in sent]] for name, values in command.items()}
     return Followed(
@@ -163,6 +169,13 @@ def _drive(robot: Hardware, command: Mapping[str, np.ndarray], step_s: float, ev
         late,
         latest_s if late else 0.0,
     )
+
+
+def _hold(robot: Hardware, command: Mapping[str, np.ndarray], tick: int) -> None:
+    """Stay at the last position: the speed of a command that is broken off must not be followed any further."""
+    last = {name: values[max(min(tick, len(values)) - 1, 0)] for name, values in command.items()}
+    with contextlib.suppress(TrueupError, OSError):
+        robot.write({name: values if name == "position" else np.zeros_like(values) for name, values in last.items()})
 
 
 def _reading(robot: Hardware, like: Mapping[str, np.ndarray] | None) -> Mapping[str, np.ndarray]:
