@@ -44,7 +44,7 @@ rad and 0.0927 rad/s.
 ## What a payload changes
 
 {payload_motions} motions, each with 0, 1, 2 and 3 kg, compared with themselves. Change per kilogram of the mean of the
-joints, 95 % interval:
+joints, 95 % interval. A lag is how late the robot is, in s; it is negative where the twin is later than the robot:
 
 {trends}
 

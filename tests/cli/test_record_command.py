@@ -82,6 +82,7 @@ def test_faults_are_told(run, plans, tmp_path):
     assert len(dataset) + failed == 16
     assert code == (2 if failed else 0)
     assert f"{len(dataset)} motions recorded" in out
+    assert (f", {failed} failed in " in out) == bool(failed)
     assert err.count("note: ") >= sum(meta.warned for meta in dataset.metas) > 0
 
 
@@ -133,6 +134,33 @@ def test_bad_input_is_told_in_two_lines_and_nothing_is_written(run, plans, tmp_p
     assert err.startswith("error: ")
     assert word in err
     assert sorted(tmp_path.rglob("*")) == before
+
+
+PLANS_THAT_ARE_NONE = {
+    "of one name": ("[{name: a, kind: joint, count: 1}, {name: a, kind: chirp, count: 1}]", "different names"),
+    "no motion": ("[{name: a, kind: joint, count: 0}]", "needs motions: got {'a': 0}"),
+    "fractions of no split": (
+        "[{name: a, kind: joint, count: 1}]\nfractions: {tran: 1.0}",
+        "available: train, val, test",
+    ),
+    "fractions of more": ("[{name: a, kind: joint, count: 1}]\nfractions: {train: 0.9, test: 0.9}", "add up to 1"),
+}
+
+
+@pytest.mark.parametrize(("groups", "word"), PLANS_THAT_ARE_NONE.values(), ids=PLANS_THAT_ARE_NONE)
+def test_a_description_of_no_plan_set_is_told_by_what_is_wrong_with_it(run, tmp_path, groups, word):
+    (tmp_path / "none.yaml").write_text(f"name: none\ngroups: {groups}\n")
+    code, out, err = run("--plan", tmp_path / "none.yaml", *RATES, "--out", tmp_path / "D")
+    assert (code, out) == (2, "")
+    assert word in err
+    assert not (tmp_path / "D").exists()
+
+
+def test_a_lab_that_follows_torques_is_told_what_to_change(run, plans, tmp_path):
+    (tmp_path / "lab.yaml").write_text("controller: {kind: torque}\n")
+    code, _, err = run("--plan", plans, *RATES, "--out", tmp_path / "D", "--lab", tmp_path / "lab.yaml")
+    assert (code, "kind: impedance" in err) == (2, True)
+    assert not (tmp_path / "D").exists()
 
 
 BROKEN = [

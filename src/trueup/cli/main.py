@@ -71,7 +71,9 @@ def main(argv: Sequence[str] | None = None) -> None:
         )
         code = 1
     if code == _INTERRUPTED:
-        problem("interrupted", "What was finished is kept; --resume goes on from there.")
+        problem(
+            "interrupted", "What was finished is kept: give the same command again, with --resume if it asks for that."
+        )
     raise SystemExit(code if isinstance(code, int) else 0)
 
 

@@ -33,7 +33,8 @@ def record(
     ] = "paper",
     scale: Annotated[float, typer.Option("--scale", help="Share of the motions of each group.")] = 1.0,
     payload_kg: Annotated[
-        list[float] | None, typer.Option("--payload-kg", help="Payload of the lab's robot [kg]; repeatable.")
+        list[float] | None,
+        typer.Option("--payload-kg", help="Payload of the lab's robot [kg], 0 if not given; repeatable."),
     ] = None,
     lab: Annotated[Path | None, typer.Option("--lab", help="YAML with the sizes of the lab's effects.")] = None,
     faults: Annotated[
@@ -45,7 +46,9 @@ def record(
     ] = None,
     control_hz: Annotated[float, typer.Option("--control-hz", help="Commands per second.")] = 1000.0,
     record_hz: Annotated[float, typer.Option("--record-hz", help="Rows per second of the recording.")] = 100.0,
-    model: options.Model = None,
+    model: Annotated[
+        Path | None, typer.Option("--model", help="MJCF or URDF; what robot.yaml names if not given.")
+    ] = None,
     seed: Annotated[
         int | None, typer.Option("--seed", min=0, help="Seed of all draws; that of the plans if not given.")
     ] = None,
@@ -53,9 +56,11 @@ def record(
         int | None, typer.Option("--jobs", min=1, help="Processes; the number of cores if not given.")
     ] = None,
     overwrite: options.Overwrite = False,
-    resume: options.Resume = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on even with a complete dataset: what failed is tried again.")
+    ] = False,
 ) -> int:
-    """Plan motions, execute them on a robot and record them; an interrupted recording is gone on with."""
+    """Plan motions, execute them on a robot and record them; the same command goes on after an interruption."""
     import os
     from dataclasses import replace
 
@@ -70,7 +75,11 @@ def record(
     if (Path(plan) / PLANS_NAME).exists():
         plans = PlanSet(plan)
         if scale != 1.0:
-            raise ConfigError("a stored plan set is recorded as it is", got=f"--scale {scale:g}")
+            raise ConfigError(
+                "a stored plan set is recorded as it is",
+                got=f"--scale {scale:g}",
+                hint="Leave --scale out, or describe a smaller set in a YAML file.",
+            )
     else:
         described = load_plans(plan)
         plans = replace(described, seed=described.seed if seed is None else seed).scaled(scale)
@@ -123,7 +132,10 @@ def show(summary: RecordSummary) -> None:
         problem(f"{name} was not recorded: {error.summary}", error.hint)
     _more(len(summary.failed))
     kept = f", {summary.kept} were there" if summary.kept else ""
-    out.print(f"{summary.recorded} motions recorded{kept} in {summary.seconds:.1f} s -> {summary.path}", markup=False)
+    failed = f", {len(summary.failed)} failed" if summary.failed else ""
+    out.print(
+        f"{summary.recorded} motions recorded{kept}{failed} in {summary.seconds:.1f} s -> {summary.path}", markup=False
+    )
 
 
 def _more(count: int) -> None:

@@ -89,7 +89,7 @@ class PlanSetSpec:
         schema: `trueup.plans/1`.
 
     Raises:
-        ConfigError: no group, two of one name, fractions that do not add up to 1, a negative seed.
+        ConfigError: no motion, two groups of one name, fractions that do not add up to 1, a negative seed.
     """
 
     name: str
@@ -107,10 +107,14 @@ class PlanSetSpec:
     def __post_init__(self) -> None:
         """Refuse sets that are none."""
         names = [group.name for group in self.groups]
-        if len(set(names)) != len(names) or not sum(group.count for group in self.groups):
-            raise ConfigError("a plan set needs motions in groups of different names", got=names)
-        if not set(self.fractions) <= set(SPLITS) or abs(sum(self.fractions.values()) - 1) > 1e-9:
-            raise ConfigError("fractions must add up to 1", got=dict(self.fractions), expected=SPLITS)
+        if len(set(names)) != len(names):
+            raise ConfigError("groups of a plan set need different names", got=names)
+        if not sum(group.count for group in self.groups):
+            raise ConfigError("a plan set needs motions", got={group.name: group.count for group in self.groups})
+        if not set(self.fractions) <= set(SPLITS):
+            raise ConfigError("fractions are of other splits", got=sorted(self.fractions), available=SPLITS)
+        if abs(sum(self.fractions.values()) - 1) > 1e-9:
+            raise ConfigError("fractions must add up to 1", got=dict(self.fractions))
         if min(self.fractions.values()) < 0 or self.seed < 0:
             raise ConfigError("fractions and seed must not be negative", got=(dict(self.fractions), self.seed))
 
@@ -243,7 +247,7 @@ def load_plans(name_or_path: str | Path) -> PlanSetSpec:
             raise ConfigError(
                 f"there is no plan set {str(name_or_path)!r}",
                 available=["paper"],
-                hint="Give this name, or the path of a YAML file with `groups`.",
+                hint="Give this name, a YAML file with `groups`, or a folder with a plans.json.",
             )
         return paper_plans()
     tree = read_yaml(path)

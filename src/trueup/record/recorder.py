@@ -118,7 +118,9 @@ class Recorder:
         self._signals: list[str] = [name for name in ("position", "velocity") if name in robot.command_signals]
         if "position" not in self._signals:
             raise ConfigError(
-                "a recorder commands positions, which this robot does not follow", available=robot.command_signals
+                "a recorder commands positions, which this robot does not follow",
+                available=robot.command_signals,
+                hint="A lab's robot follows positions with `controller: {kind: impedance}`.",
             )
         self.robot, self.scene = robot, scene
         self.settings = settings or RecordSettings()

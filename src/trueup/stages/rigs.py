@@ -67,7 +67,9 @@ class LabRig:
     def __post_init__(self) -> None:
         """Refuse a share that is none."""
         if not 0 <= self.fault_share <= 1:
-            raise ConfigError("the share of motions with faults is none", got=self.fault_share, expected="0 to 1")
+            raise ConfigError(
+                "the share of motions with faults is out of range", got=self.fault_share, expected="0 to 1"
+            )
 
     @property
     def unit(self) -> str:
