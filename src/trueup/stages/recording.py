@@ -18,7 +18,7 @@ from trueup.core.atomic import as_read_back
 from trueup.core.episode import Episode, EpisodeMeta, warning_kinds
 from trueup.core.provenance import provenance
 from trueup.core.workers import in_processes
-from trueup.dataset import DatasetInfo, DatasetWriter, is_dataset, refuse_occupied
+from trueup.dataset import DatasetInfo, DatasetWriter, is_dataset
 from trueup.errors import ConfigError, DataError, NameMismatch, OutputExists, TrueupError
 from trueup.robots import RobotSpec, find_model
 from trueup.stages.importing import checked
@@ -225,7 +225,9 @@ def _writer(out: Path, info: DatasetInfo, *, overwrite: bool, resume: bool) -> D
             hint="Choose another --out, or give --overwrite to delete it first.",
         )
     if stored.provenance.get("complete") and not resume:
-        refuse_occupied(out, overwrite=False)
+        raise OutputExists(
+            f"{out} exists and is complete", hint="--resume tries again what failed, --overwrite deletes it first."
+        )
     return DatasetWriter.resume(out, info)
 
 
