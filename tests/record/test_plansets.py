@@ -30,7 +30,7 @@ from trueup.record import (
     plan_all,
     store_plans,
 )
-from trueup.record.planstore import BLOCK
+from trueup.record.planreader import BLOCK
 from trueup.robots import load_robot
 
 PANDA = load_robot("panda")

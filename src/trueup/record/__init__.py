@@ -22,14 +22,13 @@ from trueup.record.motion import random_pose as random_pose
 from trueup.record.paths import PathSettings as PathSettings
 from trueup.record.paths import plan_path as plan_path
 from trueup.record.plan import Plan as Plan
+from trueup.record.planreader import PLANS_NAME as PLANS_NAME
+from trueup.record.planreader import PlanSet as PlanSet
 from trueup.record.planset import MotionGroup as MotionGroup
 from trueup.record.planset import PlanSetSpec as PlanSetSpec
 from trueup.record.planset import load_plans as load_plans
 from trueup.record.planset import paper_plans as paper_plans
-from trueup.record.planstore import PLANS_NAME as PLANS_NAME
 from trueup.record.planstore import Planned as Planned
-from trueup.record.planstore import PlanSet as PlanSet
-from trueup.record.planstore import describe as describe
 from trueup.record.planstore import plan_all as plan_all
 from trueup.record.planstore import store_plans as store_plans
 from trueup.record.profile import ClockSettings as ClockSettings
@@ -71,7 +70,6 @@ __all__ = [
     "Workspace",
     "cartesian_line",
     "check_plan",
-    "describe",
     "design_excitation",
     "function_reference",
     "joint_motion",
