@@ -13,7 +13,11 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context, parent_process
 from typing import Any, TypeVar
 
+from threadpoolctl import threadpool_limits
+
 from trueup.errors import ConfigError
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -75,6 +79,10 @@ def _begin(begin: Callable[..., None], arguments: tuple[Any, ...]) -> None:
     # Ctrl-C reaches all processes; the one that was asked says so, and the others end with it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    # Matrices are small here, and the other processes want their cores: libraries that are loaded already are told so,
+    # and those that are not yet read it when they are.
+    threadpool_limits(1)
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
     begin(*arguments)
 
 

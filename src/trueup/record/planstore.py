@@ -7,15 +7,12 @@ Plans that are given one by one are written so, too: their block again with each
 from __future__ import annotations
 
 import hashlib
-import importlib
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-from threadpoolctl import threadpool_limits
 
 from trueup.core.atomic import as_read_back, make_folder, read_json, write_json
 from trueup.core.provenance import provenance
@@ -218,9 +215,6 @@ _worker: _BlockPlanner | None = None
 def _begin(spec: PlanSetSpec, robot: RobotSpec, model: Path, folder: Path) -> None:
     global _worker  # what a process of the pool keeps between blocks
     _worker = _BlockPlanner(spec, robot, model, folder)
-    # The matrices are small, and the other processes want their cores. What is not loaded yet cannot be told so.
-    importlib.import_module("scipy.interpolate")
-    threadpool_limits(1)
 
 
 def _plan_block(number: int) -> tuple[int, int]:

@@ -12,8 +12,6 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from threadpoolctl import threadpool_limits
-
 from trueup.core.atomic import as_read_back
 from trueup.core.episode import Episode, EpisodeMeta, warning_kinds
 from trueup.core.provenance import provenance
@@ -334,7 +332,6 @@ _worker: _Worker | None = None
 def _begin(robot: RobotSpec, model: Path, rig: Rig, plans: Path, settings: RecordSettings) -> None:
     global _worker  # what a process keeps between motions
     _worker = _Worker(robot, model, rig, plans, settings)
-    threadpool_limits(1)  # the matrices are small, and the other processes want their cores
 
 
 def _record(tasks: Sequence[_Task]) -> list[tuple[str, Episode | TrueupError]]:
