@@ -25,9 +25,14 @@ ARROWS = {
     "lab": {"sim", "robots"},
     "record": {"dataset", "robots"},
     "identify": {"align", "measure", "robots", "sim"},
+    "deploy": set(),
+    "augment": {"dataset", "measure", "deploy"},
     "report": set(),
-    "stages": {"dataset", "align", "measure", "robots", "sim", "lab", "record", "identify"},
-    "cli": {"dataset", "align", "measure", "robots", "sim", "lab", "record", "identify", "report", "stages"},
+    "stages": {"dataset", "align", "measure", "robots", "sim", "lab", "record", "identify", "deploy", "augment"},
+    "cli": {
+        *("dataset", "align", "measure", "robots", "sim", "lab", "record", "identify", "deploy", "augment"),
+        *("report", "stages"),
+    },
 }
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
@@ -76,6 +81,7 @@ def test_every_part_has_an_arrow_and_stands_in_the_architecture_page():
         ("trueup.report", {"torch", "mujoco", "pyarrow"}),
         ("trueup.dataset", {"torch", "mujoco"}),
         ("trueup.measure", {"torch", "mujoco"}),
+        ("trueup.deploy", {"torch", "mujoco", "onnx", "pyarrow", "scipy"}),
         ("trueup.record", {"torch", "mujoco", "ompl", "toppra", "mink", "scipy"}),
         ("trueup.cli.main", {"torch", "mujoco", "plotly", "scipy"}),
     ],

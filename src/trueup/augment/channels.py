@@ -1,0 +1,115 @@
+"""From an episode to the rows that a network reads: its channels, on a clock of its rate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from trueup.core.episode import Episode
+from trueup.core.hold import held_rows
+from trueup.core.model_card import Channel
+from trueup.core.timeseries import TimeSeries
+from trueup.errors import DataError, MissingSignal, NameMismatch, UnitError
+
+# A clock whose steps are this near to the network's is taken as it is: robots' clocks jitter.
+_STEP_TOLERANCE = 0.2
+_RATE_TOLERANCE = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """The clock on which a network sees a motion.
+
+    Attributes:
+        time_s: the stamps, (N,) [s].
+        own: whether they are the series' own stamps.
+    """
+
+    time_s: Float64[np.ndarray, "N"]
+    own: bool
+
+    @staticmethod
+    def of(stamps_s: Float64[np.ndarray, "T"], rate_hz: float) -> Grid:
+        """The stamps themselves where they come at `rate_hz`, else an even clock from the first to the last.
+
+        Raises:
+            DataError: the series is shorter than two samples of that rate.
+        """
+        step = 1.0 / rate_hz
+        steps = np.diff(stamps_s)
+        if steps.size and abs(steps.mean() / step - 1) <= _RATE_TOLERANCE:
+            if np.all(np.abs(steps / step - 1) <= _STEP_TOLERANCE):
+                return Grid(stamps_s, own=True)
+        count = int(np.floor((stamps_s[-1] - stamps_s[0]) / step + 1e-6)) + 1
+        if count < 2:
+            raise DataError("too short for the network", got=f"{stamps_s.size} samples", expected=f"{2 * step:g} s")
+        return Grid(stamps_s[0] + step * np.arange(count), own=False)
+
+    def back(
+        self, values: Float32[np.ndarray, "N K"], stamps_s: Float64[np.ndarray, "T"]
+    ) -> Float32[np.ndarray, "T K"]:
+        """Values on this clock, linearly interpolated at the stamps."""
+        return values if self.own else _linear(self.time_s, values, stamps_s)
+
+
+def gather(
+    episode: Episode, run: str, channels: Sequence[Channel], time_s: Float64[np.ndarray, "N"]
+) -> Float32[np.ndarray, "N I"]:
+    """The channels of one run of an episode at given times, in SI.
+
+    Simulated signals are interpolated linearly, commands are held between their stamps; before its first stamp a
+    command counts as its first value.
+
+    Raises:
+        MissingSignal: the episode lacks the run, the command or a signal.
+        NameMismatch: joints are missing; both lists are printed.
+        UnitError: a channel has another unit than the series.
+    """
+    columns = []
+    for channel in channels:
+        series = episode.run(run) if channel.series == "simulated" else episode.commanded()
+        values = column(
+            series, channel, f"episode {episode.id!r}, {run if channel.series == 'simulated' else 'command'}"
+        )
+        if time_s is series.time_s:
+            columns.append(values)
+        elif channel.series == "command":
+            columns.append(values[np.maximum(held_rows(series.time_s, time_s), 0)])
+        else:
+            columns.append(_linear(series.time_s, values[:, None], time_s)[:, 0])
+    return np.stack(columns, axis=1).astype(np.float32)
+
+
+def column(series: TimeSeries, channel: Channel, where: str) -> Float32[np.ndarray, "T"] | Float64[np.ndarray, "T"]:
+    """The values of one channel on the clock of its series.
+
+    Raises:
+        MissingSignal: there is no such signal.
+        NameMismatch: there is no such joint.
+        UnitError: the unit differs.
+    """
+    if channel.signal not in series:
+        raise MissingSignal(f"{where} has no signal {channel.signal!r}", available=series.signals)
+    if channel.joint not in series.joints:
+        raise NameMismatch(
+            f"{where} lacks the joint {channel.joint!r}",
+            left=series.joints,
+            right=[channel.joint],
+            left_name="it has",
+            right_name="the network needs",
+        )
+    at = series.joints.index(channel.joint)
+    unit = series.units[channel.signal][at]
+    if unit != channel.unit:
+        raise UnitError(f"{where}: {channel.signal} of {channel.joint!r}", got=unit, expected=channel.unit)
+    return series[channel.signal][:, at]
+
+
+def _linear(stamps_s: Float64[np.ndarray, "T"], values: np.ndarray, time_s: Float64[np.ndarray, "N"]) -> np.ndarray:
+    """Columns at other times; constant beyond the ends."""
+    return np.stack([np.interp(time_s, stamps_s, values[:, k]) for k in range(values.shape[1])], axis=1).astype(
+        np.float32
+    )

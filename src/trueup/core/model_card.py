@@ -1,0 +1,272 @@
+"""What a trained network says of itself: `model.json`, beside `model.onnx` and `weights.safetensors`.
+
+Everything that is needed to run it is here or in `model.onnx`, so that a robot needs neither torch nor a simulator.
+
+`model.onnx` takes and returns SI values as they are; normalization, gate and the sum with the simulator's signal are
+inside. With B copies side by side and any number T of samples:
+
+    x (T, B, I) float32            the input channels, in the card's order
+    STATE (..., B, ...) float32    one tensor per state of the card, axis `batch_axis` is B
+    ->
+    y (T, B, K) float32            the corrected output channels, in the card's order
+    STATE_out                      the states after the last sample, same shapes
+
+A network that looks into the future (`causal: false`) has no states and takes whole motions.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float64, Int
+
+from trueup.core.atomic import as_read_back, read_json, write_json
+from trueup.core.config import build
+from trueup.errors import ConfigError, DataError, FormatError
+
+CARD_SCHEMA = "trueup.model/1"
+CARD_NAME = "model.json"
+ONNX_NAME = "model.onnx"
+WEIGHTS_NAME = "weights.safetensors"
+_HASH = "sha256"
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One number per sample.
+
+    Attributes:
+        signal: signal name, e.g. `torque`.
+        joint: joint name, as the robot has it.
+        unit: SI unit.
+        series: where it comes from: the simulator, or the command that robot and simulator follow.
+    """
+
+    signal: str
+    joint: str
+    unit: str
+    series: Literal["simulated", "command"] = "simulated"
+
+    @property
+    def name(self) -> str:
+        """E.g. `simulated.torque.joint1`."""
+        return f"{self.series}.{self.signal}.{self.joint}"
+
+
+@dataclass(frozen=True)
+class Input(Channel):
+    """An input channel and the range that training covered.
+
+    Attributes:
+        low: smallest value of the train split.
+        high: largest value of the train split.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+
+
+@dataclass(frozen=True)
+class Output(Channel):
+    """An output channel: a simulated signal after correction, and how far it can be trusted.
+
+    Attributes:
+        base: number of the input channel that is corrected.
+        gate: share of the network's correction that is used; 0 is switched off.
+        reason: why it is switched off; empty if it is not.
+        interval: half width of the interval [unit] for a correction c: `interval[0] + interval[1] * |c|`; None where
+            val has too few motions for one.
+        far: a simulator that is off by more than this is far off [unit].
+        far_correction: corrections at which the probability of "far off" is known, increasing [unit].
+        far_probability: those probabilities, not decreasing.
+    """
+
+    base: int = 0
+    gate: float = 1.0
+    reason: str = ""
+    interval: tuple[float, float] | None = None
+    far: float | None = None
+    far_correction: tuple[float, ...] = ()
+    far_probability: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class State:
+    """A tensor that a stream carries from sample to sample.
+
+    Attributes:
+        name: of the input of the ONNX graph; the output is called `NAME_out`.
+        shape: with 1 for the batch axis.
+        batch_axis: which axis that is.
+        start: `zero`, or `first`: a (N, B, I) buffer whose rows are all the first input.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    batch_axis: int = 1
+    start: Literal["zero", "first"] = "zero"
+
+    def initial(self, first: Float64[np.ndarray, "B I"]) -> np.ndarray:
+        """The tensor before the first sample, float32."""
+        shape = list(self.shape)
+        shape[self.batch_axis] = len(first)
+        out = np.zeros(shape, np.float32)
+        if self.start == "first":
+            out[:] = first
+        return out
+
+
+@dataclass(frozen=True)
+class ModelCard:
+    """The content of model.json.
+
+    Attributes:
+        name: e.g. `panda-realeasy-rt`.
+        method: e.g. `realeasy-rt`.
+        robot: name of the kind of robot.
+        joints: names of its joints, in order.
+        run: label of the simulated run that it was trained to correct, e.g. `mujoco/stock`.
+        rate_hz: samples per second that it was trained at.
+        causal: whether it needs no sample of the future.
+        inputs: I channels.
+        outputs: K channels.
+        states: what a stream carries; empty if not causal.
+        warmup_steps: samples after a start from which on the state is informative.
+        margin: share of a channel's training range by which an input may leave it.
+        coverage: share of samples that the intervals are to cover.
+        coverage_note: what limits that, e.g. too few val motions; empty if nothing does.
+        metrics: split -> signal -> joint -> {`simulated`, `corrected`} RMSE [unit].
+        files: name -> SHA-256 of the files beside the card.
+        description: for people.
+        provenance: versions, seed, data hash, configuration.
+    """
+
+    name: str
+    method: str
+    robot: str
+    joints: tuple[str, ...]
+    run: str
+    rate_hz: float
+    causal: bool
+    inputs: tuple[Input, ...]
+    outputs: tuple[Output, ...]
+    states: tuple[State, ...] = ()
+    warmup_steps: int = 0
+    margin: float = 0.1
+    coverage: float = 0.9
+    coverage_note: str = ""
+    metrics: Mapping[str, Any] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
+    description: str = ""
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse a card that describes no network."""
+        if not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
+            raise ConfigError(f"model {self.name!r}: rate_hz", got=self.rate_hz, expected="a positive number")
+        if not self.inputs or not self.outputs:
+            raise ConfigError(f"model {self.name!r} has no inputs or no outputs")
+        for output in self.outputs:
+            if not 0 <= output.base < len(self.inputs):
+                raise ConfigError(f"model {self.name!r}: {output.name} corrects no input", got=output.base)
+
+    @property
+    def base(self) -> Int[np.ndarray, "K"]:
+        """For each output the input that it corrects, (K,)."""
+        return np.array([output.base for output in self.outputs])
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of model.json, with a hash over all the rest."""
+        content = as_read_back({"schema": CARD_SCHEMA, **_finite(asdict(self))})
+        return {**content, _HASH: _digest(content)}
+
+    @staticmethod
+    def from_json(data: Any, where: str = CARD_NAME) -> ModelCard:
+        """Read back what `to_json` wrote.
+
+        Raises:
+            FormatError: not a model, or of another version.
+            DataError: a model, but changed after it was written, or broken.
+        """
+        found = data.get("schema") if isinstance(data, Mapping) else type(data).__name__
+        if found != CARD_SCHEMA:
+            raise FormatError(f"{where} describes no network of this version", got=found, expected=CARD_SCHEMA)
+        content = {key: value for key, value in data.items() if key != _HASH}
+        if data.get(_HASH) != _digest(content):
+            raise DataError(
+                f"{where} was changed after it was written (its hash differs)",
+                hint="Export the model again, or fetch it again.",
+            )
+        del content["schema"]
+        for item in content.get("inputs", ()):
+            item["low"] = -math.inf if item.get("low") is None else item["low"]
+            item["high"] = math.inf if item.get("high") is None else item["high"]
+        try:
+            return build(ModelCard, content, where)
+        except ConfigError as error:
+            raise DataError(f"{where} is broken", got=error.summary) from error
+
+    def save(self, folder: Path) -> ModelCard:
+        """Write model.json, last of all files: with the hashes of the others; returns the card as written."""
+        files = {name: file_hash(folder / name) for name in (ONNX_NAME, WEIGHTS_NAME) if (folder / name).is_file()}
+        card = replace(self, files=files)
+        write_json(folder / CARD_NAME, card.to_json())
+        return card
+
+    @staticmethod
+    def load(folder: Path) -> ModelCard:
+        """Read model.json; the other files are not looked at.
+
+        Raises:
+            DataError: missing, truncated or changed.
+            FormatError: of another version.
+        """
+        return ModelCard.from_json(read_json(folder / CARD_NAME), str(folder / CARD_NAME))
+
+    def verified(self, folder: Path, name: str) -> bytes:
+        """The bytes of a file beside the card, after a look at its hash.
+
+        Raises:
+            DataError: it is missing, truncated or changed, or the card does not know it.
+        """
+        if name not in self.files:
+            raise DataError(f"{folder / CARD_NAME} knows no {name}", available=self.files)
+        try:
+            data = (folder / name).read_bytes()
+        except OSError as error:
+            raise DataError(f"cannot read {folder / name}", got=error.strerror or str(error)) from error
+        found = hashlib.sha256(data).hexdigest()
+        if found != self.files[name]:
+            raise DataError(
+                f"{folder / name} is not the file that {CARD_NAME} describes",
+                got=f"{len(data)} bytes, SHA-256 {found[:12]}…",
+                expected=f"{self.files[name][:12]}…",
+                hint="It is truncated or was replaced: export the model again, or fetch it again.",
+            )
+        return data
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _finite(tree: Any) -> Any:
+    """Infinite bounds become null: JSON has no infinity."""
+    if isinstance(tree, Mapping):
+        return {key: _finite(value) for key, value in tree.items()}
+    if isinstance(tree, list | tuple):
+        return [_finite(value) for value in tree]
+    return None if isinstance(tree, float) and not math.isfinite(tree) else tree
