@@ -40,9 +40,9 @@ class Grid:
         """
         step = 1.0 / rate_hz
         steps = np.diff(stamps_s)
-        if steps.size and abs(steps.mean() / step - 1) <= _RATE_TOLERANCE:
-            if np.all(np.abs(steps / step - 1) <= _STEP_TOLERANCE):
-                return Grid(stamps_s, own=True)
+        at_rate = bool(steps.size) and abs(steps.mean() / step - 1) <= _RATE_TOLERANCE
+        if at_rate and np.all(np.abs(steps / step - 1) <= _STEP_TOLERANCE):
+            return Grid(stamps_s, own=True)
         count = int(np.floor((stamps_s[-1] - stamps_s[0]) / step + 1e-6)) + 1
         if count < 2:
             raise DataError("too short for the network", got=f"{stamps_s.size} samples", expected=f"{2 * step:g} s")
