@@ -153,7 +153,7 @@ class OptimizerConfig:
     """
 
     name: Literal["rmsprop", "adamw"] = "adamw"
-    rate: float = 3e-3
+    rate: float = 5e-3
     schedule: Literal["plateau", "cosine"] = "cosine"
     factor: float = 0.5
     patience: int = 3

@@ -130,8 +130,9 @@ def train(
             if _runs_away(loss, [epoch.train for epoch in history]) or _runs_away(val, [e.val for e in history]):
                 status = "diverged"
                 break
+            improved = val < min((epoch.val for epoch in history), default=math.inf)
             history.append(Epoch(number, loss, val, rate, time.perf_counter() - started))
-            if val <= min(epoch.val for epoch in history):
+            if improved:
                 best_number = number
                 best = {name: value.detach().clone() for name, value in corrector.network.state_dict().items()}
             save_checkpoint(

@@ -54,6 +54,9 @@ def train(
         Path | None, typer.Option("--tensorboard", help="Folder for curves that TensorBoard shows.")
     ] = None,
     drop_flagged: options.DropFlagged = False,
+    train_motions: Annotated[
+        int | None, typer.Option("--train-motions", min=1, help="Train on so many motions only, drawn from train.")
+    ] = None,
     seed: options.Seed = 0,
     jobs: options.Jobs = None,
     overwrite: options.Overwrite = False,
@@ -77,6 +80,7 @@ def train(
             robot=load_robot(robot) if robot else None,
             name=name,
             drop_flagged=drop_flagged,
+            train_motions=train_motions,
             seed=seed,
             jobs=jobs,
             device=device,

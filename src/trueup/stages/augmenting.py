@@ -58,6 +58,7 @@ def augment(
     name: str = "",
     description: str = "",
     drop_flagged: bool = False,
+    train_motions: int | None = None,
     seed: int = 0,
     jobs: int | None = None,
     device: str = "cpu",
@@ -80,6 +81,7 @@ def augment(
         name: of the model; the method if empty.
         description: for people, kept in the card.
         drop_flagged: leave out motions with quality warnings.
+        train_motions: train on no more than so many motions, drawn from the train split; to see what more data bring.
         seed: of all draws.
         jobs: threads; torch's own choice if None.
         device: `cpu` or `cuda`.
@@ -112,6 +114,8 @@ def augment(
     if resume and not overwrite and (out / CARD_NAME).is_file():
         return _finished(out, data_hash, config, seed)
     ids = {split: _ids(sources, split, drop_flagged=drop_flagged) for split in ("train", "val")}
+    if train_motions is not None:
+        ids["train"] = _drawn(ids["train"], train_motions, seed)
     first = next(_episodes(sources, ids["train"][:1], run, origin.joint_map))
     inputs, outputs = channels_of(first, run, signals=config.data.signals, command=config.data.command, known=SIGNALS)
     outputs = tuple(channel for channel in outputs if channel.joint in origin.scored)
@@ -237,6 +241,14 @@ def _ids(sources: Sequence[Dataset], split: str, *, drop_flagged: bool) -> list[
             hint="Training needs train and val: give --splits 80/15/5 when you import, or a split.json.",
         )
     return found
+
+
+def _drawn(ids: list[tuple[int, str]], count: int, seed: int) -> list[tuple[int, str]]:
+    """So many of them, at random; a smaller draw is part of a larger one."""
+    if count < 1:
+        raise ConfigError("train_motions", got=count, expected="at least 1")
+    order = np.random.default_rng(seed).permutation(len(ids))[:count]
+    return [ids[number] for number in sorted(order)]
 
 
 def _episodes(

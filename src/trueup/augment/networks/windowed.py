@@ -150,7 +150,8 @@ class _Block(nn.Module):
         query, key, value = parts.permute(2, 1, 3, 0, 4)  # (B, heads, T, W / heads)
         seen = nn.functional.scaled_dot_product_attention(query, key, value, attn_mask=self._bias(samples))
         x = x + self.merge(seen.permute(2, 0, 1, 3).reshape(samples, batch, width))
-        return x + self.narrow(torch.relu(self.widen(self.between(x))))
+        out: Tensor = x + self.narrow(torch.relu(self.widen(self.between(x))))
+        return out
 
     def _bias(self, samples: int) -> Tensor:
         """Bias of each pair of samples, (heads, T, T)."""
