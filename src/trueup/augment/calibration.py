@@ -57,7 +57,7 @@ def intervals_of(corrector: Corrector, pairs: Pairs, coverage: float) -> Interva
             above[number, output] = 1 - np.cumsum(counts) / len(ratio)
     risk = above.mean(axis=0)[:, :-1]  # of the factor at each edge
     allowed = 1 - coverage
-    needed = int(np.ceil(coverage / allowed))
+    needed = int(np.ceil(coverage / allowed - 1e-9))  # 0.9 / (1 - 0.9) is a little more than 9
     enough = motions >= needed
     bound = ((motions * risk + 1) / (motions + 1) if enough else risk) <= allowed + 1e-12
     factor = _RATIO_EDGES[np.where(bound.any(axis=1), bound.argmax(axis=1), _RATIO_EDGES.size - 1)]
