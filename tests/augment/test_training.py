@@ -16,7 +16,7 @@ from trueup.core.model_card import Channel, ModelCard
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
 from trueup.errors import ConfigError, DataError, MissingDependency, MissingSignal, NameMismatch, OutputExists
-from trueup.stages import augment
+from trueup.stages import augment as augment_stage
 
 SMALL = AugmentConfig(
     network=NetworkConfig("lstm", (12, 8)),
@@ -26,6 +26,11 @@ SMALL = AugmentConfig(
     epochs=6,
     stop_after=0,
 )
+
+
+def augment(*args, **kwargs):
+    """On one thread: these networks are too small for more, and tests run beside one another."""
+    return augment_stage(*args, jobs=1, **kwargs)
 
 
 def weights(folder):

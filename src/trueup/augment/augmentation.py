@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -102,12 +103,26 @@ class Augmentation:
             seed: of all draws.
             resume: go on from the checkpoint.
             device: `cpu` or `cuda`.
-            threads: of torch.
+            threads: of torch; its own choice if None.
             on_progress: called after every batch and epoch.
 
         Raises:
             TrueupError: see `training.train`.
         """
+        with _threads(threads):
+            return Augmentation._fit(task, config, folder, seed, device, on_progress, resume=resume)
+
+    @staticmethod
+    def _fit(
+        task: Task,
+        config: AugmentConfig,
+        folder: Path,
+        seed: int,
+        device: str,
+        on_progress: OnEpoch | None,
+        *,
+        resume: bool,
+    ) -> Augmentation:
         base = np.array([task.train.inputs.index(channel) for channel in task.train.outputs])
         summary = summarize(task.train, base)
         scaling = scaling_of(
@@ -130,7 +145,6 @@ class Augmentation:
             inputs=_digest(task, config, seed),
             resume=resume,
             device=device,
-            threads=threads,
             on_progress=on_progress,
         )
         errors = errors_of(corrector, task.val)
@@ -183,6 +197,16 @@ def _made(config: AugmentConfig, inputs: int, base: np.ndarray, scaling: Scaling
     network = build_network(config.network, inputs=inputs, base=base.tolist())
     torch.set_rng_state(before)
     return Corrector(network, scaling, base, target=config.loss.target)
+
+
+@contextlib.contextmanager
+def _threads(count: int | None) -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(count or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def _digest(task: Task, config: AugmentConfig, seed: int) -> str:

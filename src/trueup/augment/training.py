@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -77,7 +76,6 @@ def train(
     inputs: str,
     resume: bool = False,
     device: str = "cpu",
-    threads: int | None = None,
     on_progress: OnEpoch | None = None,
 ) -> Trained:
     """Train a corrector in place; in the end it has the weights of the best epoch on val.
@@ -95,7 +93,6 @@ def train(
         inputs: hash of everything that decides about the training; a checkpoint with another one is refused.
         resume: go on from the checkpoint, if there is one.
         device: `cpu` or `cuda`.
-        threads: of torch; its own choice if None.
         on_progress: called after every batch and epoch.
 
     Raises:
@@ -118,30 +115,27 @@ def train(
         history, best_number = list(state.history), state.best
     # The sum is the mean over outputs once weights are relative to their mean.
     weight = torch.tensor(_weights(config, train_pairs), dtype=torch.float32, device=place)
-    with _threads(threads):
-        while len(history) < config.epochs:
-            if _is_over(history, best_number, config.stop_after):
-                status = "stopped early"
-                break
-            number = len(history) + 1
-            started = time.perf_counter()
-            loss, rate = _epoch(corrector, windows, optimizer, config, history, weight, seed, on_progress)
-            val = float(val_loss(corrector, val_pairs, weight)) if math.isfinite(loss) else math.nan
-            if _runs_away(loss, [epoch.train for epoch in history]) or _runs_away(val, [e.val for e in history]):
-                status = "diverged"
-                break
-            improved = val < min((epoch.val for epoch in history), default=math.inf)
-            history.append(Epoch(number, loss, val, rate, time.perf_counter() - started))
-            if improved:
-                best_number = number
-                best = {name: value.detach().clone() for name, value in corrector.network.state_dict().items()}
-            save_checkpoint(
-                checkpoint, Checkpoint(inputs, tuple(history), best_number), corrector.network, optimizer, best
+    while len(history) < config.epochs:
+        if _is_over(history, best_number, config.stop_after):
+            status = "stopped early"
+            break
+        number = len(history) + 1
+        started = time.perf_counter()
+        loss, rate = _epoch(corrector, windows, optimizer, config, history, weight, seed, on_progress)
+        val = float(val_loss(corrector, val_pairs, weight)) if math.isfinite(loss) else math.nan
+        if _runs_away(loss, [epoch.train for epoch in history]) or _runs_away(val, [e.val for e in history]):
+            status = "diverged"
+            break
+        improved = val < min((epoch.val for epoch in history), default=math.inf)
+        history.append(Epoch(number, loss, val, rate, time.perf_counter() - started))
+        if improved:
+            best_number = number
+            best = {name: value.detach().clone() for name, value in corrector.network.state_dict().items()}
+        save_checkpoint(checkpoint, Checkpoint(inputs, tuple(history), best_number), corrector.network, optimizer, best)
+        if on_progress:
+            on_progress(
+                Progress(config.epochs, number, len(windows), len(windows), history[-1], _left(history, config))
             )
-            if on_progress:
-                on_progress(
-                    Progress(config.epochs, number, len(windows), len(windows), history[-1], _left(history, config))
-                )
     if not best:
         raise ConfigError(
             "training diverged in its first epoch",
@@ -289,14 +283,3 @@ def _runs_away(loss: float, earlier: Sequence[float]) -> bool:
 def _left(history: Sequence[Epoch], config: AugmentConfig) -> float:
     recent = [epoch.seconds for epoch in history[-5:]]
     return sum(recent) / len(recent) * (config.epochs - len(history))
-
-
-@contextlib.contextmanager
-def _threads(count: int | None) -> Iterator[None]:
-    before = torch.get_num_threads()
-    if count is not None:
-        torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
