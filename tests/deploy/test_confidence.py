@@ -2,10 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.networks import card_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.networks import card_of
 from trueup.deploy import Confidence
 
 

@@ -8,11 +8,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.networks import (
+    JOINTS,
+    REACH,
+    bidirectional,
+    by_signal,
+    changed,
+    inputs_of,
+    motion,
+    outputs_of,
+    real_time,
+    window,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from onnx import numpy_helper
 
-from deploy.networks import JOINTS, REACH, by_signal, changed, inputs_of, motion, outputs_of, real_time, window
 from trueup.core.model_card import Input
 from trueup.deploy import Confidence, Network, Predictor, Status, Stream, StreamSettings, Why
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, UnitError
@@ -223,8 +234,6 @@ def test_what_does_not_fit_is_refused(tmp_path):
 
 
 def test_a_network_that_needs_the_future_is_refused_with_what_to_use(tmp_path):
-    from deploy.networks import bidirectional
-
     made = bidirectional(tmp_path)
     refused(made, ConfigError, "future", "realeasy-rt", "History", "Predictor")
 

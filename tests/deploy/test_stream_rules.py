@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.networks import JOINTS, changed, motion, real_time, window
 from hypothesis import given
 from hypothesis import strategies as st
 from onnx import helper, numpy_helper
 
-from deploy.networks import JOINTS, changed, motion, real_time, window
 from trueup.deploy import Network, Predictor, Status, Stream, StreamSettings, Why
 
 WARMUP = 5  # of the networks
