@@ -15,7 +15,7 @@ _REHEARSALS = 20
 
 
 class Cell:
-    """One sample in, one out, and nothing allocated.
+    """One sample in, one out, and no array made.
 
     A run reads one set of states and writes the other; the next run has them the other way around. Both ways are bound
     beforehand.
