@@ -1,0 +1,69 @@
+"""A trained network over whole motions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from trueup.core.model_card import ModelCard
+from trueup.deploy.network import Network
+from trueup.errors import DataError
+
+
+class Predictor:
+    """Corrects motions from their first sample to their last; for networks of any kind.
+
+    Args:
+        network: an opened model folder.
+    """
+
+    def __init__(self, network: Network) -> None:
+        self._network = network
+        self._states = network.card.states
+
+    @staticmethod
+    def load(folder: Path | str) -> Predictor:
+        """Open a model folder; the errors are those of `Network.load`."""
+        return Predictor(Network.load(folder))
+
+    @property
+    def card(self) -> ModelCard:
+        """What the network says of itself."""
+        return self._network.card
+
+    def run(self, x: Float[np.ndarray, "T B I"]) -> Float32[np.ndarray, "T B K"]:
+        """The corrected output channels.
+
+        Every motion begins at a start: the first `card.warmup_steps` samples are less informed than those after them.
+
+        Args:
+            x: the input channels of B motions of equal length, in the card's order, SI, (T, B, I).
+
+        Returns:
+            The output channels in the card's order, SI, (T, B, K).
+
+        Raises:
+            DataError: another number of channels, nothing in it, or values that are not finite.
+        """
+        channels = self.card.inputs
+        if x.ndim != 3 or x.shape[2] != len(channels) or 0 in x.shape:
+            raise DataError(
+                f"model {self.card.name!r} cannot read these motions",
+                got=f"shape {x.shape}",
+                expected=f"(T, B, {len(channels)}), T and B at least 1",
+            )
+        bad = ~np.isfinite(x)
+        if bad.any():
+            t, b, channel = (int(number) for number in np.argwhere(bad)[0])
+            raise DataError(
+                f"model {self.card.name!r} cannot read values that are not finite",
+                got=f"{bad.sum()}, the first in {channels[channel].name}, sample {t} of motion {b}",
+            )
+        first = x[0].astype(np.float64)
+        feed = {"x": np.ascontiguousarray(x, np.float32)}
+        for state in self._states:
+            feed[state.name] = state.initial(first)
+        corrected: Float32[np.ndarray, "T B K"] = self._network.session.run(["y"], feed)[0]
+        return corrected

@@ -1,0 +1,57 @@
+"""Where inputs may be: what training covered, and a margin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float64, Int
+
+from trueup.core.model_card import Input
+
+# A channel that never moved in training may still carry the rounding of another simulator, in any SI unit.
+_ROUNDING = 1e-6
+# Beyond this, float32 knows only infinity.
+_LARGEST = float(np.finfo(np.float32).max)
+
+
+class Span:
+    """The range of each input channel, widened by a margin; and whether a sample is inside, cheaply.
+
+    Args:
+        inputs: I channels with what training covered.
+        margin: share of its range by which a channel may leave it.
+
+    Attributes:
+        low: smallest values, (I,).
+        high: largest values, (I,).
+    """
+
+    def __init__(self, inputs: Sequence[Input], margin: float) -> None:
+        ranges = np.array([(channel.low, channel.high) for channel in inputs])
+        ends = np.nan_to_num(ranges, posinf=_LARGEST, neginf=-_LARGEST)
+        width = np.where(np.isfinite(ranges).all(axis=1), np.ptp(ranges, axis=1), 0.0)  # no share of an endless range
+        slack = margin * width[:, None] + _ROUNDING * np.maximum(1.0, np.abs(ends))
+        self.low: Float64[np.ndarray, "I"] = np.maximum(ends[:, 0] - slack[:, 0], -_LARGEST)
+        self.high: Float64[np.ndarray, "I"] = np.minimum(ends[:, 1] + slack[:, 1], _LARGEST)
+        self._inside = np.ones((2, len(inputs)), bool)
+        self._above, self._below = self._inside
+        self._all = self._inside.tobytes()
+
+    def covers(self, x: Float64[np.ndarray, "I"]) -> bool:
+        """Whether all channels are finite and inside; two comparisons and no array made.
+
+        Comparing bytes takes a fifth of the time of `all()`; and a NaN is neither above nor below anything.
+        """
+        np.greater_equal(x, self.low, self._above)
+        np.less_equal(x, self.high, self._below)
+        return self._inside.tobytes() == self._all
+
+    def outside(self, x: Float64[np.ndarray, "I"]) -> Int[np.ndarray, "N"]:
+        """Numbers of the channels that are not finite, or out of range."""
+        return np.flatnonzero(~((x >= self.low) & (x <= self.high)))
+
+    def clipped(self, x: Float64[np.ndarray, "I"]) -> Float64[np.ndarray, "I"]:
+        """The nearest sample inside."""
+        nearest: Float64[np.ndarray, "I"] = np.clip(x, self.low, self.high)
+        return nearest
