@@ -1,0 +1,19 @@
+"""`trueup augment`: learned corrections."""
+
+from __future__ import annotations
+
+import typer
+
+from trueup.cli import augment_eval
+
+app = typer.Typer(
+    help="Learned corrections: networks that turn simulated signals into what the robot would have measured.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+augment_eval.register(app)
+
+
+def register(parent: typer.Typer) -> None:
+    """Add the group of commands."""
+    parent.add_typer(app, name="augment")
