@@ -27,10 +27,11 @@ ARROWS = {
     "identify": {"align", "measure", "robots", "sim"},
     "deploy": set(),
     "augment": {"dataset", "measure", "deploy"},
+    "zoo": {"augment"},
     "report": set(),
-    "stages": {"dataset", "align", "measure", "robots", "sim", "lab", "record", "identify", "deploy", "augment"},
+    "stages": {"dataset", "align", "measure", "robots", "sim", "lab", "record", "identify", "deploy", "augment", "zoo"},
     "cli": {
-        *("dataset", "align", "measure", "robots", "sim", "lab", "record", "identify", "deploy", "augment"),
+        *("dataset", "align", "measure", "robots", "sim", "lab", "record", "identify", "deploy", "augment", "zoo"),
         *("report", "stages"),
     },
 }

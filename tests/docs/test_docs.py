@@ -92,22 +92,32 @@ def test_no_block_is_overlooked(name):
     assert TEXT[name].count("<!--") == len([block for block in blocks(name) if block.what])
 
 
+def commands_of(group, *names):
+    """Every command by its words: `gap`, `augment eval`."""
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from commands_of(command, *names, name)
+        else:
+            yield " ".join((*names, name)), command
+
+
+COMMANDS = dict(commands_of(get_command(app)))
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_every_command_line_has_a_command_and_options_that_exist(name):
-    commands = get_command(app).commands
     for block in blocks(name):
         for line in command_lines(block):
-            known = {opt for parameter in commands[line[0]].params for opt in parameter.opts} | {"--help", "--debug"}
+            command = next(COMMANDS[words] for words in (line[0], " ".join(line[:2])) if words in COMMANDS)
+            known = {opt for parameter in command.params for opt in parameter.opts} | {"--help", "--debug"}
             assert {part for part in line if part.startswith("--")} <= known, line
 
 
-@pytest.mark.parametrize("command", sorted(get_command(app).commands))
+@pytest.mark.parametrize("command", sorted(COMMANDS))
 def test_every_command_and_option_is_explained(command):
     everything = "\n".join(TEXT.values())
     assert f"`trueup {command}" in everything or f"trueup {command} " in everything
-    options = {
-        opt for parameter in get_command(app).commands[command].params for opt in parameter.opts if opt.startswith("--")
-    }
+    options = {opt for parameter in COMMANDS[command].params for opt in parameter.opts if opt.startswith("--")}
     missing = {option for option in options if not re.search(rf"`[^`\n]*{option}(?![\w-])", everything)}
     assert not missing - {"--help"}
 

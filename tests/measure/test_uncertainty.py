@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from trueup.errors import DataError
-from trueup.measure import bootstrap_interval, paired_difference
+from trueup.measure import bootstrap_interval, paired_difference, ratio_interval
 
 LABELS = {
     "run": "fitted",
@@ -164,3 +164,55 @@ def test_paired_difference_with_missing_values():
     assert result.difference.low is None
     assert result.verdict == "undecided"
     assert math.isnan(difference([np.nan], [1.0]).difference.value)
+
+
+def test_a_ratio_over_ones_is_a_mean():
+    values = np.random.default_rng(3).gamma(2.0, size=(7, 3))
+    value, low, high = ratio_interval(values, np.ones_like(values), seed=4)
+    assert value == pytest.approx(values.mean(axis=0))
+    expected = bootstrap_interval(values, seed=4)
+    assert low == pytest.approx(expected[0])
+    assert high == pytest.approx(expected[1])
+
+
+def test_a_ratio_against_draws_by_hand():
+    """Percentiles of sums over the same drawn rows, for enough episodes that no widening applies."""
+    rng = np.random.default_rng(5)
+    above, below = rng.gamma(2.0, size=(25, 1)), rng.gamma(3.0, size=(25, 1))
+    value, low, high = ratio_interval(above, below, draws=20_000, seed=1)
+    rows = np.random.default_rng(99).integers(0, 25, size=(20_000, 25))
+    ratios = above[rows, 0].sum(axis=1) / below[rows, 0].sum(axis=1)
+    tail = stats.norm.cdf(math.sqrt(25 / 24) * stats.t.ppf(0.025, 24))
+    assert value[0] == pytest.approx(above.sum() / below.sum())
+    assert low[0] == pytest.approx(np.quantile(ratios, tail), abs=0.01)
+    assert high[0] == pytest.approx(np.quantile(ratios, 1 - tail), abs=0.01)
+
+
+def test_few_episodes_widen_a_ratio_to_the_linearized_t_interval():
+    above, below = np.array([[1.0], [2.0], [4.0]]), np.array([[2.0], [2.0], [2.0]])
+    # equal denominators: the ratio is the mean of 0.5, 1, 2; squares 0.444 + 0.028 + 0.694, s = 0.7638
+    _, low, high = ratio_interval(above, below)
+    half = stats.t.ppf(0.975, 2) * np.std([0.5, 1.0, 2.0], ddof=1) / math.sqrt(3)
+    assert [low[0], high[0]] == pytest.approx([7 / 6 - half, 7 / 6 + half])
+
+
+def test_an_episode_without_a_say_changes_no_ratio_and_none_gives_nothing():
+    above, below = np.array([[1.0, 0.0], [0.0, 0.0], [3.0, 0.0]]), np.array([[2.0, 0.0], [0.0, 0.0], [2.0, 0.0]])
+    value, low, high = ratio_interval(above, below)
+    assert value[0] == pytest.approx(1.0)
+    assert low[0] < 1.0 < high[0]
+    assert all(math.isnan(item[1]) for item in (value, low, high))
+    alone = ratio_interval(above[:1], below[:1])
+    assert alone[0][0] == pytest.approx(0.5)
+    assert all(math.isnan(item[0]) for item in alone[1:])
+
+
+def test_ratios_cover_the_truth_at_about_the_stated_rate():
+    """Pooled errors of motions of different length and difficulty; 300 sets of 33."""
+    rng, hits = np.random.default_rng(6), 0
+    for seed in range(300):
+        length = rng.uniform(200, 800, 33)
+        squares = length * np.exp(0.5 * rng.normal(size=33))
+        _, low, high = ratio_interval(squares[:, None], length[:, None], draws=400, seed=seed)
+        hits += low[0] <= math.exp(0.125) <= high[0]
+    assert 0.90 <= hits / 300 <= 0.985

@@ -8,7 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from report.run_folders import World, add_identification, fit_parameters, make_fit, make_run, many_parameters
+from report.run_folders import (
+    World,
+    add_identification,
+    fit_parameters,
+    make_fit,
+    make_run,
+    many_parameters,
+    simulate,
+)
+from report.test_report_augment import evaluation
 from trueup.report import write_report
 
 pytestmark = pytest.mark.browser
@@ -446,3 +455,27 @@ def test_hostile_names_of_a_fit_are_only_text(driver, tmp_path):
     )
     assert set(joints) == set(heads)
     assert problems(driver) == []
+
+
+def test_learned_corrections_are_drawn_and_follow_their_menus(driver, run_folder, tmp_path):
+    from selenium.webdriver.support.ui import Select
+
+    folder = shutil.copytree(run_folder, tmp_path / "run")
+    evaluation(simulate(World())).save(folder / "augment.json")
+    page = write_report(folder)
+    show(driver, page)
+    drawn = "return [...document.querySelectorAll('#augmentation .figure')].map((e) => e.data ? e.data.length : 0)"
+    assert all(driver.execute_script(drawn))
+    table = "return document.querySelector('#augmentation [data-table=cuts]').innerText"
+    before = driver.execute_script(table)
+    Select(driver.find_element("css selector", "#cuts-chooser select")).select_by_value("cartesian")
+    assert driver.execute_script(table) != before
+    motion = driver.find_elements("css selector", "#motion-chooser select")[0]
+    panels = "return document.querySelectorAll('#motion-chooser .scatterlayer').length"
+    assert driver.execute_script(panels) == 3
+    Select(motion).select_by_value("cartesian")
+    assert driver.execute_script(panels) == 3
+    assert problems(driver) == []
+    show(driver, page, 390, mobile=True)
+    wide, narrow = driver.execute_script("const e = document.documentElement; return [e.scrollWidth, e.clientWidth]")
+    assert wide <= narrow == 390

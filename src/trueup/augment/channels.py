@@ -16,7 +16,7 @@ from trueup.errors import DataError, MissingSignal, NameMismatch, UnitError
 
 # A clock whose steps are this near to the network's is taken as it is: robots' clocks jitter.
 _STEP_TOLERANCE = 0.2
-_RATE_TOLERANCE = 0.02
+RATE_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +40,8 @@ class Grid:
         """
         step = 1.0 / rate_hz
         steps = np.diff(stamps_s)
-        at_rate = bool(steps.size) and abs(steps.mean() / step - 1) <= _RATE_TOLERANCE
-        if at_rate and np.all(np.abs(steps / step - 1) <= _STEP_TOLERANCE):
+        even = bool(steps.size) and abs(steps.mean() / step - 1) <= RATE_TOLERANCE
+        if even and np.all(np.abs(steps / step - 1) <= _STEP_TOLERANCE):
             return Grid(stamps_s, own=True)
         count = int(np.floor((stamps_s[-1] - stamps_s[0]) / step + 1e-6)) + 1
         if count < 2:

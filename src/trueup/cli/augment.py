@@ -1,15 +1,20 @@
-"""`trueup augment`: train and judge learned corrections."""
+"""`trueup augment`: learned corrections."""
 
 from __future__ import annotations
 
 import typer
 
-from trueup.cli.augment_train import train
+from trueup.cli import augment_eval, augment_train
 
-app = typer.Typer(help="Learned corrections of a simulated run: train them, judge them.", no_args_is_help=True)
-app.command("train")(train)
+app = typer.Typer(
+    help="Learned corrections: networks that turn simulated signals into what the robot would have measured.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+for module in (augment_train, augment_eval):
+    module.register(app)
 
 
 def register(parent: typer.Typer) -> None:
-    """Add the commands."""
+    """Add the group of commands."""
     parent.add_typer(app, name="augment")

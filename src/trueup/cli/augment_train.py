@@ -25,6 +25,11 @@ if TYPE_CHECKING:
 _PLAIN_EVERY_S = 10.0
 
 
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("train")(train)
+
+
 def train(
     datasets: Annotated[list[Path], typer.Argument(help="Datasets with the run in them; several for several units.")],
     out_dir: Annotated[Path, typer.Option("--out", help="Folder for the model.")],

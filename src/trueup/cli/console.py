@@ -121,3 +121,10 @@ def problem(message: str, hint: str | None = None) -> None:
 def note(message: str) -> None:
     """A remark on stderr."""
     err.print(Text("note: ", style="bold yellow") + Text(_plain_text(message)))
+
+
+def warning(message: str, hint: str | None = None) -> None:
+    """What must not be overlooked although the exit code is 0."""
+    err.print(Text("warning: ", style="bold yellow") + Text(_plain_text(message)))
+    if hint:
+        err.print(Text("  next: ", style="bold") + Text(_plain_text(hint)))

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.text import Text
 
 from trueup.cli import options
-from trueup.cli.console import err, iterations, note, out, problem, track
+from trueup.cli.console import iterations, note, out, problem, track, warning
 from trueup.cli.fit_tables import model_table, parameter_table, status_line
 from trueup.cli.tables import ladder_table, verdicts
 
@@ -100,10 +99,3 @@ def show(identified: Identified, out_dir: Path) -> None:
     out.print(f"fitted model: {out_dir / 'model.fitted.xml'}", markup=False)
     out.print(f"fitted robot: {out_dir / 'robot.fitted.yaml'}", markup=False)
     out.print(f"report: {write_report(out_dir)}", markup=False)
-
-
-def warning(message: str, hint: str | None) -> None:
-    """What must not be overlooked although the exit code is 0."""
-    err.print(Text("warning: ", style="bold yellow") + Text(message))
-    if hint:
-        err.print(Text("  next: ", style="bold") + Text(hint))

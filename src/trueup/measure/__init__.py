@@ -44,6 +44,7 @@ from trueup.measure.trend import trend as trend
 from trueup.measure.trend import trends_of as trends_of
 from trueup.measure.uncertainty import bootstrap_interval as bootstrap_interval
 from trueup.measure.uncertainty import paired_difference as paired_difference
+from trueup.measure.uncertainty import ratio_interval as ratio_interval
 
 __all__ = [
     "COMMAND_RUN",
@@ -82,6 +83,7 @@ __all__ = [
     "phase_lag",
     "position_distance",
     "r2",
+    "ratio_interval",
     "rmse",
     "robustness",
     "rotation_distance",

@@ -72,10 +72,7 @@ def bootstrap_interval(
     if not enough.any():
         return np.full(len(count), np.nan), np.full(len(count), np.nan)
     means = np.sort(_resampled_means(values, valid, draws, seed), axis=1)  # NaN goes last
-    tail = _expanded_tail(np.maximum(count, 2), level)
-    last = np.maximum((~np.isnan(means)).sum(axis=1) - 1, 0)
-    low = _interpolate(means, tail * last)
-    high = _interpolate(means, (1.0 - tail) * last)
+    low, high = _percentiles(means, np.maximum(count, 2), level)
 
     center, half = _student(values, valid, level)
     few = count < FEW_EPISODES
@@ -135,6 +132,56 @@ def paired_difference(
     )
 
 
+def ratio_interval(
+    numerator: Float64[np.ndarray, "E K"],
+    denominator: Float64[np.ndarray, "E K"],
+    *,
+    draws: int = 2000,
+    seed: int = 0,
+    level: float = LEVEL,
+) -> tuple[Float64[np.ndarray, "K"], Float64[np.ndarray, "K"], Float64[np.ndarray, "K"]]:
+    """K ratios of sums over E episodes, e.g. a squared error pooled over samples, with intervals.
+
+    Numerator and denominator come from the same draws of whole episodes: what makes an episode hard for both is not in
+    the interval. Below ten episodes it is widened to Student's t interval of the linearized ratio (Taylor expansion of
+    first order, Cochran 1977, "Sampling Techniques", section 6.4) where that is the wider one.
+
+    Args:
+        numerator: sums of each episode, shape (E, K); 0 where the denominator is 0.
+        denominator: likewise, shape (E, K), none negative; 0 where an episode has no say in a column.
+        draws: number of resamples B.
+        seed: seed of the resamples; equal seeds and E give equal draws.
+        level: nominal coverage.
+
+    Returns:
+        Ratios, lower and upper ends, shape (K,) each. A ratio is NaN where no episode has a say, its ends where fewer
+        than two have.
+
+    Raises:
+        DataError: no draws.
+    """
+    if draws < 1:
+        raise DataError("a bootstrap needs draws", got=draws, expected="at least 1")
+    known = denominator > 0.0
+    count = known.sum(axis=0)
+    value = _quotient(numerator.sum(axis=0), denominator.sum(axis=0))
+    enough = count >= 2
+    if not enough.any():
+        return value, np.full(len(count), np.nan), np.full(len(count), np.nan)
+    both = np.concatenate([numerator, denominator], axis=1)
+    means = _resampled_means(both, np.ones_like(both, dtype=bool), draws, seed)
+    ratios = np.sort(_quotient(means[: len(count)], means[len(count) :]), axis=1)
+    low, high = _percentiles(ratios, np.maximum(count, 2), level)
+
+    pull = np.where(known, numerator - np.where(enough, value, 0.0) * denominator, 0.0)
+    pull /= np.where(enough, denominator.sum(axis=0), 1.0) / np.maximum(count, 1)
+    _, half = _student(pull, known, level)
+    few = count < FEW_EPISODES
+    low = np.where(few, np.fmin(low, value - half), low)
+    high = np.where(few, np.fmax(high, value + half), high)
+    return value, np.where(enough, low, np.nan), np.where(enough, high, np.nan)
+
+
 def estimate(
     value: float, unit: str, low: float, high: float, bounds: tuple[float, float] = (-math.inf, math.inf)
 ) -> Estimate:
@@ -142,6 +189,22 @@ def estimate(
     if math.isnan(low) or math.isnan(high):
         return Estimate(value, unit)
     return Estimate(value, unit, low=max(low, bounds[0]), high=min(high, bounds[1]))
+
+
+def _quotient(above: np.ndarray, below: np.ndarray) -> np.ndarray:
+    """NaN where there is nothing to divide by."""
+    out = np.full(np.shape(above), np.nan)
+    np.divide(above, below, out=out, where=below > 0.0)
+    return out
+
+
+def _percentiles(
+    ordered: Float64[np.ndarray, "K B"], count: np.ndarray, level: float
+) -> tuple[Float64[np.ndarray, "K"], Float64[np.ndarray, "K"]]:
+    """The expanded percentiles of sorted draws from `count` episodes; draws that are NaN come last and do not count."""
+    tail = _expanded_tail(count, level)
+    last = np.maximum((~np.isnan(ordered)).sum(axis=1) - 1, 0)
+    return _interpolate(ordered, tail * last), _interpolate(ordered, (1.0 - tail) * last)
 
 
 def _resampled_means(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from trueup.core.attribution import Attribution
+from trueup.core.augment_result import ANY_CONDITION, AugmentResult
 from trueup.core.engines import EngineComparison
 from trueup.core.fit_result import FitResult, FittedParameter
 from trueup.core.results import Estimate, GapResult, Ladder, Metrics
@@ -109,6 +110,20 @@ def check_engines(engines: EngineComparison, path: Path) -> None:
     check_types(path, (engines.provenance, Mapping))
     if engines.plane is not None:
         check_types(path, *((name, str) for name in engines.plane.joints))
+
+
+def check_augment(augment: AugmentResult, gap: GapResult, path: Path) -> None:
+    """Whether augment.json belongs to the measurement beside it, and has a table for each of its groups.
+
+    Raises:
+        DataError: it does not, or has not.
+    """
+    missing = {augment.run, *(model.run for model in augment.models)} - gap.runs.keys()
+    if missing:
+        raise DataError(f"{path} is about runs that were not measured", got=sorted(missing), available=gap.runs)
+    tables = [augment.simulated, *(model.cuts for model in augment.models)]
+    if any(table.keys() != augment.motions.keys() for table in tables) or ANY_CONDITION not in augment.motions:
+        raise DataError(f"{path} is broken: tables and groups of motions differ", expected=list(augment.motions))
 
 
 def check_estimate(estimate: Estimate, path: Path) -> None:

@@ -10,13 +10,14 @@ from typing import TypeVar
 
 from trueup.core.analysis import Analysis
 from trueup.core.attribution import Attribution
+from trueup.core.augment_result import AUGMENT_NAME, AugmentResult
 from trueup.core.engines import EngineComparison
 from trueup.core.fit_result import FitResult
 from trueup.core.quality import Quality
 from trueup.core.results import GapResult, Ladder
 from trueup.core.traces import TraceSet
 from trueup.errors import DataError, TrueupError
-from trueup.report.checks import check_attribution, check_engines, check_fit, check_gap, check_ladder
+from trueup.report.checks import check_attribution, check_augment, check_engines, check_fit, check_gap, check_ladder
 from trueup.report.graybox import Graybox
 from trueup.report.labels import COMMAND, ordered_runs
 from trueup.report.palette import Style, run_styles
@@ -39,6 +40,7 @@ class RunFolder:
         quality: quality.json.
         analysis: analysis.json.
         engines: engines.json.
+        augment: augment.json.
         fit: fit.json.
         attribution: explain.json.
         graybox: graybox.json.
@@ -52,6 +54,7 @@ class RunFolder:
     quality: Quality | None = None
     analysis: Analysis | None = None
     engines: EngineComparison | None = None
+    augment: AugmentResult | None = None
     fit: FitResult | None = None
     attribution: Attribution | None = None
     graybox: Graybox | None = None
@@ -111,6 +114,9 @@ class RunFolder:
         engines = _optional(folder / "engines.json", EngineComparison.load)
         if engines is not None:
             check_engines(engines, folder / "engines.json")
+        augment = _optional(folder / AUGMENT_NAME, AugmentResult.load)
+        if augment is not None:
+            check_augment(augment, gap, folder / AUGMENT_NAME)
         model = folder / "model.fitted.xml"
         return RunFolder(
             gap=gap,
@@ -124,6 +130,7 @@ class RunFolder:
             quality=_optional(folder / "quality.json", Quality.load),
             analysis=_optional(folder / "analysis.json", Analysis.load),
             engines=engines,
+            augment=augment,
         )
 
 

@@ -6,7 +6,7 @@ The hues are those of Okabe and Ito (Color Universal Design, 2008) that stand ou
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import cycle
 
 from trueup.report.labels import COMMAND, SPLITS, ordered, ordered_runs
@@ -70,7 +70,7 @@ _CAUSE_STYLES = {
 def run_styles(labels: Iterable[str]) -> dict[str, Style]:
     """The style of every run; the same labels always get the same styles."""
     runs = [label for label in ordered_runs(set(labels)) if label != COMMAND]
-    styles = {label: _CYCLE[number % len(_CYCLE)] for number, label in enumerate(runs)}
+    styles = {label: _nth(number) for number, label in enumerate(runs)}
     return {COMMAND: _COMMAND_STYLE, **styles}  # in the order of the report
 
 
@@ -90,4 +90,10 @@ def cause_styles(causes: Iterable[str]) -> dict[str, Style]:
 def cycled_styles(names: Iterable[str]) -> dict[str, Style]:
     """Styles for things that stand for themselves, in their order; the first is what the others are compared with."""
     first, *others = list(names)
-    return {first: _COMMAND_STYLE, **{name: _CYCLE[number % len(_CYCLE)] for number, name in enumerate(others)}}
+    return {first: _COMMAND_STYLE, **{name: _nth(number) for number, name in enumerate(others)}}
+
+
+def _nth(number: int) -> Style:
+    """A style of the cycle; from its second round on each color comes with the marks of its neighbor."""
+    marks = _CYCLE[(number + number // len(_CYCLE)) % len(_CYCLE)]
+    return replace(marks, color=_CYCLE[number % len(_CYCLE)].color)

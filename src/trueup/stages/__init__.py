@@ -9,6 +9,8 @@ from trueup.stages.demonstrating import demo_dataset as demo_dataset
 from trueup.stages.designing import Designed as Designed
 from trueup.stages.designing import Foreseen as Foreseen
 from trueup.stages.designing import design as design
+from trueup.stages.evaluating import Evaluated as Evaluated
+from trueup.stages.evaluating import evaluate as evaluate
 from trueup.stages.experimenting import experiment as experiment
 from trueup.stages.exporting import export_dataset as export_dataset
 from trueup.stages.identifying import FITTED as FITTED
@@ -36,6 +38,7 @@ __all__ = [
     "Closed",
     "Designed",
     "EngineRig",
+    "Evaluated",
     "Foreseen",
     "Identified",
     "ImportSummary",
@@ -48,6 +51,7 @@ __all__ = [
     "demo",
     "demo_dataset",
     "design",
+    "evaluate",
     "experiment",
     "explain",
     "export_dataset",

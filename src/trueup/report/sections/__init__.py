@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from trueup.report.folder import RunFolder
 from trueup.report.sections.attribution import attribution_section
+from trueup.report.sections.augmentation import augmentation_section
 from trueup.report.sections.base import Section as Section
 from trueup.report.sections.causes import causes_section
 from trueup.report.sections.engines import engines_section
@@ -25,6 +26,7 @@ from trueup.report.sections.verdict import verdict_section
 SECTIONS: tuple[Callable[[RunFolder], Section | None], ...] = (
     verdict_section,
     ladder_section,
+    augmentation_section,
     attribution_section,
     parameters_section,
     open_section,

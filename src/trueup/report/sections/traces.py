@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from trueup.core.traces import COMMAND, EpisodeTraces
-from trueup.report.embed import Embedded, fit_to_budget, to_base64
+from trueup.report.embed import BUDGET_BYTES, Embedded, fit_to_budget, to_base64
 from trueup.report.folder import RunFolder
 from trueup.report.labels import SIGNALS, SPLITS, ordered, run_title, split_title
 from trueup.report.numbers import plural, quantity_with_degrees
@@ -14,13 +14,18 @@ from trueup.report.sections.base import Section
 from trueup.report.sections.episodes import joint_errors, scored_mean
 from trueup.report.verdict import extreme_joints, find_headline
 
+# What the section of learned corrections takes, and every network in all sections.
+_AUGMENT_BYTES = 250_000
+_NETWORK_BYTES = 250_000
+
 
 def traces_section(run: RunFolder) -> Section | None:
     """Only where curves were kept."""
     if run.traces is None or not any(item.traces for item in run.traces.episodes.values()):
         return None
     worst_first = by_error(run, [item for item in run.traces.episodes.values() if item.traces])
-    embedded = fit_to_budget(worst_first)
+    taken = 0 if run.augment is None else _AUGMENT_BYTES + _NETWORK_BYTES * len(run.augment.models)
+    embedded = fit_to_budget(worst_first, budget_bytes=BUDGET_BYTES - taken)
     listed = sorted(embedded.episodes, key=lambda item: (_split_rank(item.split), item.id))
     packed = [item.pack() for item in listed]
     data = {

@@ -1,0 +1,85 @@
+"""`trueup augment eval`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from trueup.cli import options
+from trueup.cli.augment_tables import confidence_table, cut_table, error_table, gated_lines, shown_groups
+from trueup.cli.console import note, out, track, warning
+from trueup.cli.gap import hold_bars
+
+if TYPE_CHECKING:
+    from trueup.core.augment_result import AugmentResult
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the group."""
+    app.command("eval")(evaluate)
+
+
+def evaluate(
+    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset with a simulated run.")],
+    models: Annotated[
+        list[Path], typer.Option("--model", help="Folder of a trained network; repeat it to compare networks.")
+    ],
+    out_dir: Annotated[Path, typer.Option("--out", help="Folder for augment.json, gap.json and report.html.")],
+    run: Annotated[
+        str | None,
+        typer.Option(
+            "--run", help="Simulated run to correct; the one that the networks were trained for if not given."
+        ),
+    ] = None,
+    split: Annotated[str, typer.Option("--split", help="train, val, test, or all.")] = "test",
+    drop_flagged: options.DropFlagged = False,
+    fail_above: options.FailAbove = None,
+    seed: options.Seed = 0,
+    overwrite: options.Overwrite = False,
+) -> int:
+    """Say what learned corrections are worth, joint by joint, with intervals; write augment.json and a report.
+
+    Every correction is stored as a run of the dataset.
+    """
+    from trueup.dataset import Dataset
+    from trueup.measure import parse_bar
+    from trueup.report import write_report
+    from trueup.stages import evaluate as measure
+
+    bars = [parse_bar(text) for text in fail_above or []]
+    evaluated = measure(
+        Dataset(dataset),
+        models,
+        out_dir,
+        run=run,
+        split=split,
+        drop_flagged=drop_flagged,
+        seed=seed,
+        overwrite=overwrite,
+        track=track,
+    )
+    show(evaluated.result)
+    for line in evaluated.warnings:
+        warning(line)
+    for line in evaluated.notes:
+        note(line)
+    out.print(f"report: {write_report(out_dir)}", markup=False)
+    hold_bars(evaluated.measurement.gap, bars)
+    return 0
+
+
+def show(result: AugmentResult) -> None:
+    """Per group of motions what is left of the errors, then how far the networks can be trusted."""
+    main = result.main_signal
+    others = [signal for signal in result.signals if signal != main]
+    for condition in shown_groups(result):
+        out.print(cut_table(result, condition, main))
+        if others:
+            out.print(error_table(result, condition, others))
+    confidence = confidence_table(result, main)
+    if confidence.row_count:
+        out.print(confidence)
+    for line in gated_lines(result):
+        note(line)

@@ -1,0 +1,190 @@
+"""What learned corrections are worth, as tables for the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from rich.table import Table
+from rich.text import Text
+
+from trueup.core.augment_result import ALL_JOINTS, ANY_CONDITION, AugmentResult, Cut, ModelEvaluation
+from trueup.core.results import Estimate
+
+# More joints than this do not fit beside each other.
+_MOST_COLUMNS = 10
+_SIMULATION = "simulation"
+_NOTHING = "-"
+
+
+def shown_groups(result: AugmentResult) -> list[str]:
+    """The conditions, and all motions together only if that says more."""
+    named = [name for name in result.conditions if name != ANY_CONDITION]
+    complete = sum(result.motions[name] for name in named) == result.motions[ANY_CONDITION]
+    return named if named and complete else list(result.conditions)
+
+
+def group_title(result: AugmentResult, condition: str) -> str:
+    """E.g. `multi-joint, test, 42 motions`."""
+    count = result.motions[condition]
+    split = () if result.split == "all" else (result.split,)
+    return ", ".join((condition or "all conditions", *split, f"{count} motion{'' if count == 1 else 's'}"))
+
+
+def cut_table(result: AugmentResult, condition: str, signal: str) -> Table:
+    """MSE of one signal joint by joint, and how many times smaller a correction makes it (Realeasy, Table II)."""
+    joints = _joints(result, condition, signal)
+    stock = result.simulated[condition][signal]
+    unit = _common_unit([stock[joint].mse for joint in joints])
+    rows = [[_SIMULATION, *(_value(stock[joint].mse, unit) for joint in joints)]]
+    for model in result.models:
+        cuts = model.cuts[condition].get(signal, {})
+        rows.append([model.name, *(_cut_cell(cuts.get(j), unit, off=model.is_off(signal, j)) for j in joints)])
+    title = (
+        f"{signal} MSE{_bracketed(unit)}, {group_title(result, condition)}; "
+        "x: times smaller than the simulation [95 % interval]"
+    )
+    return _laid_out(title, [""], joints, rows)
+
+
+def error_table(result: AugmentResult, condition: str, signals: Sequence[str]) -> Table:
+    """RMSE of other signals, with a word where a correction does not make it smaller for sure."""
+    joints = list(dict.fromkeys(joint for signal in signals for joint in _joints(result, condition, signal)))
+    rows = []
+    for signal in signals:
+        stock = result.simulated[condition][signal]
+        unit = _common_unit([item.rmse for item in stock.values()])
+        about = f"{signal}{_bracketed(unit)}"
+        known = [stock.get(joint) for joint in joints]
+        rows.append([about, _SIMULATION, *(_NOTHING if item is None else _value(item.rmse, unit) for item in known)])
+        for model in result.models:
+            cuts = model.cuts[condition].get(signal, {})
+            cells = [_error_cell(cuts.get(j), unit, off=model.is_off(signal, j)) for j in joints]
+            rows.append(["", model.name, *cells])
+    title = f"RMSE, {group_title(result, condition)}; ~ undecided, off: switched off by its training"
+    return _laid_out(title, ["", ""], joints, rows)
+
+
+def confidence_table(result: AugmentResult, signal: str) -> Table:
+    """How often the intervals of a signal hold, and how reliable "far off" is: one row per network and group."""
+    table = Table(title=_text(f"{signal}: intervals and warnings, all joints [95 % interval]"), title_justify="left")
+    for name in ("", "motions"):
+        table.add_column(name, no_wrap=True)
+    for name in ("covered", "promised", "half width", "far off", "calibration error", "skill"):
+        table.add_column(name, justify="right")
+    for model in result.models:
+        for condition in shown_groups(result):
+            cells = _confidence_cells(model, condition, signal)
+            if any(cells):
+                about = [model.name, condition or "all"]
+                table.add_row(*map(_text, about), *(_text(cell or _NOTHING) for cell in cells))
+    return table
+
+
+def gated_lines(result: AugmentResult) -> list[str]:
+    """Which outputs are switched off and why, one line per network and reason."""
+    lines = []
+    for model in result.models:
+        by_reason: dict[str, dict[str, list[str]]] = {}
+        for item in model.gated:
+            by_reason.setdefault(item.reason, {}).setdefault(item.signal, []).append(item.joint)
+        for reason, signals in by_reason.items():
+            names = [f"{signal} of {_named(joints, result.joints)}" for signal, joints in signals.items()]
+            lines.append(f"{model.name} leaves {'; '.join(names)} as simulated{f': {reason}' if reason else ''}")
+    return lines
+
+
+def _named(joints: Sequence[str], all_joints: Sequence[str]) -> str:
+    return "all joints" if set(all_joints) <= set(joints) else ", ".join(joints)
+
+
+def _confidence_cells(model: ModelEvaluation, condition: str, signal: str) -> list[str]:
+    coverage = model.coverage.get(condition, {}).get(signal, {}).get(ALL_JOINTS)
+    reliability = model.reliability.get(condition, {}).get(signal)
+    cells = [""] * 6
+    if coverage is not None:
+        cells[:3] = [
+            f"{_percent(coverage.share)}",
+            f"{100 * model.coverage_target:.0f} %",
+            f"{coverage.half_width.value:.3g} {coverage.half_width.unit}",
+        ]
+    if reliability is not None:
+        skill = _NOTHING if reliability.skill is None else f"{reliability.skill:.2f}"
+        cells[3:] = [f"{100 * reliability.far:.1f} %", f"{100 * reliability.error:.1f} %", skill]
+    return cells
+
+
+def _percent(share: Estimate) -> str:
+    if share.low is None or share.high is None:
+        return f"{100 * share.value:.1f} %"
+    return f"{100 * share.value:.1f} % [{100 * share.low:.1f}, {100 * share.high:.1f}]"
+
+
+def _joints(result: AugmentResult, condition: str, signal: str) -> list[str]:
+    """In the robot's order, all together last."""
+    known = result.simulated[condition].get(signal, {})
+    return [joint for joint in (*result.joints, ALL_JOINTS) if joint in known]
+
+
+def _common_unit(items: Sequence[Estimate]) -> str:
+    units = {item.unit for item in items}
+    return units.pop() if len(units) == 1 else ""
+
+
+def _value(estimate: Estimate, unit: str) -> str:
+    return f"{estimate.value:.3g}" if unit else f"{estimate.value:.3g} {estimate.unit}"
+
+
+def _cut_cell(cut: Cut | None, unit: str, *, off: bool) -> str:
+    if cut is None:
+        return _NOTHING
+    return "\n".join([_value(cut.mse, unit), *(["off"] if off else _factor_lines(cut))])
+
+
+def _factor_lines(cut: Cut) -> list[str]:
+    factor = cut.factor
+    if math.isnan(factor.value):
+        return ["nothing left"] if cut.mse.value == 0.0 else []
+    word = {"better": "", "undecided": " ~", "worse": " worse"}[cut.verdict]
+    if factor.low is None:
+        ends = []
+    else:
+        ends = [f"above {factor.low:.3g}" if factor.high is None else f"[{factor.low:.3g}, {factor.high:.3g}]"]
+    return [f"x{factor.value:.3g}{word}", *ends]
+
+
+def _error_cell(cut: Cut | None, unit: str, *, off: bool) -> str:
+    if cut is None:
+        return _NOTHING
+    word = " off" if off else {"better": "", "undecided": " ~", "worse": " worse"}[cut.verdict]
+    return f"{_value(cut.rmse, unit)}{word}"
+
+
+def _bracketed(unit: str) -> str:
+    return f" [{unit}]" if unit else ""
+
+
+def _text(text: str) -> Text:
+    """Brackets are no markup here."""
+    return Text(text)
+
+
+def _laid_out(title: str, corners: Sequence[str], joints: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """One row per network and one column per joint, or the other way round where there are too many joints."""
+    table = Table(title=_text(title), title_justify="left")
+    names = [joint or "all joints" for joint in joints]
+    if len(joints) <= _MOST_COLUMNS:
+        for corner in corners:
+            table.add_column(corner, no_wrap=True)
+        for name in names:
+            table.add_column(_text(name), justify="right")
+        for row in rows:
+            table.add_row(*map(_text, row))
+        return table
+    table.add_column("")
+    heads, cells = [row[: len(corners)] for row in rows], [row[len(corners) :] for row in rows]
+    for head in heads:
+        table.add_column(_text("\n".join(part for part in head if part)), justify="right")
+    for name, column in zip(names, zip(*cells, strict=True), strict=True):
+        table.add_row(_text(name), *map(_text, column))
+    return table

@@ -1,0 +1,285 @@
+"""What learned corrections are worth: `augment.json`.
+
+Errors are pooled over samples, as in the papers: the mean over all samples of all motions of a group. Intervals are
+over whole motions, since samples of one motion are not independent. gap.json beside it has means over motions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from trueup.core.atomic import as_read_back, read_json, write_json
+from trueup.core.config import build
+from trueup.core.results import Estimate
+from trueup.core.step_times import StepTimes
+from trueup.errors import ConfigError, DataError, FormatError
+
+AUGMENT_SCHEMA = "trueup.augment/1"
+AUGMENT_NAME = "augment.json"
+# All motions whatever their condition, and the scored joints together, where they share a unit.
+ANY_CONDITION = ""
+ALL_JOINTS = ""
+
+Verdict = Literal["better", "worse", "undecided"]
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """An error over all samples of a group of motions.
+
+    Attributes:
+        mse: mean square error, e.g. [(Nm)^2].
+        rmse: its root, e.g. [Nm].
+    """
+
+    mse: Estimate
+    rmse: Estimate
+
+
+@dataclass(frozen=True)
+class Cut:
+    """What is left of an error after correction.
+
+    Attributes:
+        mse: mean square error of the corrected signal.
+        rmse: its root.
+        factor: how many times smaller the MSE is than the simulator's on the same motions; below 1 it grew. NaN where
+            nothing is left of it, or nothing was there.
+        verdict: `better` or `worse` where the paired interval of the factor excludes 1 (so that the interval of the
+            difference excludes zero), else `undecided`.
+    """
+
+    mse: Estimate
+    rmse: Estimate
+    factor: Estimate
+    verdict: Verdict
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How often the measured value lies in the interval around the corrected one.
+
+    Attributes:
+        share: share of samples, mean over motions.
+        half_width: mean half width of the interval, likewise.
+    """
+
+    share: Estimate
+    half_width: Estimate
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """Whether "the simulator is far off here" is right as often as it says, over the joints of one signal.
+
+    Attributes:
+        predicted: mean predicted probability of each bin that has samples, increasing.
+        observed: share of its samples in which the simulator was far off.
+        weight: share of all samples that fall into it.
+        far: share of all samples in which the simulator was far off.
+        error: expected calibration error, the mean over samples of |observed - predicted| of their bin.
+        skill: how much smaller the Brier score is than that of always saying `far`: 1 is perfect, 0 tells nothing;
+            None where it is always or never far off.
+    """
+
+    predicted: tuple[float, ...]
+    observed: tuple[Estimate, ...]
+    weight: tuple[float, ...]
+    far: float
+    error: float
+    skill: float | None
+
+
+@dataclass(frozen=True)
+class GatedOutput:
+    """An output that its training switched off.
+
+    Attributes:
+        signal: signal name.
+        joint: joint name.
+        reason: why, from the card.
+    """
+
+    signal: str
+    joint: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class ModelEvaluation:
+    """One network on these motions; the mappings go condition -> signal -> joint.
+
+    Attributes:
+        name: from its card.
+        method: likewise.
+        run: label of the corrected run.
+        trained_run: run that it was trained to correct.
+        trained_robot: kind of robot that it was trained for.
+        causal: whether it can run in a control loop.
+        signals: those that it corrects, unless they are switched off.
+        cuts: what is left of each error.
+        gated: outputs that are switched off.
+        coverage: of its intervals; only where it has some.
+        coverage_target: share that they are to cover.
+        coverage_note: what limits that.
+        reliability: condition -> signal -> of the probability that the simulator is far off.
+        latency: of one step; None where it was not timed.
+    """
+
+    name: str
+    method: str
+    run: str
+    trained_run: str
+    trained_robot: str
+    causal: bool
+    signals: tuple[str, ...]
+    cuts: Mapping[str, Mapping[str, Mapping[str, Cut]]]
+    gated: tuple[GatedOutput, ...] = ()
+    coverage: Mapping[str, Mapping[str, Mapping[str, Coverage]]] = field(default_factory=dict)
+    coverage_target: float = 0.9
+    coverage_note: str = ""
+    reliability: Mapping[str, Mapping[str, Reliability]] = field(default_factory=dict)
+    latency: StepTimes | None = None
+
+    def is_off(self, signal: str, joint: str) -> bool:
+        """Whether the training switched this output off."""
+        return any((item.signal, item.joint) == (signal, joint) for item in self.gated)
+
+
+@dataclass(frozen=True)
+class ModelPair:
+    """One network against another on the same motions, the scored joints together.
+
+    Attributes:
+        model: the one that is judged.
+        baseline: the other.
+        condition: group of motions.
+        signal: signal name.
+        factor: MSE of the baseline over that of the model.
+        verdict: of the model.
+    """
+
+    model: str
+    baseline: str
+    condition: str
+    signal: str
+    factor: Estimate
+    verdict: Verdict
+
+
+@dataclass(frozen=True)
+class AugmentResult:
+    """Corrections of one simulated run, side by side.
+
+    Attributes:
+        run: label of the simulated run that is corrected.
+        split: split that was evaluated; `all` for all motions.
+        joints: all joints, in order.
+        scored_joints: those that stand for all.
+        motions: condition -> number of motions, `ANY_CONDITION` first.
+        simulated: condition -> signal -> joint -> error of the simulator.
+        models: one item per network, in the order given.
+        pairs: every network against those that were named before it.
+        conditions_of: motion -> its condition.
+        notes: what must be said.
+        settings: bootstrap draws, level, seed.
+        provenance: versions, data hash, cards.
+    """
+
+    run: str
+    split: str
+    joints: tuple[str, ...]
+    scored_joints: tuple[str, ...]
+    motions: Mapping[str, int]
+    simulated: Mapping[str, Mapping[str, Mapping[str, Pooled]]]
+    models: tuple[ModelEvaluation, ...]
+    pairs: tuple[ModelPair, ...] = ()
+    conditions_of: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """The signals that were compared."""
+        return tuple(self.simulated.get(ANY_CONDITION, {}))
+
+    @property
+    def main_signal(self) -> str:
+        """The torque, which simulators have worst, where a network corrects it; else the first that one corrects."""
+        corrected = {signal for model in self.models for signal in model.signals}
+        known = [signal for signal in self.signals if signal in corrected] or list(self.signals)
+        return "torque" if "torque" in known else known[0]
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """The groups worth a table of their own: all motions last, and only where they are not one group anyway."""
+        named = tuple(name for name in self.motions if name != ANY_CONDITION)
+        return named if len(named) == 1 and self._covers_all(named[0]) else (*named, ANY_CONDITION)
+
+    def _covers_all(self, condition: str) -> bool:
+        return self.motions[condition] == self.motions[ANY_CONDITION]
+
+    def model(self, name: str) -> ModelEvaluation:
+        """The network of this name."""
+        return next(item for item in self.models if item.name == name)
+
+    def best(self, signal: str) -> ModelEvaluation | None:
+        """The network that leaves least of a signal's error, over all motions; None without networks."""
+
+        def left(model: ModelEvaluation) -> float:
+            cuts = model.cuts.get(ANY_CONDITION, {}).get(signal, {})
+            known = [cuts[ALL_JOINTS]] if ALL_JOINTS in cuts else list(cuts.values())
+            return sum(cut.mse.value for cut in known) / len(known) if known else math.inf
+
+        return min(self.models, key=left, default=None)
+
+    def to_json(self) -> dict[str, Any]:
+        """The content of augment.json."""
+        return {"schema": AUGMENT_SCHEMA, **as_read_back(_without_nan(asdict(self)))}
+
+    @staticmethod
+    def from_json(data: Any, where: str = AUGMENT_NAME) -> AugmentResult:
+        """Read back what `to_json` wrote.
+
+        Raises:
+            FormatError: something else, or of another version.
+            DataError: broken.
+        """
+        found = data.get("schema") if isinstance(data, Mapping) else type(data).__name__
+        if found != AUGMENT_SCHEMA:
+            raise FormatError(f"{where} holds no evaluation of this version", got=found, expected=AUGMENT_SCHEMA)
+        content = {key: _with_nan(value) for key, value in data.items() if key != "schema"}
+        try:
+            return build(AugmentResult, content, where)
+        except ConfigError as error:
+            raise DataError(f"{where} is broken", got=error.summary) from error
+
+    def save(self, path: Path) -> None:
+        """Write augment.json atomically."""
+        write_json(path, self.to_json())
+
+    @staticmethod
+    def load(path: Path) -> AugmentResult:
+        """Read augment.json."""
+        return AugmentResult.from_json(read_json(path), str(path))
+
+
+def _without_nan(tree: Any) -> Any:
+    if isinstance(tree, Mapping):
+        return {key: _without_nan(value) for key, value in tree.items()}
+    if isinstance(tree, list | tuple):
+        return [_without_nan(value) for value in tree]
+    return None if isinstance(tree, float) and not math.isfinite(tree) else tree
+
+
+def _with_nan(tree: Any) -> Any:
+    """An estimate without a value is one that is not defined."""
+    if isinstance(tree, Mapping):
+        missing = {"value", "unit"} <= tree.keys() and tree["value"] is None
+        return {key: _with_nan(value) for key, value in tree.items()} | ({"value": math.nan} if missing else {})
+    return [_with_nan(value) for value in tree] if isinstance(tree, list) else tree
