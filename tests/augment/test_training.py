@@ -1,6 +1,9 @@
 """Training: the same result however it is interrupted, and no result where there can be none."""
 
+from dataclasses import replace
+
 import numpy as np
+import onnxruntime
 import pytest
 import torch
 
@@ -47,8 +50,6 @@ def data(tmp_path_factory):
 
 
 def test_it_learns_what_the_simulator_has_wrong(data, tmp_path):
-    from dataclasses import replace
-
     made = augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=40))
     val = made.augmentation.card.metrics["val"]
     for joint in JOINTS:
@@ -66,8 +67,6 @@ def test_a_signal_that_the_simulator_has_right_is_left_alone(data, tmp_path):
 
 def test_nothing_is_ever_worse_than_the_simulator_on_val(data, tmp_path):
     """Even a network that has learned nothing."""
-    from dataclasses import replace
-
     worst = replace(SMALL, epochs=1, optimizer=OptimizerConfig(rate=1e-9))
     made = augment([data], tmp_path, run=RUN, config=worst)
     for joints in made.augmentation.card.metrics["val"].values():
@@ -87,8 +86,6 @@ class Stop(Exception):
 
 @pytest.mark.parametrize("config", ["default", "paper"])
 def test_interrupted_and_resumed_is_as_if_nothing_had_happened(data, tmp_path, config):
-    from dataclasses import replace
-
     chosen = SMALL
     if config == "paper":
         chosen = replace(
@@ -138,8 +135,6 @@ def test_a_broken_checkpoint_is_said(data, tmp_path):
 
 
 def test_a_loss_that_runs_away_stops_training_and_keeps_the_best(data, tmp_path):
-    from dataclasses import replace
-
     seen = []
 
     def poison(progress):
@@ -169,16 +164,12 @@ def test_a_loss_that_runs_away_stops_training_and_keeps_the_best(data, tmp_path)
 
 
 def test_a_loss_that_runs_away_at_once_is_an_error(data, tmp_path):
-    from dataclasses import replace
-
     wild = replace(SMALL, optimizer=OptimizerConfig("rmsprop", 1e30, "plateau", clip=0.0))
     with pytest.raises(ConfigError, match="diverged in its first epoch"):
         augment([data], tmp_path, run=RUN, config=wild)
 
 
 def test_training_stops_when_val_no_longer_improves(data, tmp_path):
-    from dataclasses import replace
-
     still = replace(SMALL, epochs=30, stop_after=3, optimizer=OptimizerConfig(rate=1e-30))
     made = augment([data], tmp_path, run=RUN, config=still)
     assert made.augmentation.training.status == "stopped early"
@@ -341,15 +332,11 @@ def test_other_rates_are_refused_unless_a_rate_is_given(tmp_path):
     data = with_episodes(tmp_path / "data", episodes)
     with pytest.raises(DataError, match="another rate"):
         augment([data], tmp_path / "a", run=RUN, config=SMALL)
-    from dataclasses import replace
-
     made = augment([data], tmp_path / "b", run=RUN, config=replace(SMALL, data=DataConfig(rate_hz=50.0)))
     assert made.augmentation.card.rate_hz == 50.0
 
 
 def test_paper_normalization_maps_limits_to_the_unit_interval(data, tmp_path):
-    from dataclasses import replace
-
     config = replace(SMALL, data=DataConfig(normalization="limits"), loss=LossConfig(scale="normalized"), epochs=1)
     made = augment([data], tmp_path, run=RUN, config=config)
     corrector = made.augmentation.corrector
@@ -382,3 +369,51 @@ def test_the_folder_holds_a_card_that_can_be_loaded(data, tmp_path):
     (tmp_path / "model.json").write_text(text.replace('"rate_hz": 100.0', '"rate_hz": 200.0'))
     with pytest.raises(DataError, match="changed after it was written"):
         ModelCard.load(tmp_path)
+
+
+@pytest.mark.parametrize("method", ["moving-average", "moving-average-rt"])
+def test_a_moving_average_of_the_simulator_is_one(data, tmp_path, method):
+    """Errors on val against those of numpy's own mean over half a second."""
+    card = augment([data], tmp_path, run=RUN, config=preset(method)).augmentation.card
+    before = 24 if method == "moving-average" else 49
+    squares, count = np.zeros(2), 0
+    for episode in data.episodes(data.select(split="val"), runs=[RUN]):
+        x = episode.run(RUN)["torque"]
+        padded = np.concatenate([np.repeat(x[:1], before, axis=0), x, np.repeat(x[-1:], 49 - before, axis=0)])
+        mean = np.stack([padded[row : row + 50].mean(axis=0) for row in range(len(x))])
+        squares += ((episode.measured["torque"] - mean) ** 2).sum(axis=0)
+        count += len(x)
+    used = {output.joint: output.gate for output in card.outputs if output.signal == "torque"}
+    assert any(used.values()) or method.endswith("rt")  # a late mean may be worse than none
+    for number, joint in enumerate(JOINTS):
+        found = card.metrics["val"]["torque"][joint]
+        expected = np.sqrt(squares[number] / count) if used[joint] else found["simulated"]
+        assert found["corrected"] == pytest.approx(expected, rel=1e-4)
+
+
+def test_networks_feel_the_stops_of_joints(tmp_path):
+    """What a stop carries is told by how deep the simulated joint leans into it, and by nothing else."""
+    rng = np.random.default_rng(0)
+    episodes = []
+    for number, split in enumerate(["train"] * 24 + ["val"] * 6):
+        simulated, measured = motion(rng, 80, perfect=("position", "velocity", "torque"))
+        depth = rng.uniform(0, 0.004) * (number % 2)
+        simulated["position"][:] = 3.0 + depth if number % 2 else rng.uniform(-2.5, 2.5)
+        simulated["torque"][:] = measured["torque"] - 500 * depth
+        episodes.append(labelled(number, split, simulated, measured))
+    data = with_episodes(tmp_path / "data", episodes)
+    left = {}
+    for stops in (True, False):
+        config = replace(SMALL, data=DataConfig(signals=("position", "torque"), stops=stops), epochs=25)
+        made = augment([data], tmp_path / str(stops), run=RUN, config=config)
+        metrics = made.augmentation.card.metrics["val"]["torque"]["pan"]
+        left[stops] = metrics["corrected"] / metrics["simulated"]
+        again = Augmentation.load(tmp_path / str(stops))
+        assert len(again.corrector.stop_edge) == (8 if stops else 0)
+        x = np.array([[[3.001, -1.0, 1.0, 1.0]], [[0.0, -2.9999, 1.0, 1.0]]], np.float32)
+        session = onnxruntime.InferenceSession((tmp_path / str(stops) / "model.onnx").read_bytes())
+        states = {state.name: state.initial(x[0]) for state in again.card.states}
+        with torch.no_grad():
+            expected = again.corrector(torch.from_numpy(x)).numpy()
+        np.testing.assert_allclose(session.run(["y"], {"x": x, **states})[0], expected, atol=1e-5)
+    assert left[True] < 0.6 * left[False]

@@ -23,7 +23,7 @@ from trueup.augment.corrector import Corrector
 from trueup.augment.gating import Errors, errors_of, gates_of
 from trueup.augment.networks import build_network
 from trueup.augment.pairs import Pairs
-from trueup.augment.scaling import Scaling, Summary, scaling_of, summarize
+from trueup.augment.scaling import Scaling, Stops, Summary, scaling_of, summarize
 from trueup.augment.training import OnEpoch, Trained, train
 from trueup.core.atomic import make_folder, write_bytes
 from trueup.core.config import build
@@ -47,7 +47,7 @@ class Task:
         rate_hz: samples per second.
         train: pairs that are fitted.
         val: pairs that choose.
-        limits: (signal, joint) -> lowest and highest value, for normalization.
+        limits: (signal, joint) -> lowest and highest value, for normalization and stops.
         data_hash: of the dataset.
         description: for people.
     """
@@ -134,7 +134,8 @@ class Augmentation:
             loss_scale=config.loss.scale,
             limits=task.limits,
         )
-        corrector = _made(config, len(task.train.inputs), base, scaling, seed)
+        stops = Stops.of(task.train.inputs, task.limits if config.data.stops else {})
+        corrector = _made(config, len(task.train.inputs), base, scaling, stops, seed)
         trained = train(
             corrector,
             task.train,
@@ -185,18 +186,19 @@ class Augmentation:
         config = build(AugmentConfig, card.provenance["config"], f"{folder}: config")
         width = len(card.outputs)
         blank = Scaling(*(np.ones(n) for n in (len(card.inputs), len(card.inputs), width, width, width)))
-        corrector = _made(config, len(card.inputs), card.base, blank, 0)
+        stops = Stops.none(len(state["stop_edge"]))
+        corrector = _made(config, len(card.inputs), card.base, blank, stops, 0)
         corrector.load_state_dict(state)
         corrector.eval()
         return Augmentation(card, corrector, config)
 
 
-def _made(config: AugmentConfig, inputs: int, base: np.ndarray, scaling: Scaling, seed: int) -> Corrector:
+def _made(config: AugmentConfig, inputs: int, base: np.ndarray, scaling: Scaling, stops: Stops, seed: int) -> Corrector:
     before = torch.get_rng_state()
     torch.manual_seed(seed)
-    network = build_network(config.network, inputs=inputs, base=base.tolist())
+    network = build_network(config.network, inputs=inputs + stops.edge.size, base=base.tolist())
     torch.set_rng_state(before)
-    return Corrector(network, scaling, base, target=config.loss.target)
+    return Corrector(network, scaling, base, target=config.loss.target, stops=stops)
 
 
 @contextlib.contextmanager

@@ -72,12 +72,15 @@ class DataConfig:
         rate_hz: samples per second; None for the rate of the logs.
         normalization: `limits` maps the joints' limits to [0, 1] (Realeasy, IV-B); `statistics` takes mean and
             standard deviation of the train split.
+        stops: whether the network is also told how near each joint is to its limits: a simulated joint that leans on
+            its stop is carried by it, and its torque says little. For joints whose limits are known.
     """
 
     signals: tuple[str, ...] | None = None
     command: tuple[str, ...] = ()
     rate_hz: float | None = None
     normalization: Literal["limits", "statistics"] = "statistics"
+    stops: bool = True
 
     def __post_init__(self) -> None:
         """Refuse unknown signals."""
@@ -196,6 +199,12 @@ class AugmentConfig:
         """Refuse numbers that make no training."""
         if self.batch < 1 or self.epochs < 0 or self.stop_after < 0:
             raise ConfigError("batch, epochs, stop_after", got=(self.batch, self.epochs, self.stop_after))
+        if self.network.kind == "moving-average" and (
+            self.data.normalization != "limits" or self.data.stops or self.loss.target != "residual"
+        ):
+            raise ConfigError(
+                "a moving average has nothing to normalize", expected="data: normalization: limits, stops: false"
+            )
         if not 0 < self.coverage < 1:
             raise ConfigError("coverage", got=self.coverage, expected="a share between 0 and 1")
         if not (math.isfinite(self.margin) and self.margin >= 0):
@@ -244,7 +253,7 @@ def preset(method: str, *, paper: bool = False) -> AugmentConfig:
     return replace(
         config,
         network=replace(config.network, hidden=(100, 21)),
-        data=replace(config.data, normalization="limits"),
+        data=replace(config.data, normalization="limits", stops=False),
         window=WindowConfig("half-shortest", draws=16),
         loss=LossConfig("residual", "normalized"),
         optimizer=OptimizerConfig("rmsprop", 1e-4, "plateau", weight_decay=0.0, clip=0.0),
@@ -262,6 +271,9 @@ def _laid_over(base: dict[str, Any], tree: Mapping[str, Any]) -> dict[str, Any]:
     return merged
 
 
+# A mean of normalized values is the normalized mean only where input and output are normalized alike.
+_AS_IT_IS = DataConfig(normalization="limits", stops=False)
+
 METHODS: Mapping[str, AugmentConfig] = {
     "realeasy": AugmentConfig("realeasy", NetworkConfig(bidirectional=True)),
     "realeasy-rt": AugmentConfig("realeasy-rt"),
@@ -270,7 +282,7 @@ METHODS: Mapping[str, AugmentConfig] = {
     "linear": AugmentConfig("linear", NetworkConfig("linear", ())),
     "transformer": AugmentConfig("transformer", NetworkConfig("transformer", (64, 64))),
     "moving-average": AugmentConfig(
-        "moving-average", NetworkConfig("moving-average", (), bidirectional=True), epochs=0
+        "moving-average", NetworkConfig("moving-average", (), bidirectional=True), _AS_IT_IS, epochs=0
     ),
-    "moving-average-rt": AugmentConfig("moving-average-rt", NetworkConfig("moving-average", ()), epochs=0),
+    "moving-average-rt": AugmentConfig("moving-average-rt", NetworkConfig("moving-average", ()), _AS_IT_IS, epochs=0),
 }

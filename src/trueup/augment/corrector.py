@@ -12,8 +12,11 @@ from torch import Tensor, nn
 
 from trueup.augment.graph import Graph
 from trueup.augment.networks import Network
-from trueup.augment.scaling import Scaling
+from trueup.augment.scaling import Scaling, Stops
 from trueup.core.model_card import State
+
+# How deep a joint can lean into its stop, in widths beyond the one before it.
+_BEYOND = 2.0
 
 
 class Corrector(nn.Module):
@@ -24,6 +27,7 @@ class Corrector(nn.Module):
         scaling: what "normalized" means.
         base: for each output the input that it corrects, (K,).
         target: what the network's output stands for: what is added to the simulator, or the signal itself.
+        stops: limits that the network feels; its inputs are one more for each.
     """
 
     center: Tensor
@@ -33,9 +37,18 @@ class Corrector(nn.Module):
     loss_scale: Tensor
     base: Tensor
     gate: Tensor
+    stop_index: Tensor
+    stop_edge: Tensor
+    stop_slope: Tensor
 
     def __init__(
-        self, network: Network, scaling: Scaling, base: Int[np.ndarray, "K"], *, target: Literal["residual", "plain"]
+        self,
+        network: Network,
+        scaling: Scaling,
+        base: Int[np.ndarray, "K"],
+        *,
+        target: Literal["residual", "plain"],
+        stops: Stops | None = None,
     ) -> None:
         super().__init__()
         self.network = network
@@ -43,18 +56,30 @@ class Corrector(nn.Module):
         for name in ("center", "scale", "out_center", "out_scale", "loss_scale"):
             self.register_buffer(name, torch.tensor(getattr(scaling, name), dtype=torch.float32))
         self.register_buffer("base", torch.tensor(base))
+        stops = stops or Stops.none()
+        self.register_buffer("stop_index", torch.tensor(stops.index))
+        for name in ("edge", "slope"):
+            self.register_buffer(f"stop_{name}", torch.tensor(getattr(stops, name), dtype=torch.float32))
         self.register_buffer("gate", torch.ones(base.size))
 
     def forward(self, x: Tensor, lengths: Tensor | None = None) -> Tensor:
         """Corrected outputs of whole motions: (T, B, I) to (T, B, K), SI."""
         base = x[..., self.base]
-        out: Tensor = self.out_center + self.out_scale * self.network((x - self.center) / self.scale, lengths)
+        out: Tensor = self.out_center + self.out_scale * self.network(self.read(x), lengths)
         corrected: Tensor = base + self.gate * (out if self.target == "residual" else out - base)
         return corrected
 
+    def read(self, x: Tensor) -> Tensor:
+        """What the network reads: normalized inputs, and how near they are to their limits, (T, B, I + N)."""
+        normalized: Tensor = (x - self.center) / self.scale
+        if not len(self.stop_edge):
+            return normalized
+        near = (x[..., self.stop_index] - self.stop_edge) * self.stop_slope
+        return torch.cat([normalized, near.clamp(0, _BEYOND)], dim=-1)
+
     def squares(self, x: Tensor, y: Tensor, lengths: Tensor | None) -> Tensor:
         """Squared errors in units of the loss, (T, B, K), without the gate: what training minimizes (eq. 9, 10)."""
-        out = self.network((x - self.center) / self.scale, lengths)
+        out = self.network(self.read(x), lengths)
         known = x[..., self.base] if self.target == "residual" else self.out_center
         error: Tensor = out - (y - known) / self.out_scale
         return (error * (self.out_scale / self.loss_scale)) ** 2
@@ -67,13 +92,13 @@ class Corrector(nn.Module):
     def states(self) -> tuple[State, ...]:
         """What a stream carries: states of the network, and the raw samples of the past."""
         past = self.network.past
-        buffer = State("past", (past, 1, self.network.inputs), start="first")
+        buffer = State("past", (past, 1, len(self.center)), start="first")
         return (*self.network.states, *((buffer,) if past else ()))
 
     def exported(self, metadata: Mapping[str, str]) -> bytes:
         """The ONNX model as `core.model_card` describes it."""
         network, graph = self.network, Graph()
-        x = graph.input("x", ["T", "B", network.inputs])
+        x = graph.input("x", ["T", "B", len(self.center)])
         shapes = [_named(state.shape, state.batch_axis) for state in self.states]
         given = [graph.input(state.name, shape) for state, shape in zip(self.states, shapes, strict=True)]
         seen, after_buffer = x, []
@@ -81,18 +106,30 @@ class Corrector(nn.Module):
             seen = graph.add("Concat", given.pop(), x, axis=0)
             bounds = (graph.integers([bound]) for bound in (-network.past, np.iinfo(np.int64).max, 0))
             after_buffer = [graph.add("Slice", seen, *bounds)]
-        normalized = graph.add("Sub", seen, graph.floats(self.center.numpy()))
-        normalized = graph.add("Mul", normalized, graph.floats((1.0 / self.scale).numpy()))
-        out, after = network.draw(graph, normalized, given)
+        out, after = network.draw(graph, self._read(graph, seen), given)
         graph.output(self._summed(graph, x, out), "y", ["T", "B", network.outputs])
         for state, name, shape in zip(self.states, (*after, *after_buffer), shapes, strict=True):
             graph.output(name, f"{state.name}_out", shape)
         return graph.serialized(metadata)
 
+    def _read(self, graph: Graph, x: str) -> str:
+        """`read` as nodes."""
+        if not len(self.stop_edge):
+            x = graph.add("Sub", x, graph.floats(self.center.numpy()))
+            return graph.add("Mul", x, graph.floats((1.0 / self.scale).numpy()))
+        count = len(self.stop_edge)
+        rows = np.concatenate([np.arange(len(self.center)), self.stop_index.numpy()])
+        bounds = np.full((2, rows.size), np.inf) * [[-1], [1]]
+        bounds[:, -count:] = [[0.0], [_BEYOND]]
+        x = graph.add("Gather", x, graph.integers(rows), axis=2)
+        x = graph.add("Sub", x, graph.floats(torch.cat([self.center, self.stop_edge]).numpy()))
+        x = graph.add("Mul", x, graph.floats(torch.cat([1.0 / self.scale, self.stop_slope]).numpy()))
+        return graph.add("Min", graph.add("Max", x, graph.floats(bounds[0])), graph.floats(bounds[1]))
+
     def _summed(self, graph: Graph, x: str, out: str) -> str:
         """The simulator's signal, and the share of the network's correction that the gate lets pass."""
         base, gate = self.base.numpy(), self.gate.numpy()
-        if not np.array_equal(base, np.arange(self.network.inputs)):
+        if not np.array_equal(base, np.arange(len(self.center))):
             x = graph.add("Gather", x, graph.integers(base), axis=2)
         out = graph.add("Mul", out, graph.floats(gate * self.out_scale.numpy()))
         if self.target == "plain":

@@ -14,6 +14,8 @@ from trueup.core.model_card import Channel
 
 # An input that never changes in training must not be blown up when it does.
 _STILL = 1e-6
+# MuJoCo's stops give way by a few milliradians under the weight of an arm [rad or m].
+_STOP_WIDTHS = (0.002, 0.01)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +145,40 @@ def scaling_of(
         out_scale = out_scale if normalization == "limits" else _positive(summary.simulator_rms)
     units = scale[base] if loss_scale == "normalized" else _positive(summary.simulator_rms)
     return Scaling(center, scale, out_center, out_scale, units)
+
+
+@dataclass(frozen=True, eq=False)
+class Stops:
+    """Inputs near their limits: N numbers clip((x[index] - edge) slope, 0, 2), which are 1 at a limit.
+
+    Attributes:
+        index: input, (N,).
+        edge: from where on a limit is felt, (N,).
+        slope: one over how far that is from the limit, positive for an upper one, (N,).
+    """
+
+    index: Int[np.ndarray, "N"]
+    edge: Float64[np.ndarray, "N"]
+    slope: Float64[np.ndarray, "N"]
+
+    @staticmethod
+    def none(count: int = 0) -> Stops:
+        """No limits are felt; or so many, which are to be filled in."""
+        return Stops(np.zeros(count, int), np.zeros(count), np.ones(count))
+
+    @staticmethod
+    def of(inputs: Sequence[Channel], limits: Mapping[tuple[str, str], tuple[float, float]]) -> Stops:
+        """Those of the simulated positions whose limits are known, near and nearer."""
+        index, edge, slope = [], [], []
+        for number, channel in enumerate(inputs):
+            known = limits.get(("position", channel.joint)) if channel.signal == "position" else None
+            if known is None or channel.series != "simulated":
+                continue
+            for width in _STOP_WIDTHS:
+                index += [number, number]
+                edge += [known[0] + width, known[1] - width]
+                slope += [-1 / width, 1 / width]
+        return Stops(np.array(index, int), np.array(edge, float), np.array(slope, float))
 
 
 def _positive(values: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "N"]:

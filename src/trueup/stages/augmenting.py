@@ -289,8 +289,6 @@ def _limits(
     robot: RobotSpec | None, origin: _Origin, source: Dataset, inputs: Sequence[Channel], config: AugmentConfig
 ) -> tuple[dict[tuple[str, str], tuple[float, float]], tuple[str, ...]]:
     """Limits of positions, velocities and torques, where robot, model or run say them."""
-    if config.data.normalization != "limits":
-        return {}, ()
     limits: dict[tuple[str, str], tuple[float, float]] = {}
     stated = origin.info.get("inputs", {}).get("robot", {}).get("joints", [])
     for joint in stated:
@@ -301,7 +299,7 @@ def _limits(
     for joint, speed in _speeds(robot, source).items():
         limits["velocity", joint] = (-speed, speed)
     missing = sorted({f"{c.signal} of {c.joint}" for c in inputs if (c.signal, c.joint) not in limits})
-    if not missing:
+    if not missing or config.data.normalization != "limits":
         return limits, ()
     note = f"no limits are known for {', '.join(missing)}: normalized by the range of the train split"
     return limits, (note,)
