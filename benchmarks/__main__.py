@@ -24,6 +24,7 @@ NAMES = (
     "thesis",
     "real_robots",
     "panda",
+    "streaming",
 )
 
 

@@ -3,9 +3,9 @@ from dataclasses import replace
 
 import onnx
 import pytest
+from benchmarks.networks import JOINTS, bidirectional, card_of, inputs_of, real_time, spoiled_card, window, written
 from onnx import TensorProto, helper
 
-from deploy.networks import JOINTS, bidirectional, card_of, inputs_of, real_time, spoiled_card, window, written
 from trueup.core.model_card import CARD_NAME, ONNX_NAME, State
 from trueup.deploy import Network
 from trueup.errors import DataError, FormatError, MissingDependency

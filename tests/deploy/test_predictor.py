@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
+from benchmarks.networks import bidirectional, motion, real_time, window
 
-from deploy.networks import bidirectional, motion, real_time, window
 from trueup.deploy import History, Predictor
 from trueup.errors import ConfigError, DataError
 

@@ -8,11 +8,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.networks import (
+    JOINTS,
+    REACH,
+    bidirectional,
+    by_signal,
+    changed,
+    inputs_of,
+    motion,
+    outputs_of,
+    real_time,
+    window,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from onnx import numpy_helper
 
-from deploy.networks import JOINTS, REACH, by_signal, changed, inputs_of, motion, outputs_of, real_time, window
 from trueup.core.model_card import Input
 from trueup.deploy import Confidence, Network, Predictor, Status, Stream, StreamSettings, Why
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, UnitError
@@ -79,10 +90,12 @@ def test_corrections_can_come_before_the_warmup_is_over(tmp_path):
     assert [late.step_vector(row[0]).status for row in x] == [Status.WARMING] * 11 + [Status.OK]
 
 
-def test_a_reset_stream_is_a_new_one(tmp_path):
-    made = window(tmp_path)
+@pytest.mark.parametrize("make", [real_time, window])
+def test_a_reset_stream_is_a_new_one(tmp_path, make):
+    made = make(tmp_path, hidden=8)
     stream = stream_of(made)
     first = outputs(stream, motion(made.card, 20))
+    stream.step_vector(motion(made.card, 1)[0, 0])  # an odd number, for the two sets of states
     stream.step_vector(np.full(21, np.nan))
     stream.reset()
     assert stream.latest.status is Status.HELD
@@ -126,6 +139,20 @@ def test_channels_may_stand_in_any_order_and_leave_joints_out(tmp_path):
     np.testing.assert_allclose(step.values, whole, atol=1e-5)
     # Outputs are torque of joint3, joint2; a signal's values come in the robot's order.
     np.testing.assert_array_equal(step["torque"], step.values[::-1])
+
+
+def test_channels_may_go_joint_by_joint(tmp_path):
+    ordinary = inputs_of(JOINTS[:3])
+    inputs = tuple(ordinary[3 * signal + joint] for joint in range(3) for signal in range(3))
+    outputs = tuple(replace(outputs_of(JOINTS[:3])[3 * (k % 3) + k // 3], base=k) for k in range(9))
+    made = real_time(tmp_path, hidden=8, joints=JOINTS[:3], inputs=inputs, outputs=outputs)
+    x = motion(made.card, 10)
+    stream = stream_of(made)
+    for t in range(10):
+        step = stream.step(by_signal(made.card, x[t, 0]))
+    np.testing.assert_allclose(step.values, Predictor.load(tmp_path).run(x)[-1, 0], atol=1e-4)
+    np.testing.assert_array_equal(step["velocity"], step.values[[1, 4, 7]])
+    assert np.shares_memory(step["velocity"], step.values)
 
 
 def test_the_signals_of_a_step_are_views_of_its_values(tmp_path):
@@ -207,8 +234,6 @@ def test_what_does_not_fit_is_refused(tmp_path):
 
 
 def test_a_network_that_needs_the_future_is_refused_with_what_to_use(tmp_path):
-    from deploy.networks import bidirectional
-
     made = bidirectional(tmp_path)
     refused(made, ConfigError, "future", "realeasy-rt", "History", "Predictor")
 
@@ -282,6 +307,18 @@ def test_channels_without_a_range_take_anything_that_float32_can_hold(tmp_path):
     stream = stream_of(made)
     assert stream.step_vector(np.full(21, 100.0)).status is Status.OK
     assert stream.step_vector(np.full(21, 1e300)).status is Status.FALLBACK
+
+
+def test_one_end_of_a_range_may_be_open(tmp_path):
+    made = real_time(tmp_path, hidden=8)
+    replace(made.card, inputs=(replace(made.card.inputs[0], low=-np.inf, high=2.0), *made.card.inputs[1:])).save(
+        tmp_path
+    )
+    stream = stream_of(made)
+    for position, good in ((2.0, True), (2.01, False), (-1e6, True)):
+        stream.reset()
+        status = stream.step_vector(np.array([position, *[0.0] * 20])).status
+        assert status is (Status.WARMING if good else Status.FALLBACK)
 
 
 GROWTH = """

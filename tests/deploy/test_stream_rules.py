@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks.networks import JOINTS, changed, motion, real_time, window
 from hypothesis import given
 from hypothesis import strategies as st
 from onnx import helper, numpy_helper
 
-from deploy.networks import JOINTS, changed, motion, real_time, window
 from trueup.deploy import Network, Predictor, Status, Stream, StreamSettings, Why
 
 WARMUP = 5  # of the networks
@@ -116,7 +116,7 @@ def test_a_long_gap_starts_anew(made, stream, x):
 def test_a_time_that_does_not_go_on_is_held(made, stream, x, back):
     last = warm(stream, x).values.copy()
     step = stream.step_vector(x[20], time_s=(19 - back) * PERIOD_S)
-    assert (step.status, step.why) == (Status.HELD, Why.STALLED)
+    assert (step.status, step.why, step.age_s) == (Status.HELD, Why.STALLED, PERIOD_S)
     np.testing.assert_array_equal(step.values, last)
     step = stream.step_vector(x[21], time_s=20 * PERIOD_S)
     assert step.status is Status.OK
@@ -153,6 +153,13 @@ def test_an_input_that_repeats_while_it_moves_has_stalled(made, stream, x, timed
     step = stream.step_vector(x[20], time_s=24 * PERIOD_S if timed else None)
     assert step.status is Status.OK
     np.testing.assert_allclose(step.values, offline(made, [*x[:20], *[x[19]] * 3, x[20]])[-1], atol=1e-5 * 50)
+
+
+def test_a_simulator_at_half_the_rate_has_not_stalled(stream, x):
+    for t in range(60):
+        step = stream.step_vector(x[t // 2], time_s=t * PERIOD_S)
+        assert step.why == Why.NONE
+    assert step.status is Status.OK
 
 
 def test_a_robot_at_rest_has_not_stalled(stream, x):
@@ -252,6 +259,14 @@ def test_another_rate_than_declared_is_found_out(stream, x, factor):
         assert Why.OFF_RATE in stream.latest.why
 
 
+def test_a_new_start_forgets_the_rate(stream, x):
+    for t in range(200):
+        stream.step_vector(x[t % 60], time_s=t * 1.3e-3)
+    assert stream.latest.status is Status.FALLBACK
+    statuses = [stream.step_vector(x[t], time_s=1.0 + t * PERIOD_S).status for t in range(10)]
+    assert statuses == [Status.WARMING] * WARMUP + [Status.OK] * (10 - WARMUP)
+
+
 def test_a_rate_that_comes_back_is_trusted_again(stream, x):
     times = np.concatenate([np.arange(300) * 1.3e-3, 299 * 1.3e-3 + np.arange(1, 700) * PERIOD_S])
     statuses = [stream.step_vector(x[t % 60], time_s=float(time_s)).status for t, time_s in enumerate(times)]
@@ -261,7 +276,7 @@ def test_a_rate_that_comes_back_is_trusted_again(stream, x):
 
 def test_a_network_that_loses_itself_is_left_and_started_anew(tmp_path, x):
     """The logarithm of 55 minus the first torque, times 0, is added to its output."""
-    made = window(tmp_path, past=2, warmup_steps=3)
+    made = real_time(tmp_path, hidden=8, warmup_steps=3)
 
     def poison(graph):
         next(node for node in graph.node if node.output[0] == "y").output[0] = "good"

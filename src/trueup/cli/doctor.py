@@ -17,6 +17,7 @@ from trueup.cli.console import out
 # Extra -> (what it is for, the modules that it brings: distribution name, import name).
 _EXTRAS = {
     "dart": ("a second physics engine", [("dartpy", "dartpy")]),
+    "run": ("trained networks beside a robot", [("onnxruntime", "onnxruntime")]),
     "learn": ("training and export of networks", [("torch", "torch"), ("onnx", "onnx"), ("onnxruntime", "onnxruntime"),
                                                    ("safetensors", "safetensors")]),
     "rl": ("policies", [("gymnasium", "gymnasium"), ("stable-baselines3", "stable_baselines3"),

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float64, Int
+from jaxtyping import Float, Int
 
 from trueup.core.atomic import as_read_back, read_json, write_json
 from trueup.core.config import build
@@ -113,7 +113,7 @@ class State:
     batch_axis: int = 1
     start: Literal["zero", "first"] = "zero"
 
-    def initial(self, first: Float64[np.ndarray, "B I"]) -> np.ndarray:
+    def initial(self, first: Float[np.ndarray, "B I"]) -> np.ndarray:
         """The tensor before the first sample, float32."""
         shape = list(self.shape)
         shape[self.batch_axis] = len(first)
@@ -216,9 +216,8 @@ class ModelCard:
     def save(self, folder: Path) -> ModelCard:
         """Write model.json, last of all files: with the hashes of the others; returns the card as written."""
         files = {name: file_hash(folder / name) for name in (ONNX_NAME, WEIGHTS_NAME) if (folder / name).is_file()}
-        card = replace(self, files=files)
-        write_json(folder / CARD_NAME, card.to_json())
-        return card
+        write_json(folder / CARD_NAME, replace(self, files=files).to_json())
+        return ModelCard.load(folder)
 
     @staticmethod
     def load(folder: Path) -> ModelCard:

@@ -15,7 +15,7 @@ _REHEARSALS = 20
 
 
 class Cell:
-    """One sample in, one out, and nothing allocated.
+    """One sample in, one out, and no array made.
 
     A run reads one set of states and writes the other; the next run has them the other way around. Both ways are bound
     beforehand.
@@ -34,6 +34,7 @@ class Cell:
         self.y: Float32[np.ndarray, "K"] = np.zeros(len(card.outputs), np.float32)
         self._specs = card.states
         first = np.zeros((1, len(card.inputs)))
+        # The bindings hold addresses only: these arrays, x and y must live as long as they do.
         self._states = [{state.name: state.initial(first) for state in card.states} for _ in range(2)]
         self._session = network.session
         self._bindings = [self._bound(*self._states), self._bound(*self._states[::-1])]

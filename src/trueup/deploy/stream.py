@@ -199,7 +199,7 @@ class Stream:
             timely = 0.0 < gap_s <= self._missed_s and self._fastest_s < mean_s < self._slowest_s
         if not (self._calm and timely and image != self._image and self._span.covers(raw)):
             return self._careful(image, time_s)
-        self._image, self._mean_s = image, mean_s
+        self._image, self._repeats, self._mean_s = image, 0, mean_s
         self._seen_s = self._good_s = seen_s
         cell = self._cell
         cell.x[:] = raw

@@ -1,5 +1,7 @@
 """One module per command: dataset in, results out. The Python API is these functions."""
 
+from trueup.stages.augmenting import Augmented as Augmented
+from trueup.stages.augmenting import augment as augment
 from trueup.stages.closing import Closed as Closed
 from trueup.stages.closing import close as close
 from trueup.stages.demonstrating import demo as demo
@@ -32,6 +34,7 @@ from trueup.stages.rigs import make_rig as make_rig
 __all__ = [
     "FITTED",
     "STOCK",
+    "Augmented",
     "Closed",
     "Designed",
     "EngineRig",
@@ -43,6 +46,7 @@ __all__ = [
     "Measurement",
     "RecordSummary",
     "ReplaySummary",
+    "augment",
     "close",
     "demo",
     "demo_dataset",

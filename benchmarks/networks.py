@@ -1,4 +1,4 @@
-"""Small networks with random weights, written as the model folders that training exports."""
+"""Networks with random weights, written as the model folders that training exports; for benchmarks and tests."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -14,6 +14,7 @@ JOINTS = tuple(f"joint{number + 1}" for number in range(7))
 UNITS = {"position": "rad", "velocity": "rad/s", "torque": "Nm"}
 REACH = {"position": 2.5, "velocity": 2.0, "torque": 50.0}
 RATE_HZ = 1000.0
+HIDDEN = 100
 
 
 def inputs_of(joints: Sequence[str] = JOINTS, *, command: bool = False) -> tuple[Input, ...]:
@@ -134,7 +135,7 @@ def written(folder: Path, card: ModelCard, model: onnx.ModelProto) -> Made:
     return Made(folder, card.save(folder))
 
 
-def real_time(folder: Path, *, hidden: int = 100, seed: int = 0, **changes: object) -> Made:
+def real_time(folder: Path, *, hidden: int = HIDDEN, seed: int = 0, **changes: object) -> Made:
     """Two LSTM layers and a dense one, as Realeasy's real-time network."""
     states = [State(name, (1, 1, hidden)) for name in ("h0", "c0", "h1", "c1")]
     card = card_of(states=tuple(states), **changes)

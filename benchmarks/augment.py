@@ -1,0 +1,121 @@
+"""Learned corrections on the papers' data set and on a real arm: all methods, tests, units and simulators.
+
+Trains what is missing under runs/augment (`benchmarks.augment_models`; an hour and a half on two cores), evaluates, and
+writes `benchmarks/results/augment.json`, from which docs/learned-corrections.md is made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.augment_models import AMOUNTS, FOLDER, GOOD, JOBS, MODELS, OTHER_UNITS, ROUGH, data_of, so101, train_all
+from benchmarks.table import Row, at_least, at_most, shown
+from trueup.core.atomic import make_folder, write_json
+from trueup.core.augment_result import AugmentResult
+from trueup.core.model_card import ModelCard
+from trueup.core.provenance import provenance
+from trueup.dataset import Dataset
+from trueup.stages import evaluate
+
+RESULT = Path(__file__).parent / "results" / "augment.json"
+SIGNALS = ("position", "velocity", "torque")
+METHODS = (
+    *("realeasy", "realeasy-rt", "paper", "paper-rt", "gru", "mlp", "linear", "transformer"),
+    *("moving-average", "moving-average-rt"),
+)
+REALEASY = ("realeasy", "realeasy-rt", "panda-realeasy-rt")
+SO101 = ("so101-rt", "so101-precise")
+SO101_RUN = "mujoco/fitted"
+
+
+def run() -> list[Row]:
+    """Train, evaluate, write the result file."""
+    train_all()
+    known = data_of(1)
+    lab = _evaluated(known, METHODS, "lab", GOOD)
+    rough = _evaluated(known, ("rough", "rough-rt"), "rough", ROUGH)
+    amounts = [f"amount-{count}-{target}" for count in (*AMOUNTS, 1376) for target in ("residual", "plain")]
+    by_amount = _evaluated(known, amounts, "amounts", GOOD)
+    others = {unit: _evaluated(data_of(unit, 0.1), REALEASY, f"unit{unit}", GOOD, split="all") for unit in OTHER_UNITS}
+    arm = so101()
+    real = None if arm is None else _evaluated(arm, SO101, "so101", SO101_RUN)
+    result = {
+        "schema": "trueup.learned/1",
+        "lab": lab.to_json(),
+        "rough": rough.to_json(),
+        "amounts": by_amount.to_json(),
+        "others": {str(unit): item.to_json() for unit, item in others.items()},
+        "so101": None if real is None else real.to_json(),
+        "training": {name: _training(name) for name in MODELS},
+        "provenance": provenance(config={"jobs": JOBS}, seed=0, data_hash=known.hash),
+    }
+    make_folder(RESULT.parent)
+    write_json(RESULT, result)
+    return [*_lab_rows(lab), *_other_rows(others), *_so101_rows(real)]
+
+
+def _evaluated(data: Dataset, names: Sequence[str], what: str, run: str, split: str = "test") -> AugmentResult:
+    out = FOLDER / "evaluated" / what
+    folders = [FOLDER / "models" / name for name in names]
+    return evaluate(data, folders, out, run=run, split=split, overwrite=True).result
+
+
+def _training(name: str) -> dict[str, Any]:
+    card = ModelCard.load(FOLDER / "models" / name)
+    made = card.provenance["training"]
+    return {
+        "seconds": made["seconds"],
+        "epochs": len(made["history"]),
+        "best_epoch": made["best_epoch"],
+        "val": card.metrics["val"],
+        "warmup_steps": card.warmup_steps,
+        "off": [[output.signal, output.joint, output.reason] for output in card.outputs if output.gate == 0],
+    }
+
+
+def _factors(result: AugmentResult, model: str, condition: str, signal: str) -> dict[str, float]:
+    cuts = result.model(model).cuts[condition][signal]
+    return {joint: cut.factor.value for joint, cut in cuts.items() if joint in result.joints}
+
+
+def _lab_rows(lab: AugmentResult) -> list[Row]:
+    rows = []
+    for model, bar in (("realeasy", 10.0), ("realeasy-rt", 7.0)):
+        torque = _factors(lab, model, "multi-joint", "torque")
+        rows.append(at_least(f"{model}: multi-joint torque MSE cut, worst joint", min(torque.values()), bar, "x"))
+        lines = _factors(lab, model, "cartesian", "torque")
+        rows.append(at_least(f"{model}: cartesian torque MSE cut, worst joint", min(lines.values()), 5.0, "x"))
+        for signal in ("position", "velocity"):
+            worst = min(min(_factors(lab, model, condition, signal).values()) for condition in lab.conditions)
+            rows.append(at_least(f"{model}: {signal} MSE cut, worst joint of any test", worst, 1.0, "x"))
+    return rows
+
+
+def _other_rows(others: dict[int, AugmentResult]) -> list[Row]:
+    rows = []
+    for unit, result in others.items():
+        for model in REALEASY:
+            worst = min(_factors(result, model, "", "torque").values())
+            rows.append(at_least(f"unit {unit}, {model}: torque MSE cut, worst joint", worst, 2.2, "x"))
+    return rows
+
+
+def _so101_rows(real: AugmentResult | None) -> list[Row]:
+    """RMSE as identification counts it: mean over motions of the mean over joints of each motion's RMSE."""
+    if real is None:
+        return []
+    from trueup.core.results import GapResult
+
+    gap = GapResult.load(FOLDER / "evaluated" / "so101" / "gap.json")
+    rows = [shown("SO-101: identified simulator, position RMSE", _rmse(gap, SO101_RUN), "rad")]
+    for name, bar in zip(SO101, (0.0105, 0.0100), strict=True):
+        rows.append(at_most(f"SO-101: {name}, position RMSE", _rmse(gap, f"{SO101_RUN}+{name}"), bar, "rad"))
+    return rows
+
+
+def _rmse(gap: Any, run: str) -> float:
+    return float(gap.runs[run]["test"]["position"]["rmse"].total.value)
+
+

@@ -1,0 +1,130 @@
+"""The models that `python -m benchmarks augment` compares: what each is trained on, and training them.
+
+    python -m benchmarks.augment_models                    # all that are missing, one process per core
+    python -m benchmarks.augment_models realeasy gru       # these, one after the other
+
+Everything is kept under runs/augment, so that an interrupted call goes on where it was.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from trueup.augment import AugmentConfig, preset
+from trueup.augment.config import LossConfig, WindowConfig
+from trueup.core.workers import in_processes
+from trueup.dataset import Dataset, is_dataset
+from trueup.lab import LabSpec
+from trueup.record import load_plans
+from trueup.robots import load_robot
+from trueup.stages import LabRig, augment, record, replay
+
+FOLDER = Path("runs") / "augment"
+JOBS = os.cpu_count() or 1
+GOOD, ROUGH = "mujoco/stock", "mujoco/rough"
+TRAIN_UNIT = 1
+# Realeasy's "another robot": motions of other seeds, none of which is trained on.
+OTHER_UNITS = (2, 3)
+# The zoo's model must serve robots that nobody has recorded yet.
+ZOO_UNITS = (1, 4, 6, 7)
+AMOUNTS = (86, 172, 344, 688)
+
+
+@dataclass(frozen=True)
+class Model:
+    """One model.
+
+    Attributes:
+        config: how it is trained.
+        run: what it corrects.
+        units: whose motions it is trained on.
+        train_motions: how many of them; all if None.
+    """
+
+    config: AugmentConfig
+    run: str = GOOD
+    units: tuple[int, ...] = (TRAIN_UNIT,)
+    train_motions: int | None = None
+
+
+def _amount(count: int | None, target: str) -> Model:
+    """As many steps whatever the amount, so that only the data differ (LSTM thesis, Fig. 12)."""
+    config = preset("realeasy-rt")
+    draws = round(2 * 1376 / (count or 1376))
+    loss = LossConfig("residual" if target == "residual" else "plain")
+    return Model(replace(config, loss=loss, epochs=20, window=WindowConfig("fixed", draws=draws)), train_motions=count)
+
+
+MODELS: Mapping[str, Model] = {
+    "realeasy": Model(preset("realeasy")),
+    "realeasy-rt": Model(preset("realeasy-rt")),
+    "paper": Model(preset("realeasy", paper=True)),
+    "paper-rt": Model(preset("realeasy-rt", paper=True)),
+    **{name: Model(preset(name)) for name in ("gru", "mlp", "linear", "transformer")},
+    **{name: Model(preset(name)) for name in ("moving-average", "moving-average-rt")},
+    "rough": Model(preset("realeasy"), ROUGH),
+    "rough-rt": Model(preset("realeasy-rt"), ROUGH),
+    "panda-realeasy-rt": Model(preset("realeasy-rt"), units=ZOO_UNITS),
+    **{f"amount-{count}-{target}": _amount(count, target) for count in AMOUNTS for target in ("residual", "plain")},
+    **{f"amount-1376-{target}": _amount(None, target) for target in ("residual", "plain")},
+}
+
+
+def data_of(unit: int, scale: float = 1.0, seed: int | None = None) -> Dataset:
+    """The papers' motions on one unit, with both runs; recorded if they are not there. Seeds differ between units."""
+    folder = FOLDER / "data" / f"unit{unit}-{scale:g}"
+    if not is_dataset(folder):
+        plans = replace(load_plans("paper"), seed=unit if seed is None else seed).scaled(scale)
+        record(folder, load_robot("panda"), LabRig(LabSpec(), number=unit, seed=unit), plans, jobs=JOBS, resume=True)
+    data = Dataset(folder)
+    for robot, run in (("panda", GOOD), ("panda_rough", ROUGH)):
+        replay(data, load_robot(robot), label=run, jobs=JOBS, resume=True)
+    return data
+
+
+def train(name: str) -> Path:
+    """Train a model, or find it trained; returns its folder."""
+    model = MODELS[name]
+    folder = FOLDER / "models" / name
+    data = [data_of(unit, _scale(model)) for unit in model.units]
+    augment(
+        data,
+        folder,
+        run=model.run,
+        config=model.config,
+        robot=load_robot("panda"),
+        name=name,
+        train_motions=model.train_motions,
+        jobs=1,
+        resume=True,
+    )
+    return folder
+
+
+def _scale(model: Model) -> float:
+    return 1.0 if model.units == (TRAIN_UNIT,) else 0.4
+
+
+def _ready() -> None:
+    """Nothing to prepare in a process."""
+
+
+def main() -> None:
+    """Train the named models, or all of them."""
+    names = sys.argv[1:]
+    if names:
+        for name in names:
+            print(train(name))
+        return
+    for unit, scale in {(unit, _scale(model)) for model in MODELS.values() for unit in model.units}:
+        data_of(unit, scale)
+    for folder in in_processes(train, list(MODELS), jobs=JOBS, begin=_ready):
+        print(folder)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,258 @@
+"""One step of the real-time network (21 -> 100 -> 21) beside what it could run on instead, and a loop at 1 kHz.
+
+`python -m benchmarks.streaming --write` also writes `benchmarks/results/streaming.json`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import time
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import onnx
+import torch
+from onnx import numpy_helper
+
+from benchmarks.networks import HIDDEN, JOINTS, Made, by_signal, motion, real_time
+from benchmarks.table import Row, at_most, print_table, shown
+from trueup.core.atomic import make_folder, write_json
+from trueup.core.provenance import provenance
+from trueup.deploy import Latency, LoopReport, Network, Predictor, Status, Stream, run_loop
+from trueup.deploy.latency import PERCENTILES
+
+RESULT = Path(__file__).parent / "results" / "streaming.json"
+RATE_HZ = 1000.0
+PAPER_US = 390.0  # Realeasy, Sec. V: one step of its real-time network
+_LIMITS_US = {"p50_us": 20.0, "p99_us": 40.0, "p999_us": 100.0}
+# The alternatives take turns, so that a change in the machine's speed meets all of them.
+_ROUNDS, _STEPS = 20, 2000
+_CHECKED = 50
+_OURS = ("Stream.step", "Stream.step_vector")
+
+Sample = dict[str, np.ndarray]
+# A step of an alternative: number of the sample, its signals, the same as one float32 vector; returns the outputs.
+Runner = Callable[[int, Sample, np.ndarray], np.ndarray]
+
+
+def run(*, loop_s: float = 60.0, rounds: int = _ROUNDS, write: bool = False) -> list[Row]:
+    """Measure all alternatives in turns, then the loop."""
+    torch.set_num_threads(1)
+    with TemporaryDirectory() as name:
+        made = real_time(Path(name))
+        found = _measured(made, rounds)
+        loop, corrected = _looped(made, loop_s)
+    if write:
+        make_folder(RESULT.parent)
+        write_json(RESULT, _result(found, loop, loop_s))
+    rows = []
+    for runner, latency in found.items():
+        for key, share in PERCENTILES.items():
+            value, title = latency.percentile_us(share), f"{runner}, p{share:g}"
+            rows.append(at_most(title, value, _LIMITS_US[key], "us") if runner in _OURS else shown(title, value, "us"))
+    rows.append(shown("the paper's step", PAPER_US, "us"))
+    title = f"{RATE_HZ:g} Hz for {loop_s:g} s"
+    rows += [
+        at_most(f"{title}: deadlines missed by the step", loop.overran_by_step, 0, ""),
+        shown(f"{title}: missed because it was interrupted", loop.overran_by_waiting, ""),
+        shown(f"{title}: missed because it was woken late", loop.overran_by_wakeup, ""),
+        shown(f"{title}: cycles left out", loop.skipped, ""),
+        shown(f"{title}: step, p99.9", loop.step.percentile_us(99.9), "us"),
+        shown(f"{title}: step, longest", loop.step.max_us, "us"),
+        shown(f"{title}: wake-up too late by, p99.9", loop.wakeup.percentile_us(99.9), "us"),
+        shown(f"{title}: samples that were not corrected", loop.cycles - corrected, ""),
+    ]
+    return rows
+
+
+def _measured(made: Made, rounds: int) -> dict[str, Latency]:
+    """Latency of each alternative; those that are networks must agree on the outputs first."""
+    x = motion(made.card, _STEPS)
+    vectors = x[:, 0].copy()
+    samples = [by_signal(made.card, row) for row in vectors]
+    network = Network.load(made.folder)
+    runners: dict[str, Runner] = {
+        "two matrix-vector products": _products(made),
+        "torch eager": _torch(made),
+        "onnxruntime run": _plain(network),
+        "onnxruntime io-binding": _bound(network),
+        "Stream.step_vector": _stream(network, by_vector=True),
+        "Stream.step": _stream(network, by_vector=False),
+    }
+    expected = Predictor(network).run(x[:_CHECKED])[:, 0]
+    for name, runner in runners.items():
+        outputs = np.array([runner(t, samples[t], vectors[t]).copy() for t in range(_CHECKED)])
+        if name != "two matrix-vector products":
+            np.testing.assert_allclose(outputs[made.card.warmup_steps :], expected[made.card.warmup_steps :], atol=1e-3)
+    found = {name: Latency() for name in runners}
+    clock = time.perf_counter_ns
+    at = _CHECKED
+    for _ in range(rounds):
+        for name, runner in runners.items():
+            record = found[name].record
+            for k in range(at, at + _STEPS):
+                sample, vector = samples[k % _STEPS], vectors[k % _STEPS]
+                began = clock()
+                runner(k, sample, vector)
+                record(clock() - began)
+        at += _STEPS
+    return found
+
+
+def _looped(made: Made, loop_s: float) -> tuple[LoopReport, int]:
+    """The loop, and how many samples it corrected."""
+    samples = [by_signal(made.card, row) for row in motion(made.card, 5000)[:, 0]]
+    stream = Stream.load(made.folder, rate_hz=RATE_HZ, joints=JOINTS)
+    cycle = corrected = 0
+
+    def step(time_s: float) -> None:
+        nonlocal cycle, corrected
+        answer = stream.step(samples[cycle % len(samples)], time_s=time_s)
+        cycle += 1
+        corrected += answer.status is Status.OK
+
+    return run_loop(step, rate_hz=RATE_HZ, duration_s=loop_s), corrected
+
+
+def _stream(network: Network, *, by_vector: bool) -> Runner:
+    stream = Stream(network, rate_hz=RATE_HZ, joints=JOINTS)
+    if by_vector:
+        return lambda k, _, vector: stream.step_vector(vector, time_s=k / RATE_HZ).values
+    return lambda k, sample, _: stream.step(sample, time_s=k / RATE_HZ).values
+
+
+def _bound(network: Network) -> Runner:
+    """Onnxruntime with everything bound beforehand: what `Stream` adds its rules to."""
+    session, card = network.session, network.card
+    x, y = (np.zeros((1, 1, len(channels)), np.float32) for channels in (card.inputs, card.outputs))
+    before, after = ({state.name: np.zeros(state.shape, np.float32) for state in card.states} for _ in range(2))
+
+    def binding(source: Sample, target: Sample) -> Any:
+        made = session.io_binding()
+        made.bind_input("x", "cpu", 0, np.float32, x.shape, x.ctypes.data)
+        made.bind_output("y", "cpu", 0, np.float32, y.shape, y.ctypes.data)
+        for name, tensor in source.items():
+            made.bind_input(name, "cpu", 0, np.float32, tensor.shape, tensor.ctypes.data)
+            made.bind_output(f"{name}_out", "cpu", 0, np.float32, tensor.shape, target[name].ctypes.data)
+        return made
+
+    # A binding does not keep the memory that it was given: it is kept here.
+    bindings = [(binding(before, after), before), (binding(after, before), after)]
+    turn = 0
+
+    def runner(_: int, __: Sample, vector: np.ndarray) -> np.ndarray:
+        nonlocal turn
+        x[0, 0] = vector
+        session.run_with_iobinding(bindings[turn][0])
+        turn = 1 - turn
+        return y[0, 0]
+
+    return runner
+
+
+def _plain(network: Network) -> Runner:
+    """Onnxruntime as its first page shows it."""
+    session, card = network.session, network.card
+    names = ["y", *(f"{state.name}_out" for state in card.states)]
+    states = {state.name: np.zeros(state.shape, np.float32) for state in card.states}
+
+    def runner(_: int, __: Sample, vector: np.ndarray) -> np.ndarray:
+        y, *after = session.run(names, {"x": vector[None, None], **states})
+        states.update(zip(states, after, strict=True))
+        return y[0, 0]
+
+    return runner
+
+
+def _weights(made: Made) -> Sample:
+    graph = onnx.load(made.folder / "model.onnx").graph
+    return {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
+
+
+def _torch(made: Made) -> Runner:
+    """The same weights in torch; it has the gates in another order."""
+    weights = _weights(made)
+
+    def gates(values: np.ndarray) -> torch.Tensor:
+        i, o, f, c = np.split(values, 4)
+        return torch.from_numpy(np.concatenate([i, f, c, o]))
+
+    layers = torch.nn.LSTM(len(made.card.inputs), HIDDEN, 2)
+    dense = torch.nn.Linear(HIDDEN, len(made.card.outputs))
+    with torch.no_grad():
+        for layer in range(2):
+            getattr(layers, f"weight_ih_l{layer}").copy_(gates(weights[f"W{layer}"][0]))
+            getattr(layers, f"weight_hh_l{layer}").copy_(gates(weights[f"R{layer}"][0]))
+            for name, bias in zip(("ih", "hh"), np.split(weights[f"B{layer}"][0], 2), strict=True):
+                getattr(layers, f"bias_{name}_l{layer}").copy_(gates(bias))
+        dense.weight.copy_(torch.from_numpy(weights["dense"].T.copy()))
+        dense.bias.copy_(torch.from_numpy(weights["bias"].copy()))
+    center, scale, gate = (torch.from_numpy(weights[name].copy()) for name in ("center", "scale", "gate"))
+    states = None
+
+    @torch.inference_mode()
+    def runner(_: int, __: Sample, vector: np.ndarray) -> np.ndarray:
+        nonlocal states
+        x = torch.from_numpy(vector)[None]
+        hidden, states = layers((x - center) * scale, states)
+        y: np.ndarray = (x + gate * dense(hidden))[0].numpy()
+        return y
+
+    return runner
+
+
+def _products(made: Made) -> Runner:
+    """What no implementation can do without: one product per layer with all of its weights."""
+    weights = _weights(made)
+    matrices = [np.concatenate([weights[f"W{layer}"][0], weights[f"R{layer}"][0]], axis=1) for layer in range(2)]
+    operands = [np.ones(matrix.shape[1], np.float32) for matrix in matrices]
+    results = [np.zeros(len(matrix), np.float32) for matrix in matrices]
+
+    def runner(_: int, __: Sample, vector: np.ndarray) -> np.ndarray:
+        operands[0][: vector.size] = vector
+        for matrix, operand, result in zip(matrices, operands, results, strict=True):
+            np.dot(matrix, operand, out=result)
+        return results[1]
+
+    return runner
+
+
+def _result(found: dict[str, Latency], loop: LoopReport, loop_s: float) -> dict[str, Any]:
+    packages = {name: metadata.version(name) for name in ("onnxruntime", "torch")}
+    machine = {"cpu": _cpu(), "cores": os.cpu_count(), "load": list(os.getloadavg())}
+    return {
+        "schema": "trueup.streaming/1",
+        "step": {name: latency.to_json() for name, latency in found.items()},
+        "paper_us": PAPER_US,
+        "loop": {"duration_s": loop_s, **loop.to_json()},
+        "provenance": provenance(config={"packages": packages, "machine": machine}, seed=0),
+    }
+
+
+def _cpu() -> str:
+    """The processor's name, where the system tells it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.split(": ")[1] for line in lines if line.startswith("model name")), platform.processor())
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write", action="store_true", help=f"write {RESULT.name}")
+    parser.add_argument("--loop-s", type=float, default=60.0, help="how long the loop runs")
+    parser.add_argument("--rounds", type=int, default=_ROUNDS, help=f"of {_STEPS} steps for each alternative")
+    options = parser.parse_args()
+    print_table(run(loop_s=options.loop_s, rounds=options.rounds, write=options.write), "streaming")
+
+
+if __name__ == "__main__":
+    main()

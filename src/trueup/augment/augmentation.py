@@ -1,0 +1,296 @@
+"""The one interface of everything that augments: fit, predict, stream, save, load, export."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load as load_tensors
+from safetensors.torch import save as save_tensors
+
+from trueup.augment.calibration import far_off, intervals_of, warmup_steps
+from trueup.augment.checkpoint import losses
+from trueup.augment.config import AugmentConfig
+from trueup.augment.corrector import Corrector
+from trueup.augment.gating import Errors, errors_of, gates_of
+from trueup.augment.networks import build_network
+from trueup.augment.pairs import Pairs
+from trueup.augment.scaling import Scaling, Summary, scaling_of, summarize
+from trueup.augment.training import OnEpoch, Trained, train
+from trueup.core.atomic import make_folder, write_bytes
+from trueup.core.config import build
+from trueup.core.model_card import ONNX_NAME, WEIGHTS_NAME, Input, ModelCard, Output
+from trueup.core.provenance import provenance
+from trueup.errors import DataError
+
+_VAL = "val"
+CHECKPOINT_NAME = "checkpoint.safetensors"
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What is to be learned from which data.
+
+    Attributes:
+        name: of the model.
+        robot: name of the kind of robot.
+        joints: its joints.
+        run: label of the run that is corrected.
+        rate_hz: samples per second.
+        train: pairs that are fitted.
+        val: pairs that choose.
+        limits: (signal, joint) -> lowest and highest value, for normalization.
+        data_hash: of the dataset.
+        description: for people.
+    """
+
+    name: str
+    robot: str
+    joints: tuple[str, ...]
+    run: str
+    rate_hz: float
+    train: Pairs
+    val: Pairs
+    limits: Mapping[tuple[str, str], tuple[float, float]]
+    data_hash: str = ""
+    description: str = ""
+
+
+class Augmentation:
+    """A trained correction.
+
+    Attributes:
+        card: what it says of itself.
+        corrector: the network between SI values.
+        config: how it was trained.
+        training: how training went; None for one that was loaded.
+    """
+
+    def __init__(
+        self, card: ModelCard, corrector: Corrector, config: AugmentConfig, training: Trained | None = None
+    ) -> None:
+        self.card = card
+        self.corrector = corrector
+        self.config = config
+        self.training = training
+
+    @staticmethod
+    def fit(
+        task: Task,
+        config: AugmentConfig,
+        *,
+        folder: Path,
+        seed: int = 0,
+        resume: bool = False,
+        device: str = "cpu",
+        threads: int | None = None,
+        on_progress: OnEpoch | None = None,
+    ) -> Augmentation:
+        """Train, switch off the outputs that do not help on val, and calibrate intervals on val.
+
+        Args:
+            task: pairs and their names.
+            config: network, loss, optimizer.
+            folder: where the checkpoint is kept after each epoch.
+            seed: of all draws.
+            resume: go on from the checkpoint.
+            device: `cpu` or `cuda`.
+            threads: of torch; its own choice if None.
+            on_progress: called after every batch and epoch.
+
+        Raises:
+            TrueupError: see `training.train`.
+        """
+        with _threads(threads):
+            return Augmentation._fit(task, config, folder, seed, device, on_progress, resume=resume)
+
+    @staticmethod
+    def _fit(
+        task: Task,
+        config: AugmentConfig,
+        folder: Path,
+        seed: int,
+        device: str,
+        on_progress: OnEpoch | None,
+        *,
+        resume: bool,
+    ) -> Augmentation:
+        base = np.array([task.train.inputs.index(channel) for channel in task.train.outputs])
+        summary = summarize(task.train, base)
+        scaling = scaling_of(
+            summary,
+            task.train.inputs,
+            base,
+            normalization=config.data.normalization,
+            target=config.loss.target,
+            loss_scale=config.loss.scale,
+            limits=task.limits,
+        )
+        corrector = _made(config, len(task.train.inputs), base, scaling, seed)
+        trained = train(
+            corrector,
+            task.train,
+            task.val,
+            config,
+            seed=seed,
+            checkpoint=folder / CHECKPOINT_NAME,
+            inputs=_digest(task, config, seed),
+            resume=resume,
+            device=device,
+            on_progress=on_progress,
+        )
+        errors = errors_of(corrector, task.val)
+        used, reasons = gates_of(errors, seed=seed)
+        corrector.set_gate(used.astype(float))
+        errors = replace(errors, corrected=np.where(used, errors.corrected, errors.simulated))
+        card = _card(task, config, corrector, summary, errors, reasons, trained, seed)
+        return Augmentation(card, corrector.cpu(), config, trained)
+
+    def save(self, folder: Path) -> ModelCard:
+        """Write `model.onnx`, `weights.safetensors` and, last, `model.json`; returns the card as written."""
+        make_folder(folder)
+        (folder / "model.json").unlink(missing_ok=True)  # half of another model must not be taken for one
+        state = {name: value.contiguous() for name, value in self.corrector.state_dict().items()}
+        write_bytes(folder / WEIGHTS_NAME, save_tensors(state))
+        write_bytes(folder / ONNX_NAME, self.export())
+        self.card = self.card.save(folder)
+        return self.card
+
+    def export(self) -> bytes:
+        """`model.onnx`: one file, SI in and out, states in and out; see `core.model_card`."""
+        self.corrector.eval()
+        return self.corrector.exported({"name": self.card.name, "method": self.card.method, "by": "trueup"})
+
+    @staticmethod
+    def load(folder: Path) -> Augmentation:
+        """Read a model folder back, e.g. to train it on or to export it again.
+
+        Raises:
+            DataError: a file is missing, truncated or changed.
+            FormatError: of another version.
+        """
+        card = ModelCard.load(folder)
+        try:
+            state = load_tensors(card.verified(folder, WEIGHTS_NAME))
+        except SafetensorError as error:
+            raise DataError(f"{folder / WEIGHTS_NAME} holds no weights", got=error) from error
+        config = build(AugmentConfig, card.provenance["config"], f"{folder}: config")
+        width = len(card.outputs)
+        blank = Scaling(*(np.ones(n) for n in (len(card.inputs), len(card.inputs), width, width, width)))
+        corrector = _made(config, len(card.inputs), card.base, blank, 0)
+        corrector.load_state_dict(state)
+        corrector.eval()
+        return Augmentation(card, corrector, config)
+
+
+def _made(config: AugmentConfig, inputs: int, base: np.ndarray, scaling: Scaling, seed: int) -> Corrector:
+    before = torch.get_rng_state()
+    torch.manual_seed(seed)
+    network = build_network(config.network, inputs=inputs, base=base.tolist())
+    torch.set_rng_state(before)
+    return Corrector(network, scaling, base, target=config.loss.target)
+
+
+@contextlib.contextmanager
+def _threads(count: int | None) -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(count or before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _digest(task: Task, config: AugmentConfig, seed: int) -> str:
+    """Hash of everything that decides about a training."""
+    parts = {
+        "config": config.to_json(),
+        "seed": seed,
+        "data": task.data_hash,
+        "run": task.run,
+        "rate_hz": task.rate_hz,
+        "motions": [[motion.id for motion in pairs.motions] for pairs in (task.train, task.val)],
+        "inputs": [channel.name for channel in task.train.inputs],
+        "outputs": [channel.name for channel in task.train.outputs],
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def _card(
+    task: Task,
+    config: AugmentConfig,
+    corrector: Corrector,
+    summary: Summary,
+    errors: Errors,
+    reasons: Iterable[str],
+    trained: Trained,
+    seed: int,
+) -> ModelCard:
+    pairs = task.val
+    intervals = intervals_of(corrector, pairs, config.coverage)
+    far = far_off(corrector, pairs, summary.simulator_rms)
+    base, gate = corrector.base.cpu().numpy(), corrector.gate.cpu().numpy()
+    inputs = tuple(
+        Input(channel.signal, channel.joint, channel.unit, channel.series, low=float(low), high=float(high))
+        for channel, low, high in zip(pairs.inputs, summary.low, summary.high, strict=True)
+    )
+    outputs = tuple(
+        Output(
+            channel.signal,
+            channel.joint,
+            channel.unit,
+            channel.series,
+            base=int(base[number]),
+            gate=float(gate[number]),
+            reason=reason,
+            interval=(intervals.base[number], intervals.slope[number]),
+            far=far.threshold[number],
+            far_correction=far.correction[number],
+            far_probability=far.probability[number],
+        )
+        for number, (channel, reason) in enumerate(zip(pairs.outputs, reasons, strict=True))
+    )
+    made = provenance(config=config.to_json(), seed=seed, data_hash=task.data_hash)
+    made["training"] = {
+        "status": trained.status,
+        "best_epoch": trained.best,
+        "seconds": trained.seconds,
+        "history": losses(trained.history),
+        "motions": {"train": len(task.train.motions), "val": len(task.val.motions)},
+    }
+    return ModelCard(
+        name=task.name,
+        method=config.method,
+        robot=task.robot,
+        joints=task.joints,
+        run=task.run,
+        rate_hz=task.rate_hz,
+        causal=corrector.network.causal,
+        inputs=inputs,
+        outputs=outputs,
+        states=corrector.states,
+        warmup_steps=warmup_steps(corrector, pairs, task.rate_hz),
+        margin=config.margin,
+        coverage=config.coverage,
+        coverage_note=intervals.note,
+        metrics={_VAL: _metrics(pairs, errors)},
+        description=task.description,
+        provenance=made,
+    )
+
+
+def _metrics(pairs: Pairs, errors: Errors) -> dict[str, Any]:
+    simulated, corrected = errors.rmse(errors.simulated), errors.rmse(errors.corrected)
+    metrics: dict[str, Any] = {}
+    for channel, before, after in zip(pairs.outputs, simulated, corrected, strict=True):
+        numbers = {"simulated": float(before), "corrected": float(after)}
+        metrics.setdefault(channel.signal, {})[channel.joint] = numbers
+    return metrics

@@ -1,0 +1,111 @@
+"""Where training stands after an epoch, in one file that is there whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+from torch.optim import Optimizer
+
+from trueup.core.atomic import replacing
+from trueup.errors import DataError, OutputExists
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """One line of the history.
+
+    Attributes:
+        number: from 1.
+        train: mean loss of its batches.
+        val: loss on the whole motions of val.
+        rate: learning rate at its end.
+        seconds: what it took [s].
+    """
+
+    number: int
+    train: float
+    val: float
+    rate: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """What is needed to go on; draws of an epoch depend on seed and number of the epoch alone.
+
+    Attributes:
+        inputs: hash of everything that decides about the training.
+        history: epochs that are done.
+        best: number of the epoch with the lowest val loss; 0 if there is none.
+    """
+
+    inputs: str
+    history: tuple[Epoch, ...]
+    best: int
+
+
+def save_checkpoint(
+    path: Path, state: Checkpoint, network: nn.Module, optimizer: Optimizer, best: Mapping[str, Tensor]
+) -> None:
+    """Write the file atomically."""
+    tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
+    tensors |= {f"best.{name}": value for name, value in best.items()}
+    steps = optimizer.state_dict()
+    for number, slots in steps["state"].items():
+        tensors |= {f"optimizer.{number}.{name}": torch.as_tensor(value) for name, value in slots.items()}
+    metadata = {"state": json.dumps(asdict(state)), "groups": json.dumps(steps["param_groups"])}
+    with replacing(path) as temporary:
+        save_file({name: value.detach().cpu().contiguous() for name, value in tensors.items()}, temporary, metadata)
+
+
+def read_checkpoint(
+    path: Path, inputs: str, network: nn.Module, optimizer: Optimizer
+) -> tuple[Checkpoint, dict[str, Tensor]]:
+    """Put network and optimizer where they were; returns the history and the best weights so far.
+
+    Raises:
+        OutputExists: the checkpoint belongs to another training.
+        DataError: the file is broken.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  # it has no __iter__
+        tree = json.loads(metadata["state"])
+        groups = json.loads(metadata["groups"])
+    except (SafetensorError, OSError, KeyError, ValueError) as error:
+        raise DataError(f"{path} is no checkpoint", got=error, hint="Give --overwrite to begin anew.") from error
+    if tree["inputs"] != inputs:
+        raise OutputExists(
+            f"{path.parent} holds the training of another configuration, seed or data",
+            hint="Give --overwrite to begin anew, or choose another --out.",
+        )
+    history = tuple(Epoch(**item) for item in tree["history"])
+    network.load_state_dict(_part(tensors, "network."))
+    optimizer.load_state_dict({"state": _slots(tensors), "param_groups": groups})
+    return Checkpoint(inputs, history, tree["best"]), _part(tensors, "best.")
+
+
+def _part(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+
+
+def _slots(tensors: Mapping[str, Tensor]) -> dict[int, dict[str, Tensor]]:
+    slots: dict[int, dict[str, Tensor]] = {}
+    for name, value in _part(tensors, "optimizer.").items():
+        number, slot = name.split(".", 1)
+        slots.setdefault(int(number), {})[slot] = value
+    return slots
+
+
+def losses(history: Sequence[Epoch]) -> list[dict[str, Any]]:
+    """The history as JSON."""
+    return [asdict(epoch) for epoch in history]

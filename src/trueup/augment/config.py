@@ -1,0 +1,276 @@
+"""What to train and how: `AugmentConfig`, from YAML or as a method's default or as its paper has it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from trueup.core.config import build, read_yaml
+from trueup.errors import ConfigError
+
+SIGNALS = ("position", "velocity", "torque")
+NetworkKind = Literal["lstm", "gru", "mlp", "linear", "transformer", "moving-average"]
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """The network.
+
+    Attributes:
+        kind: `lstm` and `gru` carry a state; `mlp`, `linear` and `transformer` see the last `history` samples; a
+            `moving-average` over `history` samples has nothing to train.
+        hidden: units of each layer; (100, 21) in the papers.
+        bidirectional: whether the network sees a motion from both ends ("precise"); not for a control loop. Outputs of
+            the layers are concatenated, those of the last one summed (Realeasy, IV-C).
+        history: samples that `mlp`, `linear`, `transformer` and `moving-average` see.
+        heads: of the attention, `transformer` only.
+        input_dropout: share of the samples that are skipped in training (Realeasy, IV-C).
+        recurrent_dropout: share of the state's units that are left out of the recurrence of a batch.
+        output_activation: `tanh` bounds the correction by the scale of its output.
+    """
+
+    kind: NetworkKind = "lstm"
+    hidden: tuple[int, ...] = (100, 21)
+    bidirectional: bool = False
+    history: int = 50
+    heads: int = 4
+    input_dropout: float = 0.0
+    recurrent_dropout: float = 0.0
+    output_activation: Literal["linear", "tanh"] = "linear"
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no network."""
+        if any(size < 1 for size in self.hidden):
+            raise ConfigError("network: hidden", got=self.hidden, expected="positive sizes")
+        if not self.hidden and self.kind in ("lstm", "gru", "transformer"):
+            raise ConfigError(f"network: {self.kind} needs a hidden layer")
+        if self.history < 1:
+            raise ConfigError("network: history", got=self.history, expected="at least one sample")
+        if self.bidirectional and self.kind not in ("lstm", "gru", "moving-average"):
+            raise ConfigError(f"network: {self.kind} has one direction only", got="bidirectional: true")
+        if self.kind == "transformer" and (self.heads < 1 or any(size % self.heads for size in self.hidden)):
+            raise ConfigError(
+                "network: hidden of a transformer", got=self.hidden, expected=f"multiples of {self.heads}"
+            )
+        if self.kind == "transformer" and len(set(self.hidden)) > 1:
+            raise ConfigError("network: the layers of a transformer are equally wide", got=self.hidden)
+        for name in ("input_dropout", "recurrent_dropout"):
+            if not 0 <= getattr(self, name) < 1:
+                raise ConfigError(f"network: {name}", got=getattr(self, name), expected="a share below 1")
+
+
+@dataclass(frozen=True)
+class DataConfig:
+    """What the network reads and corrects.
+
+    Attributes:
+        signals: those that are corrected; None for all of position, velocity, torque that both sides have.
+        command: commanded signals that are read besides the simulated ones; () for none, as in the papers.
+        rate_hz: samples per second; None for the rate of the logs.
+        normalization: `limits` maps the joints' limits to [0, 1] (Realeasy, IV-B); `statistics` takes mean and
+            standard deviation of the train split.
+    """
+
+    signals: tuple[str, ...] | None = None
+    command: tuple[str, ...] = ()
+    rate_hz: float | None = None
+    normalization: Literal["limits", "statistics"] = "statistics"
+
+    def __post_init__(self) -> None:
+        """Refuse unknown signals."""
+        for name in (*(self.signals or ()), *self.command):
+            if name not in SIGNALS:
+                raise ConfigError("data: signals", got=name, available=SIGNALS)
+        if self.signals == ():
+            raise ConfigError("data: signals is empty", expected="at least one, or none at all for all")
+        if self.rate_hz is not None and not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
+            raise ConfigError("data: rate_hz", got=self.rate_hz, expected="a positive number")
+
+
+@dataclass(frozen=True)
+class WindowConfig:
+    """The pieces of motions that a network is trained on (Realeasy, IV-D; LSTM thesis, 2.7).
+
+    Attributes:
+        rule: `half-shortest` takes half the shortest motion of the batch, `draws` times from each motion and epoch;
+            `fixed` takes `samples`, as often as is needed to see each sample `draws` times in an epoch.
+        samples: length of a fixed window.
+        draws: see `rule`.
+    """
+
+    rule: Literal["half-shortest", "fixed"] = "fixed"
+    samples: int = 120
+    draws: int = 2
+
+    def __post_init__(self) -> None:
+        """Refuse empty windows."""
+        if self.samples < 2 or self.draws < 1:
+            raise ConfigError("window", got=(self.samples, self.draws), expected="samples >= 2, draws >= 1")
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """What is minimized.
+
+    Attributes:
+        target: `residual` learns what must be added to the simulator (MSrE; Realeasy, eq. 9 and 10); `plain` learns
+            the measured signal itself (the thesis's "Normal").
+        scale: `simulator` counts errors in units of the simulator's own error of each output, so that no signal
+            drowns another; `normalized` in normalized units, as the papers do.
+        weights: signal -> weight; 1 where nothing is said.
+    """
+
+    target: Literal["residual", "plain"] = "residual"
+    scale: Literal["simulator", "normalized"] = "simulator"
+    weights: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse weights that are none."""
+        for name, value in self.weights.items():
+            if name not in SIGNALS:
+                raise ConfigError("loss: weights", got=name, available=SIGNALS)
+            if not (math.isfinite(value) and value >= 0):
+                raise ConfigError(f"loss: weight of {name}", got=value, expected="a number >= 0")
+
+
+@dataclass(frozen=True)
+class OptimizerConfig:
+    """How it is minimized.
+
+    Attributes:
+        name: optimizer.
+        rate: learning rate; the peak where it follows a cosine.
+        schedule: `plateau` divides the rate by `1 / factor` when val has not improved for `patience` epochs;
+            `cosine` rises over `warmup_steps` and falls to zero at the last epoch.
+        factor: see `schedule`.
+        patience: epochs, see `schedule`.
+        warmup_steps: see `schedule`.
+        weight_decay: of `adamw`.
+        clip: largest norm of a gradient; 0 for none.
+    """
+
+    name: Literal["rmsprop", "adamw"] = "adamw"
+    rate: float = 5e-3
+    schedule: Literal["plateau", "cosine"] = "cosine"
+    factor: float = 0.5
+    patience: int = 3
+    warmup_steps: int = 100
+    weight_decay: float = 1e-3
+    clip: float = 1.0
+
+
+@dataclass(frozen=True)
+class AugmentConfig:
+    """Everything about a training run.
+
+    Attributes:
+        method: name of the method; becomes part of the run's label.
+        network: the network.
+        data: what it reads and corrects.
+        window: pieces of motions.
+        loss: what is minimized.
+        optimizer: how.
+        batch: windows in a batch.
+        epochs: at most this many.
+        stop_after: epochs without improvement on val after which training stops; 0 for never.
+        margin: share of an input's training range by which a stream's input may leave it.
+        coverage: share of samples that the intervals are to cover.
+    """
+
+    method: str = "realeasy-rt"
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    data: DataConfig = field(default_factory=DataConfig)
+    window: WindowConfig = field(default_factory=WindowConfig)
+    loss: LossConfig = field(default_factory=LossConfig)
+    optimizer: OptimizerConfig = field(default_factory=OptimizerConfig)
+    batch: int = 32
+    epochs: int = 40
+    stop_after: int = 15
+    margin: float = 0.1
+    coverage: float = 0.9
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that make no training."""
+        if self.batch < 1 or self.epochs < 0 or self.stop_after < 0:
+            raise ConfigError("batch, epochs, stop_after", got=(self.batch, self.epochs, self.stop_after))
+        if not 0 < self.coverage < 1:
+            raise ConfigError("coverage", got=self.coverage, expected="a share between 0 and 1")
+        if not (math.isfinite(self.margin) and self.margin >= 0):
+            raise ConfigError("margin", got=self.margin, expected="a share >= 0")
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON types only; `load` reads it back from YAML."""
+        return asdict(self)
+
+    @staticmethod
+    def load(path: Path) -> AugmentConfig:
+        """Read a YAML file; `method` and `base: paper` choose what the rest is laid over.
+
+        Raises:
+            ConfigError: no such file, unknown keys, wrong types or numbers.
+        """
+        tree = read_yaml(path)
+        base = tree.pop("base", "default")
+        if base not in ("default", "paper"):
+            raise ConfigError(f"{path}: base", got=base, available=("default", "paper"))
+        start = preset(str(tree.get("method", "realeasy-rt")), paper=base == "paper")
+        return build(AugmentConfig, _laid_over(asdict(start), tree), str(path))
+
+
+def preset(method: str, *, paper: bool = False) -> AugmentConfig:
+    """The configuration of a method.
+
+    Args:
+        method: one of `METHODS`.
+        paper: as the papers have it, not our default; for the two Realeasy networks.
+
+    Raises:
+        ConfigError: there is no such method, or no paper about it.
+    """
+    if method not in METHODS:
+        raise ConfigError("there is no such method", got=method, available=METHODS)
+    config = METHODS[method]
+    if not paper:
+        return config
+    if not method.startswith("realeasy"):
+        raise ConfigError(
+            "no paper has a configuration of this method", got=method, available=("realeasy", "realeasy-rt")
+        )
+    # Realeasy, IV and V; LSTM thesis, 3.2: (100, 21), 16 draws per trajectory and epoch, windows of half the shortest
+    # trajectory of the batch, RMSprop, 1e-4, reduced on plateaus.
+    return replace(
+        config,
+        network=replace(config.network, hidden=(100, 21)),
+        data=replace(config.data, normalization="limits"),
+        window=WindowConfig("half-shortest", draws=16),
+        loss=LossConfig("residual", "normalized"),
+        optimizer=OptimizerConfig("rmsprop", 1e-4, "plateau", weight_decay=0.0, clip=0.0),
+        batch=16,
+        epochs=50,
+        stop_after=0,
+    )
+
+
+def _laid_over(base: dict[str, Any], tree: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in tree.items():
+        inner = merged.get(key)
+        merged[key] = _laid_over(inner, value) if isinstance(inner, dict) and isinstance(value, Mapping) else value
+    return merged
+
+
+METHODS: Mapping[str, AugmentConfig] = {
+    "realeasy": AugmentConfig("realeasy", NetworkConfig(bidirectional=True)),
+    "realeasy-rt": AugmentConfig("realeasy-rt"),
+    "gru": AugmentConfig("gru", NetworkConfig("gru")),
+    "mlp": AugmentConfig("mlp", NetworkConfig("mlp", (128, 128))),
+    "linear": AugmentConfig("linear", NetworkConfig("linear", ())),
+    "transformer": AugmentConfig("transformer", NetworkConfig("transformer", (64, 64))),
+    "moving-average": AugmentConfig(
+        "moving-average", NetworkConfig("moving-average", (), bidirectional=True), epochs=0
+    ),
+    "moving-average-rt": AugmentConfig("moving-average-rt", NetworkConfig("moving-average", ()), epochs=0),
+}

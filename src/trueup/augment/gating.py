@@ -1,0 +1,84 @@
+"""Which outputs may correct: those that help on val, in every kind of motion that val has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from trueup.augment.corrector import Corrector
+from trueup.augment.pairs import Pairs
+from trueup.augment.training import predictions
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Sums of squared errors, motion by motion.
+
+    Attributes:
+        rows: samples of each motion, (E,).
+        simulated: of the simulator, (E, K).
+        corrected: of the corrected signals, (E, K).
+        conditions: condition of each motion, (E,).
+    """
+
+    rows: Float64[np.ndarray, "E"]
+    simulated: Float64[np.ndarray, "E K"]
+    corrected: Float64[np.ndarray, "E K"]
+    conditions: tuple[str, ...]
+
+    def rmse(self, which: Float64[np.ndarray, "E K"]) -> Float64[np.ndarray, "K"]:
+        """Over all samples, (K,)."""
+        found: np.ndarray = np.sqrt(which.sum(axis=0) / self.rows.sum())
+        return found
+
+
+def errors_of(corrector: Corrector, pairs: Pairs) -> Errors:
+    """Errors on a split, with the gate as it is."""
+    count, width = len(pairs.motions), len(pairs.outputs)
+    rows, sums = np.zeros(count), np.zeros((2, count, width))
+    for number, simulated, corrected, measured in predictions(corrector, pairs):
+        rows[number] = len(measured)
+        for place, values in enumerate((simulated, corrected)):
+            sums[place, number] = ((measured.astype(float) - values) ** 2).sum(axis=0)
+    return Errors(rows, sums[0], sums[1], tuple(motion.condition for motion in pairs.motions))
+
+
+def gates_of(errors: Errors, *, draws: int = 1000, seed: int = 0) -> tuple[Bool[np.ndarray, "K"], tuple[str, ...]]:
+    """Which outputs are used, and for the others why not.
+
+    An output is used if its squared error on val is below the simulator's: over all motions, with the upper end of
+    the 95 % bootstrap interval over motions where there are ten or more; and within each condition.
+
+    Returns:
+        used, (K,); reason, empty for those that are used.
+    """
+    difference = errors.corrected - errors.simulated
+    count = len(errors.rows)
+    rng = np.random.default_rng(seed)
+    many = count >= 10
+    if many:
+        picks = rng.multinomial(count, np.full(count, 1 / count), size=draws)
+        upper = np.quantile(picks @ difference, 0.975, axis=0)
+    else:
+        upper = difference.sum(axis=0)
+    used, reasons = [], []
+    names = sorted(set(errors.conditions))
+    kinds = np.array(errors.conditions)
+    for output in range(difference.shape[1]):
+        reason = ""
+        if errors.simulated[:, output].sum() == 0:
+            reason = "the simulator is exact on val"
+        elif difference[:, output].sum() >= 0:
+            worse = np.sqrt(errors.corrected[:, output].sum() / errors.simulated[:, output].sum()) - 1
+            reason = f"error on val larger than the simulator's, by {100 * worse:.0f} %"
+        elif upper[output] >= 0:
+            reason = "no better than the simulator on val beyond chance"
+        else:
+            worse_in = [name for name in names if difference[kinds == name, output].sum() > 0]
+            if worse_in:
+                reason = f"error on val larger than the simulator's in {', '.join(worse_in)} motions"
+        used.append(not reason)
+        reasons.append(reason)
+    return np.array(used), tuple(reasons)

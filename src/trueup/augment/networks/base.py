@@ -1,0 +1,91 @@
+"""What training, export and runtime expect of a network."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from trueup.augment.graph import Graph
+from trueup.core.model_card import State
+
+States = tuple[Tensor, ...]
+
+
+class Network(nn.Module, ABC):
+    """Normalized inputs (T, B, I) to normalized outputs (T, B, K), time first.
+
+    Attributes:
+        inputs: I.
+        outputs: K.
+        causal: whether it needs no sample of the future.
+        past: samples before the current one that it sees besides.
+    """
+
+    causal: bool = True
+    past: int = 0
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.inputs = inputs
+        self.outputs = outputs
+
+    @property
+    @abstractmethod
+    def states(self) -> tuple[State, ...]:
+        """What a stream carries from sample to sample besides the `past` samples; empty if not causal."""
+
+    @abstractmethod
+    def run(self, x: Tensor, states: States, lengths: Tensor | None) -> tuple[Tensor, States]:
+        """Outputs and the states after the last sample.
+
+        Args:
+            x: (past + T, B, I); rows at and beyond a motion's length are padding and must not matter to the others.
+            states: tensors of the shapes in `states`.
+            lengths: valid samples of each of the B motions, (B,); None if all are.
+        """
+
+    @abstractmethod
+    def draw(self, graph: Graph, x: str, states: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+        """The same as nodes of an ONNX graph; returns the names of the output and of the new states."""
+
+    def initial(self, first: Tensor) -> States:
+        """The states before the first sample, (B, I)."""
+        made = []
+        for state in self.states:
+            shape = list(state.shape)
+            shape[state.batch_axis] = first.shape[0]
+            made.append(first.new_zeros(shape))
+        return tuple(made)
+
+    def forward(self, x: Tensor, lengths: Tensor | None = None) -> Tensor:
+        """Outputs of B motions from their starts, (T, B, I) to (T, B, K).
+
+        Before its start stands the first sample of a motion, again and again.
+        """
+        seen = torch.cat([x[:1].expand(self.past, -1, -1), x]) if self.past else x
+        return self.run(seen, self.initial(x[0]), lengths)[0]
+
+
+class SkipSamples(nn.Module):
+    """Input dropout: whole samples are left out in training (Realeasy, IV-C: "if x_t is skipped")."""
+
+    def __init__(self, share: float) -> None:
+        super().__init__()
+        self.share = share
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(T, B, I) with some samples zero, and the others larger by as much."""
+        if not self.training or self.share == 0:
+            return x
+        kept = torch.rand(*x.shape[:2], 1, device=x.device) >= self.share
+        return x * kept / (1 - self.share)
+
+
+def draw_linear(graph: Graph, layer: nn.Module, x: str) -> str:
+    """The nodes of a dense layer."""
+    assert isinstance(layer, nn.Linear)
+    x = graph.add("MatMul", x, graph.floats(layer.weight.detach().T.numpy()))
+    return graph.add("Add", x, graph.floats(layer.bias.detach().numpy()))

@@ -1,0 +1,155 @@
+"""LSTM and GRU, forward ("real-time") or from both ends ("precise"); Realeasy, III-B and IV-C."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+
+from trueup.augment.graph import Graph
+from trueup.augment.networks.base import Network, SkipSamples, States, draw_linear
+from trueup.core.model_card import State
+
+# Where each gate of torch stands in ONNX: torch has input, forget, cell, output and reset, update, new.
+_GATES = {"lstm": (0, 3, 1, 2), "gru": (1, 0, 2)}
+
+
+class Recurrent(Network):
+    """Recurrent layers and a dense one.
+
+    Args:
+        inputs: I.
+        outputs: K.
+        cell: kind of layer.
+        hidden: units of each layer and direction.
+        bidirectional: outputs of both directions are concatenated, those of the last layer summed (Realeasy, IV-C).
+        input_dropout: share of skipped samples.
+        recurrent_dropout: share of the state's units that are left out of the recurrence.
+        tanh: whether the output is bounded.
+    """
+
+    def __init__(
+        self,
+        inputs: int,
+        outputs: int,
+        *,
+        cell: Literal["lstm", "gru"],
+        hidden: Sequence[int],
+        bidirectional: bool,
+        input_dropout: float,
+        recurrent_dropout: float,
+        tanh: bool,
+    ) -> None:
+        super().__init__(inputs, outputs)
+        self.causal = not bidirectional
+        self.cell = cell
+        self.hidden = tuple(hidden)
+        kind = nn.LSTM if cell == "lstm" else nn.GRU
+        directions = 2 if bidirectional else 1
+        widths = [inputs, *(directions * size for size in hidden)]
+        self.forwards = nn.ModuleList(kind(width, size) for width, size in zip(widths, hidden, strict=False))
+        self.backwards = nn.ModuleList(
+            kind(width, size) for width, size in zip(widths, hidden, strict=False) if bidirectional
+        )
+        self.dense = nn.Linear(self.hidden[-1], outputs)
+        self.skip = SkipSamples(input_dropout)
+        self.recurrent_dropout = recurrent_dropout
+        self.tanh = tanh
+
+    @property
+    def states(self) -> tuple[State, ...]:
+        """Hidden (and cell) state of each layer, (1, B, H)."""
+        if not self.causal:
+            return ()
+        names = ("h", "c") if self.cell == "lstm" else ("h",)
+        return tuple(State(f"{name}{layer}", (1, 1, size)) for layer, size in enumerate(self.hidden) for name in names)
+
+    def run(self, x: Tensor, states: States, lengths: Tensor | None) -> tuple[Tensor, States]:
+        """See `Network.run`."""
+        x = self.skip(x)
+        after: list[Tensor] = []
+        per_layer = 2 if self.cell == "lstm" else 1
+        turn = _turn(x.shape[0], lengths) if self.backwards else None
+        for number, layer in enumerate(self.forwards):
+            before = states[number * per_layer : (number + 1) * per_layer]
+            forward, state = self._layer(layer, x, before)
+            after += state
+            if turn is None:
+                x = forward
+                continue
+            # A motion turned around within its own length, so that padding stays behind it.
+            backward, _ = self._layer(self.backwards[number], _turned(x, turn), ())
+            backward = _turned(backward, turn)
+            last = number == len(self.hidden) - 1
+            x = forward + backward if last else torch.cat([forward, backward], dim=-1)
+        out = self.dense(x)
+        return torch.tanh(out) if self.tanh else out, tuple(after) if self.causal else ()
+
+    def _layer(self, layer: nn.Module, x: Tensor, before: States) -> tuple[Tensor, list[Tensor]]:
+        given: tuple[object, ...] = (x,)
+        if before:
+            given = (x, before if self.cell == "lstm" else before[0])
+        if self.training and self.recurrent_dropout > 0:
+            # Leaving units of the state out, the same ones at every step, is leaving out columns of U.
+            weight = getattr(layer, "weight_hh_l0")  # noqa: B009  # nn.Module types it as a module
+            assert isinstance(weight, Tensor)
+            keep = 1 - self.recurrent_dropout
+            columns = torch.rand(weight.shape[1], device=x.device).lt(keep) / keep
+            out, state = torch.func.functional_call(layer, {"weight_hh_l0": weight * columns}, given)
+        else:
+            out, state = layer(*given)
+        return out, list(state) if self.cell == "lstm" else [state]
+
+    def draw(self, graph: Graph, x: str, states: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+        """See `Network.draw`."""
+        after: list[str] = []
+        per_layer = 2 if self.cell == "lstm" else 1
+        for number, size in enumerate(self.hidden):
+            layers = [self.forwards[number], *(self.backwards[number : number + 1])]
+            weights = [self._weights(layer) for layer in layers]
+            before = list(states[number * per_layer : (number + 1) * per_layer])
+            made = graph.add_many(
+                self.cell.upper(),
+                [x, *(graph.floats(torch.stack(part).numpy()) for part in zip(*weights, strict=True)), "", *before],
+                1 + per_layer,
+                hidden_size=size,
+                direction="forward" if self.causal else "bidirectional",
+                **({"linear_before_reset": 1} if self.cell == "gru" else {}),
+            )
+            after += made[1:]
+            if self.causal:
+                x = graph.add("Squeeze", made[0], graph.integers([1]))  # (T, directions, B, H)
+            elif number == len(self.hidden) - 1:
+                x = graph.add("ReduceSum", made[0], graph.integers([1]), keepdims=0)
+            else:
+                turned = graph.add("Transpose", made[0], perm=[0, 2, 1, 3])
+                x = graph.add("Reshape", turned, graph.integers([0, 0, 2 * size]))
+        x = draw_linear(graph, self.dense, x)
+        return graph.add("Tanh", x) if self.tanh else x, tuple(after) if self.causal else ()
+
+    def _weights(self, layer: nn.Module) -> tuple[Tensor, Tensor, Tensor]:
+        """Input weights, recurrent weights and both biases with the gates in the order of ONNX."""
+        order = _GATES[self.cell]
+
+        def arranged(name: str) -> Tensor:
+            parts = getattr(layer, name).detach().chunk(len(order))
+            return torch.cat([parts[gate] for gate in order])
+
+        biases = torch.cat([arranged("bias_ih_l0"), arranged("bias_hh_l0")])
+        return arranged("weight_ih_l0"), arranged("weight_hh_l0"), biases
+
+
+def _turn(samples: int, lengths: Tensor | None) -> Tensor:
+    """Rows that turn each motion around, (T, B, 1); empty if all are full."""
+    if lengths is None or bool((lengths == samples).all()):
+        return torch.empty(0)
+    rows = torch.arange(samples, device=lengths.device)[:, None]
+    return torch.where(rows < lengths, lengths - 1 - rows, rows)[..., None]
+
+
+def _turned(x: Tensor, turn: Tensor) -> Tensor:
+    if turn.numel() == 0:
+        return x.flip(0)
+    return x.gather(0, turn.expand(-1, -1, x.shape[-1]))

@@ -1,0 +1,246 @@
+"""Pairs of simulated and measured motions, as training reads them: in one flat file per split.
+
+Windows are read from the file when they are needed, so that memory does not grow with the data.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+from jaxtyping import Float32, Float64, UInt64
+
+from trueup.augment.channels import Grid, column, gather
+from trueup.core.episode import Episode
+from trueup.core.model_card import Channel
+from trueup.core.timeseries import TimeSeries
+from trueup.errors import DataError, MissingSignal
+
+# Rows of a val motion are looked for among those of train in runs of this many.
+_RUN = 8
+_RUNS_PER_MOTION = 200
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Where a motion stands in the file.
+
+    Attributes:
+        id: episode id.
+        condition: its condition.
+        start: its first row.
+        rows: number of rows.
+    """
+
+    id: str
+    condition: str
+    start: int
+    rows: int
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """The motions of one split, in a file of float32 rows: I inputs, then K measured outputs.
+
+    Attributes:
+        path: the file.
+        inputs: I channels.
+        outputs: K channels, measured.
+        motions: where each is.
+    """
+
+    path: Path
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
+    motions: tuple[Motion, ...]
+    _open: list[int] = field(default_factory=list)
+
+    @property
+    def rows(self) -> int:
+        """Rows of all motions."""
+        return sum(motion.rows for motion in self.motions)
+
+    def read(self, start: int, rows: int) -> Float32[np.ndarray, "N C"]:
+        """Rows of the file, (N, I + K)."""
+        if not self._open:
+            self._open.append(os.open(self.path, os.O_RDONLY))
+        width = 4 * (len(self.inputs) + len(self.outputs))
+        data = os.pread(self._open[0], rows * width, start * width)
+        if len(data) != rows * width:
+            raise DataError(f"{self.path} is truncated", got=f"{len(data)} bytes at row {start}")
+        return np.frombuffer(data, np.float32).reshape(rows, -1)
+
+    def motion(self, motion: Motion) -> tuple[Float32[np.ndarray, "T I"], Float32[np.ndarray, "T K"]]:
+        """Inputs and measured outputs of a motion."""
+        rows = self.read(motion.start, motion.rows)
+        return rows[:, : len(self.inputs)], rows[:, len(self.inputs) :]
+
+    def __iter__(self) -> Iterator[tuple[Motion, Float32[np.ndarray, "T I"], Float32[np.ndarray, "T K"]]]:
+        """Every motion with its inputs and measured outputs."""
+        for motion in self.motions:
+            yield motion, *self.motion(motion)
+
+    def __enter__(self) -> Pairs:
+        """For `with`: the file is closed at the end."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the file; reading opens it again."""
+        while self._open:
+            os.close(self._open.pop())
+
+
+def write_pairs(
+    episodes: Iterable[Episode],
+    path: Path,
+    *,
+    run: str,
+    inputs: Sequence[Channel],
+    outputs: Sequence[Channel],
+    rate_hz: float,
+) -> Pairs:
+    """Bring motions onto one clock each and append them to a file.
+
+    Args:
+        episodes: with the simulated run, in the robot's joint names.
+        path: file that is written.
+        run: label of the run.
+        inputs: what the network reads.
+        outputs: what it corrects; the measured signals are read.
+        rate_hz: of the network.
+
+    Raises:
+        DataError: a value is not finite, or there is no motion.
+        TrueupError: an episode lacks a signal or a joint.
+    """
+    motions: list[Motion] = []
+    at = 0
+    with path.open("wb") as file:
+        for episode in episodes:
+            series = episode.run(run)
+            grid = Grid.of(_common(episode, series), rate_hz)
+            x = gather(episode, run, inputs, grid.time_s)
+            y = _measured(episode, outputs, grid.time_s)
+            _refuse_gaps(episode, x, inputs)
+            _refuse_gaps(episode, y, outputs)
+            file.write(np.concatenate([x, y], axis=1).tobytes())
+            motions.append(Motion(episode.id, episode.meta.condition, at, len(x)))
+            at += len(x)
+    if not motions:
+        raise DataError(f"there is no motion for {path.stem}")
+    return Pairs(path, tuple(inputs), tuple(outputs), tuple(motions))
+
+
+def _common(episode: Episode, series: TimeSeries) -> Float64[np.ndarray, "T"]:
+    """The stamps of a run that the measurement covers too."""
+    measured = episode.measured.time_s
+    inside = (series.time_s >= measured[0]) & (series.time_s <= measured[-1])
+    return series.time_s if inside.all() else series.time_s[inside]
+
+
+def _measured(
+    episode: Episode, outputs: Sequence[Channel], time_s: Float64[np.ndarray, "T"]
+) -> Float32[np.ndarray, "T K"]:
+    series = episode.measured
+    columns = [column(series, channel, f"episode {episode.id!r}, measured") for channel in outputs]
+    return np.stack([np.interp(time_s, series.time_s, values) for values in columns], axis=1).astype(np.float32)
+
+
+def _refuse_gaps(episode: Episode, values: Float32[np.ndarray, "T C"], channels: Sequence[Channel]) -> None:
+    wrong = ~np.isfinite(values)
+    if wrong.any():
+        row, channel = np.argwhere(wrong)[0]
+        raise DataError(
+            f"episode {episode.id!r} cannot be trained on",
+            got=f"{values[row, channel]} in {channels[channel].signal} of {channels[channel].joint!r}, sample {row}",
+            expected="finite numbers",
+            hint="Give --drop-flagged to leave out motions with quality warnings, or mend the log.",
+        )
+
+
+def refuse_overlap(train: Pairs, val: Pairs) -> None:
+    """Refuse a val split that holds a piece of a train motion: nothing could be chosen by it.
+
+    Runs of eight measured rows that move are looked for bit by bit.
+
+    Raises:
+        DataError: a val motion, or a piece of it, is in train too.
+    """
+    wanted = {}
+    for motion, _, y in val:
+        runs = _runs(y)
+        step = max(1, len(runs) // _RUNS_PER_MOTION)
+        wanted.update(dict.fromkeys(runs[::step].tolist(), motion.id))
+    wanted.pop(0, None)
+    sought = np.array(sorted(wanted), np.uint64)
+    for motion, _, y in train:
+        runs = _runs(y)
+        found = runs[np.isin(runs, sought)]
+        if found.size:
+            raise DataError(
+                f"val motion {wanted[int(found[0])]!r} holds samples of train motion {motion.id!r}",
+                hint="Split by whole motions: what is trained on cannot judge.",
+            )
+
+
+def _runs(y: Float32[np.ndarray, "T K"]) -> UInt64[np.ndarray, "N"]:
+    """A number for each run of rows; 0 for a run in which something stands still."""
+    if len(y) < _RUN:
+        return np.empty(0, np.uint64)
+    bits = np.ascontiguousarray(y).view(np.uint32).astype(np.uint64)
+    factors = np.random.default_rng(0).integers(1, 2**63, bits.shape[1], np.uint64) * np.uint64(2) + np.uint64(1)
+    rows = (bits * factors).sum(axis=1, dtype=np.uint64)
+    moves = np.concatenate([[True], rows[1:] != rows[:-1]])
+    count = len(rows) - _RUN + 1
+    numbers = np.zeros(count, np.uint64)
+    moving = np.ones(count, bool)
+    for number in range(_RUN):
+        numbers = numbers * np.uint64(0x9E3779B97F4A7C15) + rows[number : number + count]
+        moving &= moves[number : number + count]
+    return np.where(moving, numbers, np.uint64(0))
+
+
+def channels_of(
+    episode: Episode, run: str, *, signals: Sequence[str] | None, command: Sequence[str], known: Sequence[str]
+) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
+    """Inputs and outputs for an episode: all joints of each signal, simulated ones before commanded ones.
+
+    Args:
+        episode: one that has everything.
+        run: label of the run.
+        signals: those to correct; None for those of `known` that both sides have.
+        command: commanded signals to read.
+        known: signals that can be corrected, in order.
+
+    Raises:
+        MissingSignal: a signal is on one side only.
+    """
+    series, measured = episode.run(run), episode.measured
+    both = [name for name in known if name in series and name in measured]
+    chosen = list(both if signals is None else signals)
+    for name in chosen:
+        if name not in both:
+            side = "the run" if name not in series else "the measurement"
+            raise MissingSignal(f"{side} of episode {episode.id!r} has no {name}", available=both)
+    if not chosen:
+        raise MissingSignal(f"episode {episode.id!r}: robot and run {run!r} share no signal", available=known)
+    corrected = _channels(series, chosen)
+    told = _channels(episode.commanded(), command, of_command=True) if command else []
+    return (*corrected, *told), tuple(corrected)
+
+
+def _channels(series: TimeSeries, signals: Sequence[str], *, of_command: bool = False) -> list[Channel]:
+    for name in signals:
+        if name not in series:
+            raise MissingSignal(f"there is no commanded {name}", available=series.signals)
+    return [
+        Channel(name, joint, unit, "command" if of_command else "simulated")
+        for name in signals
+        for joint, unit in zip(series.joints, series.units[name], strict=True)
+    ]

@@ -1,0 +1,149 @@
+"""Numbers of a network's size: what is subtracted from and divided out of inputs and outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float64, Int
+
+from trueup.augment.pairs import Pairs
+from trueup.core.model_card import Channel
+
+# An input that never changes in training must not be blown up when it does.
+_STILL = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Summary:
+    """What one pass over the train split finds.
+
+    Attributes:
+        mean: of the inputs, (I,).
+        deviation: standard deviation of the inputs, (I,).
+        low: smallest inputs, (I,).
+        high: largest inputs, (I,).
+        simulator_rms: error of the simulator, RMS, (K,).
+        measured_mean: of the measured outputs, (K,).
+        measured_deviation: their standard deviation, (K,).
+    """
+
+    mean: Float64[np.ndarray, "I"]
+    deviation: Float64[np.ndarray, "I"]
+    low: Float64[np.ndarray, "I"]
+    high: Float64[np.ndarray, "I"]
+    simulator_rms: Float64[np.ndarray, "K"]
+    measured_mean: Float64[np.ndarray, "K"]
+    measured_deviation: Float64[np.ndarray, "K"]
+
+
+def summarize(pairs: Pairs, base: Int[np.ndarray, "K"]) -> Summary:
+    """Moments of a split, motion by motion.
+
+    Args:
+        pairs: the train split.
+        base: for each output the input that it corrects, (K,).
+    """
+    count, rms = 0, np.zeros(base.size)
+    low, high = np.full(len(pairs.inputs), np.inf), np.full(len(pairs.inputs), -np.inf)
+    moments = [_Moments(len(pairs.inputs)), _Moments(base.size)]
+    for _, x, y in pairs:
+        low, high = np.minimum(low, x.min(axis=0)), np.maximum(high, x.max(axis=0))
+        rms += ((y.astype(float) - x[:, base]) ** 2).sum(axis=0)
+        count += len(x)
+        for moment, values in zip(moments, (x, y), strict=True):
+            moment.add(values)
+    return Summary(
+        mean=moments[0].mean,
+        deviation=moments[0].deviation,
+        low=low,
+        high=high,
+        simulator_rms=np.sqrt(rms / count),
+        measured_mean=moments[1].mean,
+        measured_deviation=moments[1].deviation,
+    )
+
+
+class _Moments:
+    """Mean and standard deviation, by Chan's update of blocks."""
+
+    def __init__(self, width: int) -> None:
+        self.count = 0
+        self.mean = np.zeros(width)
+        self._squares = np.zeros(width)
+
+    def add(self, values: np.ndarray) -> None:
+        values = values.astype(float)
+        mean, total = values.mean(axis=0), self.count + len(values)
+        shift = mean - self.mean
+        self._squares += ((values - mean) ** 2).sum(axis=0) + shift**2 * self.count * len(values) / total
+        self.mean = self.mean + shift * len(values) / total
+        self.count = total
+
+    @property
+    def deviation(self) -> np.ndarray:
+        return np.sqrt(self._squares / self.count)
+
+
+@dataclass(frozen=True, eq=False)
+class Scaling:
+    """z = (x - center) / scale for inputs; a network's output o stands for `out_center + out_scale * o`.
+
+    With the target `residual` that is what is added to the simulator, with `plain` the signal itself.
+
+    Attributes:
+        center: (I,).
+        scale: (I,), positive.
+        out_center: (K,).
+        out_scale: (K,), positive.
+        loss_scale: errors are counted in units of this, (K,), positive.
+    """
+
+    center: Float64[np.ndarray, "I"]
+    scale: Float64[np.ndarray, "I"]
+    out_center: Float64[np.ndarray, "K"]
+    out_scale: Float64[np.ndarray, "K"]
+    loss_scale: Float64[np.ndarray, "K"]
+
+
+def scaling_of(
+    summary: Summary,
+    inputs: Sequence[Channel],
+    base: Int[np.ndarray, "K"],
+    *,
+    normalization: Literal["limits", "statistics"],
+    target: Literal["residual", "plain"],
+    loss_scale: Literal["simulator", "normalized"],
+    limits: Mapping[tuple[str, str], tuple[float, float]],
+) -> Scaling:
+    """The scaling of a configuration.
+
+    Args:
+        summary: of the train split.
+        inputs: I channels.
+        base: for each output the input that it corrects, (K,).
+        normalization: `limits` maps limits to [0, 1] (Realeasy, IV-B); `statistics` takes mean and deviation.
+        target: what the network's output stands for.
+        loss_scale: units of the loss.
+        limits: (signal, joint) -> lowest and highest value; the range of the train split where there are none.
+    """
+    if normalization == "limits":
+        ends = [limits.get((channel.signal, channel.joint)) for channel in inputs]
+        low = np.array([end[0] if end else found for end, found in zip(ends, summary.low, strict=True)])
+        high = np.array([end[1] if end else found for end, found in zip(ends, summary.high, strict=True)])
+        center, scale = low, _positive(high - low)
+        out_center, out_scale = center[base], scale[base]
+    else:
+        center, scale = summary.mean, _positive(summary.deviation)
+        out_center, out_scale = summary.measured_mean, _positive(summary.measured_deviation)
+    if target == "residual":
+        out_center = np.zeros(base.size)
+        out_scale = out_scale if normalization == "limits" else _positive(summary.simulator_rms)
+    units = scale[base] if loss_scale == "normalized" else _positive(summary.simulator_rms)
+    return Scaling(center, scale, out_center, out_scale, units)
+
+
+def _positive(values: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "N"]:
+    return np.where(values > _STILL, values, 1.0)

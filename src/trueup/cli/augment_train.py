@@ -1,0 +1,186 @@
+"""`trueup augment train`."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from trueup.cli import options
+from trueup.cli.console import err, note, out, track
+from trueup.errors import ConfigError, MissingDependency
+
+if TYPE_CHECKING:
+    from trueup.augment import AugmentConfig, Progress
+    from trueup.core.model_card import ModelCard
+
+_PLAIN_EVERY_S = 10.0
+
+
+def train(
+    datasets: Annotated[list[Path], typer.Argument(help="Datasets with the run in them; several for several units.")],
+    out_dir: Annotated[Path, typer.Option("--out", help="Folder for the model.")],
+    method: Annotated[
+        str | None,
+        typer.Option(
+            "--method",
+            help="realeasy (precise), realeasy-rt, gru, mlp, linear, transformer, moving-average, moving-average-rt.",
+        ),
+    ] = None,
+    config: Annotated[
+        str | None, typer.Option("--config", help="paper, default, or a YAML file; see docs/augmentation.md.")
+    ] = None,
+    run: Annotated[str, typer.Option("--run", help="Label of the run that is corrected.")] = "mujoco/stock",
+    signals: Annotated[
+        list[str] | None,
+        typer.Option("--signal", help="Signal to correct; all that both sides have if none; repeatable."),
+    ] = None,
+    command: Annotated[
+        list[str] | None, typer.Option("--command", help="Commanded signal to read besides; repeatable.")
+    ] = None,
+    epochs: Annotated[int | None, typer.Option("--epochs", min=0, help="Over the configuration.")] = None,
+    robot: Annotated[str | None, typer.Option("--robot", help="For normalization by limits.")] = None,
+    name: Annotated[str, typer.Option("--name", help="Name of the model; the method if not given.")] = "",
+    device: Annotated[Literal["cpu", "cuda"], typer.Option("--device", help="cpu or cuda.")] = "cpu",
+    tensorboard: Annotated[
+        Path | None, typer.Option("--tensorboard", help="Folder for curves that TensorBoard shows.")
+    ] = None,
+    drop_flagged: options.DropFlagged = False,
+    train_motions: Annotated[
+        int | None, typer.Option("--train-motions", min=1, help="Train on so many motions only, drawn from train.")
+    ] = None,
+    seed: options.Seed = 0,
+    jobs: options.Jobs = None,
+    overwrite: options.Overwrite = False,
+    resume: options.Resume = False,
+) -> int:
+    """Train a network that turns a simulated run into what the robot would have measured.
+
+    Fits on train, chooses on val, never reads test: judge the result with `trueup augment eval`.
+    """
+    from trueup.dataset import Dataset
+    from trueup.robots import load_robot
+    from trueup.stages import augment
+
+    chosen = _configured(method, config, signals, command, epochs)
+    with _watching(tensorboard) as on_progress:
+        made = augment(
+            [Dataset(path) for path in datasets],
+            out_dir,
+            run=run,
+            config=chosen,
+            robot=load_robot(robot) if robot else None,
+            name=name,
+            drop_flagged=drop_flagged,
+            train_motions=train_motions,
+            seed=seed,
+            jobs=jobs,
+            device=device,
+            overwrite=overwrite,
+            resume=resume,
+            track=track,
+            on_progress=on_progress,
+        )
+    card = made.augmentation.card
+    out.print(_table(card))
+    for line in made.notes:
+        note(line)
+    training = card.provenance["training"]
+    if training["history"]:
+        out.print(
+            f"{training['status']} after {len(training['history'])} epochs in {training['seconds']:.0f} s, "
+            f"best: {training['best_epoch']}",
+            markup=False,
+        )
+    out.print(f"model: {made.folder}", markup=False)
+    out.print(f"next: trueup augment eval {datasets[0]} --model {made.folder} --out RUNS", markup=False)
+    return 0
+
+
+def _configured(
+    method: str | None, config: str | None, signals: list[str] | None, command: list[str] | None, epochs: int | None
+) -> AugmentConfig:
+    """The configuration that the options ask for."""
+    from trueup.augment import AugmentConfig, preset
+
+    if config in (None, "default", "paper"):
+        chosen = preset(method or "realeasy-rt", paper=config == "paper")
+    elif method is not None:
+        raise ConfigError("--method and a YAML file", got=(method, config), hint="Write method: into the file.")
+    else:
+        chosen = AugmentConfig.load(Path(str(config)))
+    data = replace(
+        chosen.data,
+        signals=tuple(signals) if signals else chosen.data.signals,
+        command=tuple(command) if command else chosen.data.command,
+    )
+    return replace(chosen, data=data, epochs=chosen.epochs if epochs is None else epochs)
+
+
+@contextmanager
+def _watching(folder: Path | None) -> Iterator[Callable[[Progress], None]]:
+    """Shows where training stands, here and, if there is a folder, in TensorBoard."""
+    with contextlib.ExitStack() as stack:
+        board = stack.enter_context(_board(folder)) if folder else None
+        status = stack.enter_context(err.status("training")) if err.is_terminal else None
+        last = -_PLAIN_EVERY_S
+
+        def show(progress: Progress) -> None:
+            nonlocal last
+            if board and progress.epoch:
+                for name in ("train", "val", "rate"):
+                    board.add_scalar(
+                        f"loss/{name}" if name != "rate" else name, getattr(progress.epoch, name), progress.number
+                    )
+            text = _line(progress)
+            if status:
+                status.update(text)
+            elif time.monotonic() - last >= _PLAIN_EVERY_S:
+                last = time.monotonic()
+                err.print(text, markup=False)
+
+        yield show
+
+
+@contextmanager
+def _board(folder: Path) -> Iterator[Any]:
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ModuleNotFoundError as error:
+        raise MissingDependency("--tensorboard", got=error, hint="pip install 'trueup[tensorboard]'") from error
+    with SummaryWriter(str(folder)) as writer:
+        yield writer
+
+
+def _line(progress: Progress) -> str:
+    where = f"epoch {progress.number}/{progress.epochs}"
+    left = "" if progress.left_s is None else f", {_duration(progress.left_s)} left at most"
+    if progress.epoch is None:
+        return f"train: {where}, batch {progress.batch}/{progress.batches}{left}"
+    return f"train: {where}, loss {progress.epoch.train:.4g}, val {progress.epoch.val:.4g}{left}"
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
+
+
+def _table(card: ModelCard) -> Table:
+    """RMSE on val before and after, signal by signal and joint by joint."""
+    table = Table(title=f"{card.name}: RMSE on val, simulator -> corrected")
+    table.add_column("signal")
+    for joint in card.joints:
+        table.add_column(joint, justify="right")
+    units = {output.signal: output.unit for output in card.outputs}
+    for signal, joints in card.metrics["val"].items():
+        cells = [joints.get(joint) for joint in card.joints]
+        shown = [f"{cell['simulated']:.3g} -> {cell['corrected']:.3g}" if cell else "" for cell in cells]
+        table.add_row(escape(f"{signal} [{units[signal]}]"), *shown)
+    return table

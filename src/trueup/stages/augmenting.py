@@ -1,0 +1,350 @@
+"""Augment: datasets with a simulated run in, a trained correction of that run out."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from trueup.align import JointMap
+from trueup.augment.config import SIGNALS, AugmentConfig
+from trueup.core.atomic import as_read_back, make_folder
+from trueup.core.episode import Episode
+from trueup.core.model_card import CARD_NAME, Channel, ModelCard
+from trueup.dataset import Dataset
+from trueup.errors import ConfigError, DataError, MissingDependency, MissingSignal, NameMismatch, OutputExists
+from trueup.robots import RobotSpec, find_model
+from trueup.stages.progress import Track, silent
+from trueup.stages.replaying import in_robot_names
+
+if TYPE_CHECKING:
+    from trueup.augment import Augmentation, Progress
+    from trueup.augment.pairs import Pairs
+
+# Pairs of motions for training; gone when everything is written.
+_PAIRS = "pairs"
+# Rates of motions that differ by no more than this share are one rate.
+_SAME_RATE = 0.02
+
+
+@dataclass(frozen=True)
+class Augmented:
+    """What `augment` made.
+
+    Attributes:
+        augmentation: the trained correction; its card says how good it is on val.
+        folder: the model's folder.
+        notes: what was left out or switched off, and what must be known besides.
+    """
+
+    augmentation: Augmentation
+    folder: Path
+    notes: tuple[str, ...]
+
+
+def augment(
+    datasets: Sequence[Dataset],
+    out: Path | str,
+    *,
+    run: str,
+    config: AugmentConfig | None = None,
+    robot: RobotSpec | None = None,
+    name: str = "",
+    description: str = "",
+    drop_flagged: bool = False,
+    train_motions: int | None = None,
+    seed: int = 0,
+    jobs: int | None = None,
+    device: str = "cpu",
+    overwrite: bool = False,
+    resume: bool = False,
+    track: Track = silent,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> Augmented:
+    """Train a network that turns a simulated run into what the robot would have measured.
+
+    Fits on the train splits, chooses the epoch, the outputs that may correct, and intervals on the val splits; never
+    reads test. Writes `model.onnx`, `weights.safetensors` and `model.json` into `out`.
+
+    Args:
+        datasets: with the run in each; several for several units of one robot.
+        out: the model's folder.
+        run: label of the run that is corrected, e.g. `mujoco/stock`.
+        config: method, network, loss, optimizer; the real-time Realeasy network if None.
+        robot: its description, for normalization by limits; what the run says of it if None.
+        name: of the model; the method if empty.
+        description: for people, kept in the card.
+        drop_flagged: leave out motions with quality warnings.
+        train_motions: train on no more than so many motions, drawn from the train split; to see what more data bring.
+        seed: of all draws.
+        jobs: threads; torch's own choice if None.
+        device: `cpu` or `cuda`.
+        overwrite: replace the model that is in `out`.
+        resume: go on where an earlier call was interrupted; a finished model of the same inputs is loaded.
+        track: shows progress of reading.
+        on_progress: called after every batch and epoch.
+
+    Raises:
+        OutputExists: `out` holds a model, or the training of another one.
+        MissingSignal: there is no such run, or no motion in train or val.
+        DataError: a sample is not finite, val overlaps train, or motions have different rates.
+        ConfigError: training diverges in its first epoch.
+        MissingDependency: torch is not installed.
+    """
+    try:
+        from trueup.augment import Augmentation, Task
+        from trueup.augment.pairs import channels_of, refuse_overlap, write_pairs
+    except ModuleNotFoundError as error:
+        raise MissingDependency(
+            f"training needs {error.name}", hint="pip install 'trueup[learn]' (or make install in a clone)"
+        ) from error
+    config, out = config or AugmentConfig(), Path(out)
+    make_folder(out)
+    if any(out.iterdir()) and not (overwrite or resume):
+        raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
+    sources = _sources(datasets, run)
+    origin = _Origin.of(sources, run)
+    data_hash = _joint_hash(sources, run)
+    if resume and not overwrite and (out / CARD_NAME).is_file():
+        return _finished(out, data_hash, config, seed)
+    ids = {split: _ids(sources, split, drop_flagged=drop_flagged) for split in ("train", "val")}
+    if train_motions is not None:
+        ids["train"] = _drawn(ids["train"], train_motions, seed)
+    first = next(_episodes(sources, ids["train"][:1], run, origin.joint_map))
+    inputs, outputs = channels_of(first, run, signals=config.data.signals, command=config.data.command, known=SIGNALS)
+    outputs = tuple(channel for channel in outputs if channel.joint in origin.scored)
+    rate_hz = config.data.rate_hz or _rate(first, run)
+    pairs_folder = out / _PAIRS
+    shutil.rmtree(pairs_folder, ignore_errors=True)
+    make_folder(pairs_folder)
+    if overwrite:
+        (out / "checkpoint.safetensors").unlink(missing_ok=True)
+    made: dict[str, Pairs] = {}
+    for split, chosen in ids.items():
+        episodes = _at_rate(_episodes(sources, chosen, run, origin.joint_map), run, rate_hz, config)
+        made[split] = write_pairs(
+            track(episodes, split, len(chosen)),
+            pairs_folder / f"{split}.f32",
+            run=run,
+            inputs=inputs,
+            outputs=outputs,
+            rate_hz=rate_hz,
+        )
+    with made["train"] as train, made["val"] as val:
+        refuse_overlap(train, val)
+        limits, limit_notes = _limits(robot, origin, sources[0], inputs, config)
+        task = Task(
+            name=name or config.method,
+            robot=origin.robot,
+            joints=origin.joints,
+            run=run,
+            rate_hz=rate_hz,
+            train=train,
+            val=val,
+            limits=limits,
+            data_hash=data_hash,
+            description=description,
+        )
+        augmentation = Augmentation.fit(
+            task,
+            config,
+            folder=out,
+            seed=seed,
+            resume=resume and not overwrite,
+            device=device,
+            threads=jobs,
+            on_progress=on_progress,
+        )
+    augmentation.save(out)
+    # Only here is nothing left that an interruption could cost.
+    (out / "checkpoint.safetensors").unlink(missing_ok=True)
+    shutil.rmtree(pairs_folder, ignore_errors=True)
+    return Augmented(augmentation, out, (*limit_notes, *_notes(augmentation)))
+
+
+@dataclass(frozen=True)
+class _Origin:
+    """What the runs of all datasets say of the robot."""
+
+    robot: str
+    joints: tuple[str, ...]
+    scored: tuple[str, ...]
+    joint_map: JointMap
+    info: Mapping[str, Any]
+
+    @staticmethod
+    def of(sources: Sequence[Dataset], run: str) -> _Origin:
+        infos = [source.run_info(run) for source in sources]
+        for source, info in zip(sources, infos, strict=True):
+            if "joint_map" not in info:
+                raise ConfigError(
+                    f"the run {run!r} of {source.path} came with the logs: it is on a clock of its own",
+                    hint="Replay the commands with trueup replay, and correct that run.",
+                )
+            if info["joints"] != infos[0]["joints"]:
+                raise NameMismatch(
+                    f"the run {run!r} has other joints in {source.path}",
+                    left=info["joints"],
+                    right=infos[0]["joints"],
+                )
+            if _physics(info) != _physics(infos[0]):
+                raise ConfigError(
+                    f"the run {run!r} of {source.path} was simulated with another model or other settings",
+                    hint="Replay all datasets with the same robot and model.",
+                )
+        info = infos[0]
+        robot = str(info.get("inputs", {}).get("robot", {}).get("name", ""))
+        joints = tuple(info["joints"])
+        return _Origin(
+            robot, joints, tuple(info.get("scored_joints", joints)), JointMap.from_dict(info["joint_map"]), info
+        )
+
+
+def _physics(info: Mapping[str, Any]) -> tuple[Any, ...]:
+    return info.get("inputs", {}).get("model_sha256"), info.get("settings")
+
+
+def _sources(datasets: Sequence[Dataset], run: str) -> list[Dataset]:
+    if not datasets:
+        raise ConfigError("there is no dataset to train on")
+    for dataset in datasets:
+        if run not in dataset.runs:
+            raise MissingSignal(
+                f"{dataset.path} has no run {run!r}",
+                available=dataset.runs,
+                hint="Make one with trueup replay, or name one with --run.",
+            )
+    return list(datasets)
+
+
+def _joint_hash(sources: Sequence[Dataset], run: str) -> str:
+    parts = [[source.hash, source.run_info(run).get("inputs", {}), source.splits] for source in sources]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def _ids(sources: Sequence[Dataset], split: str, *, drop_flagged: bool) -> list[tuple[int, str]]:
+    """Number of the dataset and id of each motion of a split that the run has too."""
+    found = []
+    for number, source in enumerate(sources):
+        if split in source.splits.values():
+            found += [(number, name) for name in source.select(split=split, drop_flagged=drop_flagged)]
+    if not found:
+        raise MissingSignal(
+            f"no motion is in the split {split!r}",
+            available=sorted({item for source in sources for item in source.splits.values()}),
+            hint="Training needs train and val: give --splits 80/15/5 when you import, or a split.json.",
+        )
+    return found
+
+
+def _drawn(ids: list[tuple[int, str]], count: int, seed: int) -> list[tuple[int, str]]:
+    """So many of them, at random; a smaller draw is part of a larger one."""
+    if count < 1:
+        raise ConfigError("train_motions", got=count, expected="at least 1")
+    order = np.random.default_rng(seed).permutation(len(ids))[:count]
+    return [ids[number] for number in sorted(order)]
+
+
+def _episodes(
+    sources: Sequence[Dataset], chosen: Sequence[tuple[int, str]], run: str, joint_map: JointMap
+) -> Iterator[Episode]:
+    several = len(sources) > 1
+    for number, name in chosen:
+        source = sources[number]
+        if name not in source.run_ids(run):
+            continue  # could not be replayed
+        episode = in_robot_names(source.episode(name, runs=[run]), joint_map)
+        if several:
+            episode = replace(episode, meta=replace(episode.meta, id=f"{number}/{name}"))
+        yield episode
+
+
+def _rate(episode: Episode, run: str) -> float:
+    rate = episode.run(run).rate_hz
+    whole = round(rate)
+    return float(whole) if whole and abs(rate / whole - 1) < 0.01 else rate
+
+
+def _at_rate(episodes: Iterable[Episode], run: str, rate_hz: float, config: AugmentConfig) -> Iterator[Episode]:
+    """Refuse motions of another rate, unless the configuration asks for one."""
+    for episode in episodes:
+        rate = episode.run(run).rate_hz
+        if config.data.rate_hz is None and abs(rate / rate_hz - 1) > _SAME_RATE:
+            raise DataError(
+                f"episode {episode.id!r} has another rate than the first one",
+                got=f"{rate:.4g} Hz",
+                expected=f"{rate_hz:.4g} Hz",
+                hint="Give data.rate_hz in the configuration to bring all motions to one rate.",
+            )
+        yield episode
+
+
+def _limits(
+    robot: RobotSpec | None, origin: _Origin, source: Dataset, inputs: Sequence[Channel], config: AugmentConfig
+) -> tuple[dict[tuple[str, str], tuple[float, float]], tuple[str, ...]]:
+    """Limits of positions, velocities and torques, where robot, model or run say them."""
+    if config.data.normalization != "limits":
+        return {}, ()
+    limits: dict[tuple[str, str], tuple[float, float]] = {}
+    stated = origin.info.get("inputs", {}).get("robot", {}).get("joints", [])
+    for joint in stated:
+        if joint.get("position_limits"):
+            limits["position", joint["name"]] = tuple(joint["position_limits"])
+    for joint, torque in (origin.info.get("torque_limits") or {}).items():
+        limits["torque", joint] = (-float(torque), float(torque))
+    for joint, speed in _speeds(robot, source).items():
+        limits["velocity", joint] = (-speed, speed)
+    missing = sorted({f"{c.signal} of {c.joint}" for c in inputs if (c.signal, c.joint) not in limits})
+    if not missing:
+        return limits, ()
+    note = f"no limits are known for {', '.join(missing)}: normalized by the range of the train split"
+    return limits, (note,)
+
+
+def _speeds(robot: RobotSpec | None, source: Dataset) -> dict[str, float]:
+    """Velocity limits that the model states; none where there is no model."""
+    if robot is None:
+        return {}
+    import mujoco
+
+    path = find_model(robot, folder=source.info.model_path(source.path) or source.path / "model")
+    model = mujoco.MjModel.from_xml_path(str(path))
+    numerics = {model.numeric(row).name: model.numeric(row).data for row in range(model.nnumeric)}
+    values = numerics.get("velocity_limit", np.empty(0))
+    names = [model.joint(row).name for row in range(model.njnt)]
+    return dict(zip(names, map(float, values), strict=True)) if len(values) == len(names) else {}
+
+
+def _finished(out: Path, data_hash: str, config: AugmentConfig, seed: int) -> Augmented:
+    from trueup.augment import Augmentation
+
+    made = ModelCard.load(out).provenance
+    if (made["data_hash"], made["seed"], made["config"]) != (data_hash, seed, as_read_back(config.to_json())):
+        raise OutputExists(
+            f"{out} holds a model of other data, or of another configuration or seed",
+            hint="Give --overwrite to replace it, or choose another --out.",
+        )
+    augmentation = Augmentation.load(out)
+    return Augmented(augmentation, out, ("was finished already", *_notes(augmentation)))
+
+
+def _notes(augmentation: Augmentation) -> Iterator[str]:
+    card = augmentation.card
+    training = card.provenance["training"]
+    if training["status"] == "diverged":
+        done, best = len(training["history"]), training["best_epoch"]
+        yield f"training diverged after epoch {done}; the weights of epoch {best} are kept"
+    off: dict[str, list[str]] = {}
+    for output in card.outputs:
+        if output.gate == 0:
+            off.setdefault(output.reason, []).append(f"{output.signal} of {output.joint}")
+    for reason, names in off.items():
+        yield f"switched off, so that the simulator's value stays: {', '.join(names)} ({reason})"
+    if card.coverage_note:
+        yield f"intervals: {card.coverage_note}"

@@ -1,0 +1,45 @@
+"""Trained networks that come with the package.
+
+    import trueup.zoo
+
+    model = trueup.zoo.load("panda-realeasy-rt")
+    stream = model.stream(rate_hz=100, joints=model.card.joints)
+
+Each is a model folder with a card for people, `CARD.md`, beside it: what it was trained on, what it is good for and
+what not. `python -m benchmarks.zoo` makes them again.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from trueup.augment.trained import Trained
+from trueup.core.model_card import CARD_NAME
+from trueup.errors import MissingSignal
+
+_HERE = Path(__file__).parent
+
+
+def names() -> tuple[str, ...]:
+    """The networks that are there."""
+    return tuple(sorted(path.parent.name for path in _HERE.glob(f"*/{CARD_NAME}")))
+
+
+def folder(name: str) -> Path:
+    """The model folder of a network.
+
+    Raises:
+        MissingSignal: there is none of this name.
+    """
+    if name not in names():
+        raise MissingSignal(f"the zoo has no network {name!r}", available=names())
+    return _HERE / name
+
+
+def load(name: str) -> Trained:
+    """A network, ready to correct motions or to run in a control loop.
+
+    Raises:
+        MissingSignal: there is none of this name.
+    """
+    return Trained.load(folder(name))

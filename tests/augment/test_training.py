@@ -1,0 +1,384 @@
+"""Training: the same result however it is interrupted, and no result where there can be none."""
+
+import numpy as np
+import pytest
+import torch
+
+from augment.augment_cases import JOINTS, RUN, make_dataset, motion, robot, write_run
+from trueup.augment import Augmentation, AugmentConfig, preset
+from trueup.augment.augmentation import CHECKPOINT_NAME
+from trueup.augment.config import DataConfig, LossConfig, NetworkConfig, OptimizerConfig, WindowConfig
+from trueup.augment.pairs import refuse_overlap, write_pairs
+from trueup.augment.scaling import summarize
+from trueup.augment.windows import Windows, whole_motions
+from trueup.core.episode import Episode, EpisodeMeta
+from trueup.core.model_card import Channel, ModelCard
+from trueup.core.timeseries import TimeSeries
+from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
+from trueup.errors import ConfigError, DataError, MissingDependency, MissingSignal, NameMismatch, OutputExists
+from trueup.stages import augment as augment_stage
+
+SMALL = AugmentConfig(
+    network=NetworkConfig("lstm", (12, 8)),
+    window=WindowConfig("fixed", samples=40, draws=4),
+    optimizer=OptimizerConfig(rate=2e-2, warmup_steps=5),
+    batch=4,
+    epochs=6,
+    stop_after=0,
+)
+
+
+def augment(*args, **kwargs):
+    """On one thread: these networks are too small for more, and tests run beside one another."""
+    return augment_stage(*args, jobs=1, **kwargs)
+
+
+def weights(folder):
+    return {name: value.numpy() for name, value in Augmentation.load(folder).corrector.state_dict().items()}
+
+
+def same(left, right):
+    return left.keys() == right.keys() and all(np.array_equal(left[name], right[name]) for name in left)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return make_dataset(tmp_path_factory.mktemp("data") / "arm")
+
+
+def test_it_learns_what_the_simulator_has_wrong(data, tmp_path):
+    from dataclasses import replace
+
+    made = augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=40))
+    val = made.augmentation.card.metrics["val"]
+    for joint in JOINTS:
+        assert val["torque"][joint]["corrected"] < 0.4 * val["torque"][joint]["simulated"]
+        assert val["position"][joint]["corrected"] < 0.7 * val["position"][joint]["simulated"]
+
+
+def test_a_signal_that_the_simulator_has_right_is_left_alone(data, tmp_path):
+    made = augment([data], tmp_path, run=RUN, config=SMALL)
+    card = made.augmentation.card
+    off = {(output.signal, output.joint): output.reason for output in card.outputs if output.gate == 0}
+    assert all(off.get(("velocity", joint)) == "the simulator is exact on val" for joint in JOINTS)
+    assert any("velocity of pan" in note and "switched off" in note for note in made.notes)
+
+
+def test_nothing_is_ever_worse_than_the_simulator_on_val(data, tmp_path):
+    """Even a network that has learned nothing."""
+    from dataclasses import replace
+
+    worst = replace(SMALL, epochs=1, optimizer=OptimizerConfig(rate=1e-9))
+    made = augment([data], tmp_path, run=RUN, config=worst)
+    for joints in made.augmentation.card.metrics["val"].values():
+        assert all(item["corrected"] <= item["simulated"] for item in joints.values())
+
+
+def test_the_same_seed_gives_the_same_weights_and_another_seed_others(data, tmp_path):
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        augment([data], tmp_path / name, run=RUN, config=SMALL, seed=seed)
+    assert same(weights(tmp_path / "a"), weights(tmp_path / "b"))
+    assert not same(weights(tmp_path / "a"), weights(tmp_path / "c"))
+
+
+class Stop(Exception):
+    pass
+
+
+@pytest.mark.parametrize("config", ["default", "paper"])
+def test_interrupted_and_resumed_is_as_if_nothing_had_happened(data, tmp_path, config):
+    from dataclasses import replace
+
+    chosen = SMALL
+    if config == "paper":
+        chosen = replace(
+            preset("realeasy", paper=True), network=NetworkConfig("lstm", (6, 4), bidirectional=True), epochs=5
+        )
+        chosen = replace(chosen, network=replace(chosen.network, input_dropout=0.1, recurrent_dropout=0.2))
+    whole = augment([data], tmp_path / "whole", run=RUN, config=chosen)
+
+    def stop_within_third(progress):
+        if progress.number == 3 and progress.batch == 2 and progress.epoch is None:
+            raise Stop
+
+    folder = tmp_path / "parts"
+    with pytest.raises(Stop):
+        augment([data], folder, run=RUN, config=chosen, on_progress=stop_within_third)
+    assert (folder / CHECKPOINT_NAME).is_file()
+    assert not (folder / "model.json").exists()
+    with pytest.raises(OutputExists, match="not empty"):
+        augment([data], folder, run=RUN, config=chosen)
+    with pytest.raises(OutputExists, match="another configuration"):
+        augment([data], folder, run=RUN, config=chosen, seed=5, resume=True)
+    seen = []
+    resumed = augment([data], folder, run=RUN, config=chosen, resume=True, on_progress=lambda p: seen.append(p.number))
+    assert min(seen) == 3
+    assert same(weights(tmp_path / "whole"), weights(folder))
+    first, second = (made.augmentation.training.history for made in (whole, resumed))
+    assert [(e.train, e.val, e.rate) for e in first] == [(e.train, e.val, e.rate) for e in second]
+    assert sorted(path.name for path in folder.iterdir()) == ["model.json", "model.onnx", "weights.safetensors"]
+
+
+def test_a_finished_model_is_not_trained_again(data, tmp_path):
+    augment([data], tmp_path, run=RUN, config=SMALL)
+    before = (tmp_path / "model.json").read_bytes()
+    seen = []
+    again = augment([data], tmp_path, run=RUN, config=SMALL, resume=True, on_progress=seen.append)
+    assert (tmp_path / "model.json").read_bytes() == before
+    assert not seen
+    assert "was finished already" in again.notes
+    with pytest.raises(OutputExists, match="of other data"):
+        augment([data], tmp_path, run=RUN, config=SMALL, resume=True, seed=9)
+
+
+def test_a_broken_checkpoint_is_said(data, tmp_path):
+    (tmp_path / CHECKPOINT_NAME).write_bytes(b"not a checkpoint")
+    with pytest.raises(DataError, match="is no checkpoint"):
+        augment([data], tmp_path, run=RUN, config=SMALL, resume=True)
+
+
+def test_a_loss_that_runs_away_stops_training_and_keeps_the_best(data, tmp_path):
+    from dataclasses import replace
+
+    seen = []
+
+    def poison(progress):
+        seen.append(progress.number)
+        if progress.number == 3 and progress.epoch is None:  # what a step too far does to the weights
+            for parameter in poison.corrector.parameters():
+                parameter.data.fill_(float("nan"))
+
+    import trueup.augment.augmentation as module
+
+    original = module.train
+
+    def train(corrector, *args, **kwargs):
+        poison.corrector = corrector
+        return original(corrector, *args, **kwargs)
+
+    module.train = train
+    try:
+        made = augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=9), on_progress=poison)
+    finally:
+        module.train = original
+    assert made.augmentation.training.status == "diverged"
+    assert made.augmentation.training.best in (1, 2)
+    assert max(seen) == 3
+    assert any("diverged after epoch 2" in note for note in made.notes)
+    assert all(np.isfinite(value).all() for value in weights(tmp_path).values())
+
+
+def test_a_loss_that_runs_away_at_once_is_an_error(data, tmp_path):
+    from dataclasses import replace
+
+    wild = replace(SMALL, optimizer=OptimizerConfig("rmsprop", 1e30, "plateau", clip=0.0))
+    with pytest.raises(ConfigError, match="diverged in its first epoch"):
+        augment([data], tmp_path, run=RUN, config=wild)
+
+
+def test_training_stops_when_val_no_longer_improves(data, tmp_path):
+    from dataclasses import replace
+
+    still = replace(SMALL, epochs=30, stop_after=3, optimizer=OptimizerConfig(rate=1e-30))
+    made = augment([data], tmp_path, run=RUN, config=still)
+    assert made.augmentation.training.status == "stopped early"
+    assert len(made.augmentation.training.history) < 30
+
+
+def test_what_cannot_be_trained_on_is_refused(data, tmp_path):
+    with pytest.raises(MissingSignal, match="has no run 'dart/stock'"):
+        augment([data], tmp_path / "a", run="dart/stock", config=SMALL)
+    empty = make_dataset(tmp_path / "empty", counts=(3, 0, 2))
+    with pytest.raises(MissingSignal, match="no motion is in the split 'val'"):
+        augment([empty], tmp_path / "b", run=RUN, config=SMALL)
+    with pytest.raises(ConfigError, match="no dataset"):
+        augment([], tmp_path / "c", run=RUN)
+    other = make_dataset(tmp_path / "other", joints=("pan", "tilt"))
+    with pytest.raises(NameMismatch, match="tilt"):
+        augment([data, other], tmp_path / "d", run=RUN, config=SMALL)
+    if not torch.cuda.is_available():
+        with pytest.raises(MissingDependency, match="no GPU"):
+            augment([data], tmp_path / "e", run=RUN, config=SMALL, device="cuda")
+
+
+def with_episodes(folder, episodes):
+    with DatasetWriter.create(folder, DatasetInfo(robot="arm")) as writer:
+        for episode, _ in episodes:
+            writer.append(episode)
+    write_run(folder, {episode.id: simulated for episode, simulated in episodes}, robot())
+    return Dataset(folder)
+
+
+def labelled(number, split, simulated, measured):
+    return Episode(EpisodeMeta(f"{split}{number}", split=split), measured), simulated
+
+
+def test_nan_is_refused_with_its_place(tmp_path):
+    rng = np.random.default_rng(0)
+    episodes = [labelled(k, split, *motion(rng, 50)) for k, split in enumerate(["train", "train", "val"])]
+    episodes[1][0].measured["torque"][7, 1] = np.nan
+    data = with_episodes(tmp_path / "data", episodes)
+    with pytest.raises(
+        DataError, match=r"'train1' cannot be trained on: got nan in torque of 'lift', sample 7"
+    ) as error:
+        augment([data], tmp_path / "out", run=RUN, config=SMALL)
+    assert "--drop-flagged" in str(error.value)
+
+
+def test_val_that_overlaps_train_is_refused(tmp_path):
+    """A piece of a train motion under another name, moved in time."""
+    rng = np.random.default_rng(0)
+    simulated, measured = motion(rng, 80)
+    rows = slice(30, 60)
+    piece = [
+        TimeSeries(s.time_s[rows] + 3.0, s.joints, {n: v[rows] for n, v in s.signals.items()}, s.units)
+        for s in (simulated, measured)
+    ]
+    fresh = motion(rng, 60)
+    data = with_episodes(
+        tmp_path / "data",
+        [
+            labelled(0, "train", *motion(rng, 70)),
+            labelled(1, "train", simulated, measured),
+            labelled(2, "val", *fresh),
+            labelled(3, "val", *piece),
+        ],
+    )
+    with pytest.raises(DataError, match="val motion 'val3' holds samples of train motion 'train1'"):
+        augment([data], tmp_path / "out", run=RUN, config=SMALL)
+
+
+def pairs_of(folder, lengths, *, name="train", seed=0, still=(), outputs=None):
+    """Pairs whose rows say which motion and sample they are."""
+    rng = np.random.default_rng(seed)
+    inputs = (Channel("position", "pan", "rad"), Channel("torque", "pan", "Nm"))
+    episodes = []
+    for number, samples in enumerate(lengths):
+        label = number + np.arange(samples)[:, None] / 1000
+        value = np.full((samples, 1), 3.0) if number in still else rng.normal(size=(samples, 1))
+        clock = np.arange(samples) / 100
+        units = {"position": ("rad",), "torque": ("Nm",)}
+        series = TimeSeries(clock, ("pan",), {"position": label, "torque": value}, units)
+        episodes.append(Episode(EpisodeMeta(f"{name}{number}"), series, simulated={"s": series}))
+    path = folder / f"{name}.f32"
+    return write_pairs(episodes, path, run="s", inputs=inputs, outputs=outputs or inputs, rate_hz=100.0)
+
+
+def test_motions_that_rest_alike_do_not_overlap(tmp_path):
+    """Standing robots measure the same numbers again and again, in train as in val."""
+    at_rest = (Channel("torque", "pan", "Nm"),)
+    train, val = (pairs_of(tmp_path, [40, 50], name=name, still=(0, 1), outputs=at_rest) for name in ("train", "val"))
+    refuse_overlap(train, val)
+    moving = pairs_of(tmp_path, [40, 50], name="moving", outputs=at_rest)
+    with pytest.raises(DataError, match="holds samples of train motion"):
+        refuse_overlap(moving, pairs_of(tmp_path, [40, 50], name="other", outputs=at_rest))
+
+
+@pytest.mark.parametrize("rule", ["fixed", "half-shortest"])
+def test_windows_are_pieces_of_motions(tmp_path, rule):
+    lengths = [30, 55, 80, 33, 41]
+    pairs = pairs_of(tmp_path, lengths)
+    windows = Windows(pairs, WindowConfig(rule, samples=24, draws=6), 3)
+    batches = list(windows.epoch(np.random.default_rng(0)))
+    assert len(batches) == len(windows)
+    seen = np.zeros(len(lengths), int)
+    for batch in batches:
+        labels = batch.x[..., 0]
+        for place, rows in enumerate(batch.lengths):
+            number = int(labels[0, place] + 1e-6)
+            steps = np.round((labels[:rows, place] - number) * 1000).astype(int)
+            assert np.array_equal(steps, np.arange(steps[0], steps[0] + rows))
+            assert steps[-1] < lengths[number]
+            assert not batch.x[rows:, place].any()
+            np.testing.assert_array_equal(batch.y[:rows, place, 0], labels[:rows, place])
+            seen[number] += 1
+        if rule == "half-shortest":
+            chosen = [int(labels[0, place] + 1e-6) for place in range(labels.shape[1])]
+            assert len(set(chosen)) == len(chosen)
+            assert set(batch.lengths) == {min(lengths[k] for k in chosen) // 2}
+    assert (seen == 6).all() if rule == "half-shortest" else (seen > 0).all()
+
+
+def test_windows_lie_anywhere(tmp_path):
+    pairs = pairs_of(tmp_path, [50])
+    for rule in ("fixed", "half-shortest"):
+        windows = Windows(pairs, WindowConfig(rule, samples=20, draws=400), 4)
+        covered, first = np.zeros(50), 0
+        for batch in windows.epoch(np.random.default_rng(1)):
+            for place, rows in enumerate(batch.lengths):
+                start = round(float(batch.x[0, place, 0]) * 1000)
+                covered[start : start + rows] += 1
+                first += start == 0
+        assert (covered > 0).all()
+        assert first > 0
+
+
+def test_whole_motions_come_once_each(tmp_path):
+    lengths = [30, 55, 80, 33, 41]
+    pairs = pairs_of(tmp_path, lengths)
+    found = {}
+    for numbers, batch in whole_motions(pairs, 2):
+        found.update(zip(numbers.tolist(), batch.lengths.tolist(), strict=True))
+    assert found == dict(enumerate(lengths))
+
+
+def test_moments_are_those_of_all_rows(tmp_path):
+    pairs = pairs_of(tmp_path, [30, 55, 80])
+    rows = np.concatenate([x for _, x, _ in pairs]).astype(float)
+    summary = summarize(pairs, np.array([0, 1]))
+    np.testing.assert_allclose(summary.mean, rows.mean(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(summary.deviation, rows.std(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(summary.low, rows.min(axis=0))
+    np.testing.assert_allclose(summary.high, rows.max(axis=0))
+    assert summary.simulator_rms.max() == 0
+
+
+def test_other_rates_are_refused_unless_a_rate_is_given(tmp_path):
+    rng = np.random.default_rng(0)
+    episodes = [labelled(k, split, *motion(rng, 80)) for k, split in enumerate(["train", "train", "val"])]
+    slow = [TimeSeries(s.time_s * 2, s.joints, s.signals, s.units) for s in (episodes[1][1], episodes[1][0].measured)]
+    episodes[1] = labelled(1, "train", *slow)
+    data = with_episodes(tmp_path / "data", episodes)
+    with pytest.raises(DataError, match="another rate"):
+        augment([data], tmp_path / "a", run=RUN, config=SMALL)
+    from dataclasses import replace
+
+    made = augment([data], tmp_path / "b", run=RUN, config=replace(SMALL, data=DataConfig(rate_hz=50.0)))
+    assert made.augmentation.card.rate_hz == 50.0
+
+
+def test_paper_normalization_maps_limits_to_the_unit_interval(data, tmp_path):
+    from dataclasses import replace
+
+    config = replace(SMALL, data=DataConfig(normalization="limits"), loss=LossConfig(scale="normalized"), epochs=1)
+    made = augment([data], tmp_path, run=RUN, config=config)
+    corrector = made.augmentation.corrector
+    names = [channel.name for channel in made.augmentation.card.inputs]
+    at = names.index("simulated.position.pan")
+    assert (corrector.center[at].item(), corrector.scale[at].item()) == (-3.0, 6.0)
+    at = names.index("simulated.torque.pan")
+    assert (corrector.center[at].item(), corrector.scale[at].item()) == (-20.0, 40.0)
+    assert any("no limits are known for velocity of lift, velocity of pan" in note for note in made.notes)
+
+
+def test_several_units_train_one_network(data, tmp_path):
+    other = make_dataset(tmp_path / "other", seed=5)
+    made = augment([data, other], tmp_path / "out", run=RUN, config=SMALL)
+    assert made.augmentation.card.provenance["training"]["motions"] == {"train": 16, "val": 8}
+
+
+def test_the_folder_holds_a_card_that_can_be_loaded(data, tmp_path):
+    made = augment([data], tmp_path, run=RUN, config=SMALL, name="arm-rt")
+    card = ModelCard.load(tmp_path)
+    assert card == made.augmentation.card
+    assert (card.name, card.run, card.rate_hz, card.joints) == ("arm-rt", RUN, 100.0, JOINTS)
+    assert card.causal
+    assert [state.name for state in card.states] == ["h0", "c0", "h1", "c1"]
+    for name in ("model.onnx", "weights.safetensors"):
+        (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:-5])
+    with pytest.raises(DataError, match=r"is not the file that model\.json describes"):
+        Augmentation.load(tmp_path)
+    text = (tmp_path / "model.json").read_text()
+    (tmp_path / "model.json").write_text(text.replace('"rate_hz": 100.0', '"rate_hz": 200.0'))
+    with pytest.raises(DataError, match="changed after it was written"):
+        ModelCard.load(tmp_path)
