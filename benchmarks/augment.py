@@ -117,5 +117,3 @@ def _so101_rows(real: AugmentResult | None) -> list[Row]:
 
 def _rmse(gap: Any, run: str) -> float:
     return float(gap.runs[run]["test"]["position"]["rmse"].total.value)
-
-
