@@ -40,8 +40,8 @@ class Grid:
         """
         step = 1.0 / rate_hz
         steps = np.diff(stamps_s)
-        even = bool(steps.size) and abs(steps.mean() / step - 1) <= RATE_TOLERANCE
-        if even and np.all(np.abs(steps / step - 1) <= _STEP_TOLERANCE):
+        at_rate = bool(steps.size) and abs(steps.mean() / step - 1) <= RATE_TOLERANCE
+        if at_rate and np.all(np.abs(steps / step - 1) <= _STEP_TOLERANCE):
             return Grid(stamps_s, own=True)
         count = int(np.floor((stamps_s[-1] - stamps_s[0]) / step + 1e-6)) + 1
         if count < 2:

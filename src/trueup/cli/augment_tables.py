@@ -82,15 +82,17 @@ def confidence_table(result: AugmentResult, signal: str) -> Table:
 
 
 def gated_lines(result: AugmentResult) -> list[str]:
-    """Which outputs are switched off and why, one line per network and reason."""
+    """Which outputs are switched off and why, one line per network."""
     lines = []
     for model in result.models:
-        by_reason: dict[str, dict[str, list[str]]] = {}
+        signals: dict[str, list[str]] = {}
         for item in model.gated:
-            by_reason.setdefault(item.reason, {}).setdefault(item.signal, []).append(item.joint)
-        for reason, signals in by_reason.items():
+            signals.setdefault(item.signal, []).append(item.joint)
+        if signals:
             names = [f"{signal} of {_named(joints, result.joints)}" for signal, joints in signals.items()]
-            lines.append(f"{model.name} leaves {'; '.join(names)} as simulated{f': {reason}' if reason else ''}")
+            reasons = list(dict.fromkeys(item.reason for item in model.gated if item.reason))
+            why = f": {reasons[0]}" + (", and the like" if len(reasons) > 1 else "") if reasons else ""
+            lines.append(f"{model.name} leaves {'; '.join(names)} as simulated{why}")
     return lines
 
 

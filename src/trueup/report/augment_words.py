@@ -71,12 +71,14 @@ def off_sentences(result: AugmentResult) -> list[str]:
     """Which outputs their training has switched off, and why."""
     lines = []
     for model in result.models:
-        reasons: dict[str, dict[str, list[str]]] = {}
+        signals: dict[str, list[str]] = {}
         for item in model.gated:
-            reasons.setdefault(item.reason, {}).setdefault(item.signal, []).append(item.joint)
-        for reason, signals in reasons.items():
+            signals.setdefault(item.signal, []).append(item.joint)
+        if signals:
             what = "; ".join(f"{signal} of {_names(joints, result.joints)}" for signal, joints in signals.items())
-            lines.append(f"{model.name} leaves {what} as simulated{f': {reason}' if reason else ''}.")
+            reasons = list(dict.fromkeys(item.reason for item in model.gated if item.reason))
+            more = "; the other reasons are in augment.json" if len(reasons) > 1 else ""
+            lines.append(f"{model.name} leaves {what} as simulated{f': {reasons[0]}{more}' if reasons else ''}.")
     return lines
 
 
