@@ -74,7 +74,7 @@ def test_doctor_says_what_is_there_and_how_to_get_the_rest(run):
     code, out, _ = run("doctor")
     assert code == 0
     assert "mujoco 3." in out
-    assert "trueup[learn]" in out
+    assert "trueup[ray]" in out
 
 
 def test_the_steps_one_by_one(run, demo, tmp_path):
