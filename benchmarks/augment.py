@@ -10,7 +10,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.augment_models import AMOUNTS, FOLDER, GOOD, JOBS, MODELS, OTHER_UNITS, ROUGH, data_of, so101, train_all
+from benchmarks.augment_models import (
+    AMOUNTS,
+    ARM_MODELS,
+    FITTED,
+    FOLDER,
+    GOOD,
+    JOBS,
+    MODELS,
+    OTHER_UNITS,
+    ROUGH,
+    data_of,
+    so101,
+    train_all,
+)
 from benchmarks.table import Row, at_least, at_most, shown
 from trueup.core.atomic import make_folder, write_json
 from trueup.core.augment_result import AugmentResult
@@ -27,7 +40,6 @@ METHODS = (
 )
 REALEASY = ("realeasy", "realeasy-rt", "panda-realeasy-rt")
 SO101 = ("so101-rt", "so101-precise")
-SO101_RUN = "mujoco/fitted"
 
 
 def run() -> list[Row]:
@@ -40,7 +52,7 @@ def run() -> list[Row]:
     by_amount = _evaluated(known, amounts, "amounts", GOOD)
     others = {unit: _evaluated(data_of(unit, 0.1), REALEASY, f"unit{unit}", GOOD, split="all") for unit in OTHER_UNITS}
     arm = so101()
-    real = None if arm is None else _evaluated(arm, SO101, "so101", SO101_RUN)
+    real = None if arm is None else _evaluated(arm, SO101, "so101", FITTED)
     result = {
         "schema": "trueup.learned/1",
         "lab": lab.to_json(),
@@ -48,7 +60,7 @@ def run() -> list[Row]:
         "amounts": by_amount.to_json(),
         "others": {str(unit): item.to_json() for unit, item in others.items()},
         "so101": None if real is None else real.to_json(),
-        "training": {name: _training(name) for name in MODELS},
+        "training": {name: _training(name) for name in (*MODELS, *(ARM_MODELS if arm is not None else ()))},
         "provenance": provenance(config={"jobs": JOBS}, seed=0, data_hash=known.hash),
     }
     make_folder(RESULT.parent)
@@ -109,9 +121,9 @@ def _so101_rows(real: AugmentResult | None) -> list[Row]:
     from trueup.core.results import GapResult
 
     gap = GapResult.load(FOLDER / "evaluated" / "so101" / "gap.json")
-    rows = [shown("SO-101: identified simulator, position RMSE", _rmse(gap, SO101_RUN), "rad")]
+    rows = [shown("SO-101: identified simulator, position RMSE", _rmse(gap, FITTED), "rad")]
     for name, bar in zip(SO101, (0.0105, 0.0100), strict=True):
-        rows.append(at_most(f"SO-101: {name}, position RMSE", _rmse(gap, f"{SO101_RUN}+{name}"), bar, "rad"))
+        rows.append(at_most(f"SO-101: {name}, position RMSE", _rmse(gap, f"{FITTED}+{name}"), bar, "rad"))
     return rows
 
 

@@ -15,17 +15,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from trueup.augment import AugmentConfig, preset
-from trueup.augment.config import LossConfig, WindowConfig
+from trueup.augment.config import DataConfig, LossConfig, NetworkConfig, WindowConfig
 from trueup.core.workers import in_processes
 from trueup.dataset import Dataset, is_dataset
 from trueup.lab import LabSpec
 from trueup.record import load_plans
 from trueup.robots import load_robot
-from trueup.stages import LabRig, augment, record, replay
+from trueup.stages import LabRig, augment, fit, import_logs, record, replay
 
 FOLDER = Path("runs") / "augment"
 JOBS = os.cpu_count() or 1
-GOOD, ROUGH = "mujoco/stock", "mujoco/rough"
+GOOD, ROUGH, FITTED = "mujoco/stock", "mujoco/rough", "mujoco/fitted"
 TRAIN_UNIT = 1
 # Realeasy's "another robot": motions of other seeds, none of which is trained on.
 OTHER_UNITS = (2, 3)
@@ -59,6 +59,23 @@ def _amount(count: int | None, target: str) -> Model:
     return Model(replace(config, loss=loss, epochs=20, window=WindowConfig("fixed", draws=draws)), train_motions=count)
 
 
+def _arm(method: str) -> Model:
+    """Few motions of one arm: few units, few steps; chosen by leaving out quarters of the train motions."""
+    config = preset(method)
+    return Model(
+        replace(
+            config,
+            network=NetworkConfig("lstm", (32,), bidirectional=method == "realeasy"),
+            data=DataConfig(signals=("position",), reads=("velocity",), command=("position",)),
+            window=WindowConfig("fixed", samples=150, draws=1),
+            epochs=10,
+            stop_after=0,
+        ),
+        run=FITTED,
+        units=(),
+    )
+
+
 MODELS: Mapping[str, Model] = {
     "realeasy": Model(preset("realeasy")),
     "realeasy-rt": Model(preset("realeasy-rt")),
@@ -72,6 +89,7 @@ MODELS: Mapping[str, Model] = {
     **{f"amount-{count}-{target}": _amount(count, target) for count in AMOUNTS for target in ("residual", "plain")},
     **{f"amount-1376-{target}": _amount(None, target) for target in ("residual", "plain")},
 }
+ARM_MODELS: Mapping[str, Model] = {"so101-precise": _arm("realeasy"), "so101-rt": _arm("realeasy-rt")}
 
 
 def data_of(unit: int, scale: float = 1.0, seed: int | None = None) -> Dataset:
@@ -88,21 +106,45 @@ def data_of(unit: int, scale: float = 1.0, seed: int | None = None) -> Dataset:
 
 def train(name: str) -> Path:
     """Train a model, or find it trained; returns its folder."""
-    model = MODELS[name]
+    model = {**MODELS, **ARM_MODELS}[name]
     folder = FOLDER / "models" / name
-    data = [data_of(unit, _scale(model)) for unit in model.units]
+    arm = so101() if name in ARM_MODELS else None
+    data = [data_of(unit, _scale(model)) for unit in model.units] if arm is None else [arm]
     augment(
         data,
         folder,
         run=model.run,
         config=model.config,
-        robot=load_robot("panda"),
+        robot=load_robot("panda" if arm is None else "so101"),
         name=name,
         train_motions=model.train_motions,
         jobs=1,
         resume=True,
     )
     return folder
+
+
+def so101() -> Dataset | None:
+    """The recorded arm with the run of its identified simulator; None where the recordings are not there."""
+    logs = Path(os.environ.get("TRUEUP_SHARED", "../shared")) / "data" / "so101_sage"
+    folder = FOLDER / "data" / "so101"
+    if not logs.is_dir():
+        return None
+    robot = load_robot("so101")
+    if not is_dataset(folder):
+        import_logs(logs, folder, format="sage", robot=robot, resume=True)
+    if FITTED not in Dataset(folder).runs:
+        fit(Dataset(folder), robot, FOLDER / "so101_fit", resume=True)
+    return Dataset(folder)
+
+
+def train_all() -> None:
+    """Train every model that is missing, one process per core."""
+    for unit, scale in {(unit, _scale(model)) for model in MODELS.values() for unit in model.units}:
+        data_of(unit, scale)
+    names = [*MODELS, *(ARM_MODELS if so101() is not None else ())]
+    for folder in in_processes(train, names, jobs=JOBS, begin=_ready):
+        print(folder, flush=True)
 
 
 def _scale(model: Model) -> float:
@@ -120,10 +162,7 @@ def main() -> None:
         for name in names:
             print(train(name))
         return
-    for unit, scale in {(unit, _scale(model)) for model in MODELS.values() for unit in model.units}:
-        data_of(unit, scale)
-    for folder in in_processes(train, list(MODELS), jobs=JOBS, begin=_ready):
-        print(folder)
+    train_all()
 
 
 if __name__ == "__main__":

@@ -417,3 +417,39 @@ def test_networks_feel_the_stops_of_joints(tmp_path):
             expected = again.corrector(torch.from_numpy(x)).numpy()
         np.testing.assert_allclose(session.run(["y"], {"x": x, **states})[0], expected, atol=1e-5)
     assert left[True] < 0.6 * left[False]
+
+
+def test_commands_are_read_as_how_far_they_are_from_the_simulator(tmp_path):
+    """The robot stops short of its command by a share of the servo's error, which is small beside the motion."""
+    rng = np.random.default_rng(0)
+    episodes, runs = [], {}
+    for number, split in enumerate(["train"] * 12 + ["val"] * 4):
+        simulated, measured = motion(rng, 100, perfect=("position", "velocity", "torque"))
+        error = 0.02 * rng.normal(size=(100, 2))
+        position = simulated["position"] + 0.5 * error
+        measured = TimeSeries(measured.time_s, JOINTS, {"position": position}, {"position": ("rad", "rad")})
+        command = TimeSeries(measured.time_s, JOINTS, {"position": simulated["position"] + error}, measured.units)
+        episodes.append(Episode(EpisodeMeta(f"{split}{number}", split=split), measured, command))
+        runs[f"{split}{number}"] = simulated
+    with DatasetWriter.create(tmp_path / "data", DatasetInfo(robot="arm")) as writer:
+        for episode in episodes:
+            writer.append(episode)
+    write_run(tmp_path / "data", runs, robot())
+    config = replace(SMALL, data=DataConfig(reads=("velocity",), command=("position",)), epochs=30)
+    made = augment([Dataset(tmp_path / "data")], tmp_path / "out", run=RUN, config=config)
+    card = made.augmentation.card
+    names = [channel.name for channel in card.inputs]
+    assert names[::2] == ["simulated.position.pan", "simulated.velocity.pan", "command.position.pan"]
+    assert [output.name for output in card.outputs] == ["simulated.position.pan", "simulated.position.lift"]
+    for item in card.metrics["val"]["position"].values():
+        assert item["corrected"] < 0.4 * item["simulated"]
+    corrector = Augmentation.load(tmp_path / "out").corrector
+    x = rng.normal(size=(30, 2, 6)).astype(np.float32)
+    session = onnxruntime.InferenceSession((tmp_path / "out" / "model.onnx").read_bytes())
+    states = {state.name: state.initial(x[0]) for state in card.states}
+    with torch.no_grad():
+        expected = corrector(torch.from_numpy(x)).numpy()
+    np.testing.assert_allclose(session.run(["y"], {"x": x, **states})[0], expected, atol=1e-5)
+    wrong = replace(config, data=DataConfig(command=("torque",)))
+    with pytest.raises(MissingSignal, match="no commanded torque"):
+        augment([Dataset(tmp_path / "data")], tmp_path / "no", run=RUN, config=wrong)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,11 +23,11 @@ from trueup.augment.corrector import Corrector
 from trueup.augment.gating import Errors, errors_of, gates_of
 from trueup.augment.networks import build_network
 from trueup.augment.pairs import Pairs
-from trueup.augment.scaling import Scaling, Stops, Summary, scaling_of, summarize
+from trueup.augment.scaling import Scaling, Stops, Summary, counterparts, scaling_of, summarize
 from trueup.augment.training import OnEpoch, Trained, train
 from trueup.core.atomic import make_folder, write_bytes
 from trueup.core.config import build
-from trueup.core.model_card import ONNX_NAME, WEIGHTS_NAME, Input, ModelCard, Output
+from trueup.core.model_card import ONNX_NAME, WEIGHTS_NAME, Channel, Input, ModelCard, Output
 from trueup.core.provenance import provenance
 from trueup.errors import DataError
 
@@ -135,7 +135,7 @@ class Augmentation:
             limits=task.limits,
         )
         stops = Stops.of(task.train.inputs, task.limits if config.data.stops else {})
-        corrector = _made(config, len(task.train.inputs), base, scaling, stops, seed)
+        corrector = _made(config, task.train.inputs, base, scaling, stops, seed)
         trained = train(
             corrector,
             task.train,
@@ -187,18 +187,20 @@ class Augmentation:
         width = len(card.outputs)
         blank = Scaling(*(np.ones(n) for n in (len(card.inputs), len(card.inputs), width, width, width)))
         stops = Stops.none(len(state["stop_edge"]))
-        corrector = _made(config, len(card.inputs), card.base, blank, stops, 0)
+        corrector = _made(config, card.inputs, card.base, blank, stops, 0)
         corrector.load_state_dict(state)
         corrector.eval()
         return Augmentation(card, corrector, config)
 
 
-def _made(config: AugmentConfig, inputs: int, base: np.ndarray, scaling: Scaling, stops: Stops, seed: int) -> Corrector:
+def _made(
+    config: AugmentConfig, inputs: Sequence[Channel], base: np.ndarray, scaling: Scaling, stops: Stops, seed: int
+) -> Corrector:
     before = torch.get_rng_state()
     torch.manual_seed(seed)
-    network = build_network(config.network, inputs=inputs + stops.edge.size, base=base.tolist())
+    network = build_network(config.network, inputs=len(inputs) + stops.edge.size, base=base.tolist())
     torch.set_rng_state(before)
-    return Corrector(network, scaling, base, target=config.loss.target, stops=stops)
+    return Corrector(network, scaling, base, target=config.loss.target, relative=counterparts(inputs), stops=stops)
 
 
 @contextlib.contextmanager

@@ -68,7 +68,9 @@ class DataConfig:
 
     Attributes:
         signals: those that are corrected; None for all of position, velocity, torque that both sides have.
-        command: commanded signals that are read besides the simulated ones; () for none, as in the papers.
+        reads: simulated signals that are read besides those that are corrected.
+        command: commanded signals that are read, as how far they are from the simulated ones; () for none, as in the
+            papers.
         rate_hz: samples per second; None for the rate of the logs.
         normalization: `limits` maps the joints' limits to [0, 1] (Realeasy, IV-B); `statistics` takes mean and
             standard deviation of the train split.
@@ -77,6 +79,7 @@ class DataConfig:
     """
 
     signals: tuple[str, ...] | None = None
+    reads: tuple[str, ...] = ()
     command: tuple[str, ...] = ()
     rate_hz: float | None = None
     normalization: Literal["limits", "statistics"] = "statistics"
@@ -84,7 +87,7 @@ class DataConfig:
 
     def __post_init__(self) -> None:
         """Refuse unknown signals."""
-        for name in (*(self.signals or ()), *self.command):
+        for name in (*(self.signals or ()), *self.reads, *self.command):
             if name not in SIGNALS:
                 raise ConfigError("data: signals", got=name, available=SIGNALS)
         if self.signals == ():

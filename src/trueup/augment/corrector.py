@@ -27,6 +27,7 @@ class Corrector(nn.Module):
         scaling: what "normalized" means.
         base: for each output the input that it corrects, (K,).
         target: what the network's output stands for: what is added to the simulator, or the signal itself.
+        relative: for each input the one that is subtracted from it, -1 for none, (I,); none at all if None.
         stops: limits that the network feels; its inputs are one more for each.
     """
 
@@ -48,6 +49,7 @@ class Corrector(nn.Module):
         base: Int[np.ndarray, "K"],
         *,
         target: Literal["residual", "plain"],
+        relative: Int[np.ndarray, "I"] | None = None,
         stops: Stops | None = None,
     ) -> None:
         super().__init__()
@@ -56,6 +58,7 @@ class Corrector(nn.Module):
         for name in ("center", "scale", "out_center", "out_scale", "loss_scale"):
             self.register_buffer(name, torch.tensor(getattr(scaling, name), dtype=torch.float32))
         self.register_buffer("base", torch.tensor(base))
+        self.relative = np.full(len(scaling.center), -1) if relative is None else relative
         stops = stops or Stops.none()
         self.register_buffer("stop_index", torch.tensor(stops.index))
         for name in ("edge", "slope"):
@@ -71,7 +74,10 @@ class Corrector(nn.Module):
 
     def read(self, x: Tensor) -> Tensor:
         """What the network reads: normalized inputs, and how near they are to their limits, (T, B, I + N)."""
-        normalized: Tensor = (x - self.center) / self.scale
+        shifted = x
+        if (self.relative >= 0).any():
+            shifted = x - x[..., self.relative] * torch.tensor(self.relative >= 0, dtype=x.dtype, device=x.device)
+        normalized: Tensor = (shifted - self.center) / self.scale
         if not len(self.stop_edge):
             return normalized
         near = (x[..., self.stop_index] - self.stop_edge) * self.stop_slope
@@ -114,6 +120,9 @@ class Corrector(nn.Module):
 
     def _read(self, graph: Graph, x: str) -> str:
         """`read` as nodes."""
+        if (self.relative >= 0).any():
+            other = graph.add("Gather", x, graph.integers(self.relative % len(self.relative)), axis=2)
+            x = graph.add("Sub", x, graph.add("Mul", other, graph.floats(self.relative >= 0)))
         if not len(self.stop_edge):
             x = graph.add("Sub", x, graph.floats(self.center.numpy()))
             return graph.add("Mul", x, graph.floats((1.0 / self.scale).numpy()))
@@ -121,6 +130,7 @@ class Corrector(nn.Module):
         rows = np.concatenate([np.arange(len(self.center)), self.stop_index.numpy()])
         bounds = np.full((2, rows.size), np.inf) * [[-1], [1]]
         bounds[:, -count:] = [[0.0], [_BEYOND]]
+        # What may be near a stop is a simulated position, and from those nothing was subtracted.
         x = graph.add("Gather", x, graph.integers(rows), axis=2)
         x = graph.add("Sub", x, graph.floats(torch.cat([self.center, self.stop_edge]).numpy()))
         x = graph.add("Mul", x, graph.floats(torch.cat([1.0 / self.scale, self.stop_slope]).numpy()))

@@ -207,7 +207,13 @@ def _runs(y: Float32[np.ndarray, "T K"]) -> UInt64[np.ndarray, "N"]:
 
 
 def channels_of(
-    episode: Episode, run: str, *, signals: Sequence[str] | None, command: Sequence[str], known: Sequence[str]
+    episode: Episode,
+    run: str,
+    *,
+    signals: Sequence[str] | None,
+    reads: Sequence[str] = (),
+    command: Sequence[str] = (),
+    known: Sequence[str],
 ) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
     """Inputs and outputs for an episode: all joints of each signal, simulated ones before commanded ones.
 
@@ -215,6 +221,7 @@ def channels_of(
         episode: one that has everything.
         run: label of the run.
         signals: those to correct; None for those of `known` that both sides have.
+        reads: other simulated signals to read.
         command: commanded signals to read.
         known: signals that can be corrected, in order.
 
@@ -231,14 +238,16 @@ def channels_of(
     if not chosen:
         raise MissingSignal(f"episode {episode.id!r}: robot and run {run!r} share no signal", available=known)
     corrected = _channels(series, chosen)
+    read = _channels(series, [name for name in reads if name not in chosen])
     told = _channels(episode.commanded(), command, of_command=True) if command else []
-    return (*corrected, *told), tuple(corrected)
+    return (*corrected, *read, *told), tuple(corrected)
 
 
 def _channels(series: TimeSeries, signals: Sequence[str], *, of_command: bool = False) -> list[Channel]:
     for name in signals:
         if name not in series:
-            raise MissingSignal(f"there is no commanded {name}", available=series.signals)
+            what = "commanded" if of_command else "simulated"
+            raise MissingSignal(f"there is no {what} {name}", available=series.signals)
     return [
         Channel(name, joint, unit, "command" if of_command else "simulated")
         for name in signals

@@ -23,9 +23,9 @@ class Summary:
     """What one pass over the train split finds.
 
     Attributes:
-        mean: of the inputs, (I,).
-        deviation: standard deviation of the inputs, (I,).
-        low: smallest inputs, (I,).
+        mean: of the inputs, commands relative to their counterparts, (I,).
+        deviation: their standard deviation, (I,).
+        low: smallest inputs as they are, (I,).
         high: largest inputs, (I,).
         simulator_rms: error of the simulator, RMS, (K,).
         measured_mean: of the measured outputs, (K,).
@@ -49,13 +49,15 @@ def summarize(pairs: Pairs, base: Int[np.ndarray, "K"]) -> Summary:
         base: for each output the input that it corrects, (K,).
     """
     count, rms = 0, np.zeros(base.size)
+    relative = counterparts(pairs.inputs)
     low, high = np.full(len(pairs.inputs), np.inf), np.full(len(pairs.inputs), -np.inf)
     moments = [_Moments(len(pairs.inputs)), _Moments(base.size)]
     for _, x, y in pairs:
         low, high = np.minimum(low, x.min(axis=0)), np.maximum(high, x.max(axis=0))
         rms += ((y.astype(float) - x[:, base]) ** 2).sum(axis=0)
         count += len(x)
-        for moment, values in zip(moments, (x, y), strict=True):
+        read = x - np.where(relative >= 0, x[:, relative], 0)
+        for moment, values in zip(moments, (read, y), strict=True):
             moment.add(values)
     return Summary(
         mean=moments[0].mean,
@@ -66,6 +68,15 @@ def summarize(pairs: Pairs, base: Int[np.ndarray, "K"]) -> Summary:
         measured_mean=moments[1].mean,
         measured_deviation=moments[1].deviation,
     )
+
+
+def counterparts(inputs: Sequence[Channel]) -> Int[np.ndarray, "I"]:
+    """For each commanded input the simulated one of the same signal and joint, (I,); -1 where there is none.
+
+    A servo's error is small beside the range of its joint: read as a number of its own it would drown.
+    """
+    simulated = {(c.signal, c.joint): number for number, c in enumerate(inputs) if c.series == "simulated"}
+    return np.array([simulated.get((c.signal, c.joint), -1) if c.series == "command" else -1 for c in inputs])
 
 
 class _Moments:
@@ -135,7 +146,9 @@ def scaling_of(
         ends = [limits.get((channel.signal, channel.joint)) for channel in inputs]
         low = np.array([end[0] if end else found for end, found in zip(ends, summary.low, strict=True)])
         high = np.array([end[1] if end else found for end, found in zip(ends, summary.high, strict=True)])
-        center, scale = low, _positive(high - low)
+        relative = counterparts(inputs) >= 0
+        center = np.where(relative, summary.mean, low)
+        scale = _positive(np.where(relative, summary.deviation, high - low))
         out_center, out_scale = center[base], scale[base]
     else:
         center, scale = summary.mean, _positive(summary.deviation)

@@ -14,7 +14,8 @@ import numpy as np
 
 from trueup.align import JointMap
 from trueup.augment.config import SIGNALS, AugmentConfig
-from trueup.core.atomic import as_read_back, make_folder
+from trueup.core.atomic import make_folder
+from trueup.core.config import build
 from trueup.core.episode import Episode
 from trueup.core.model_card import CARD_NAME, Channel, ModelCard
 from trueup.dataset import Dataset
@@ -117,7 +118,10 @@ def augment(
     if train_motions is not None:
         ids["train"] = _drawn(ids["train"], train_motions, seed)
     first = next(_episodes(sources, ids["train"][:1], run, origin.joint_map))
-    inputs, outputs = channels_of(first, run, signals=config.data.signals, command=config.data.command, known=SIGNALS)
+    data = config.data
+    inputs, outputs = channels_of(
+        first, run, signals=data.signals, reads=data.reads, command=data.command, known=SIGNALS
+    )
     outputs = tuple(channel for channel in outputs if channel.joint in origin.scored)
     rate_hz = config.data.rate_hz or _rate(first, run)
     pairs_folder = out / _PAIRS
@@ -323,7 +327,8 @@ def _finished(out: Path, data_hash: str, config: AugmentConfig, seed: int) -> Au
     from trueup.augment import Augmentation
 
     made = ModelCard.load(out).provenance
-    if (made["data_hash"], made["seed"], made["config"]) != (data_hash, seed, as_read_back(config.to_json())):
+    earlier = build(AugmentConfig, made["config"], f"{out / CARD_NAME}: config")
+    if (made["data_hash"], made["seed"], earlier) != (data_hash, seed, config):
         raise OutputExists(
             f"{out} holds a model of other data, or of another configuration or seed",
             hint="Give --overwrite to replace it, or choose another --out.",
