@@ -13,11 +13,14 @@ from trueup.augment.augmentation import CHECKPOINT_NAME
 from trueup.augment.config import DataConfig, LossConfig, NetworkConfig, OptimizerConfig, WindowConfig
 from trueup.augment.pairs import refuse_overlap, write_pairs
 from trueup.augment.scaling import summarize
+from trueup.augment.trained import Trained
 from trueup.augment.windows import Windows, whole_motions
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.model_card import Channel, ModelCard
+from trueup.core.protocols import Augmenter
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
+from trueup.deploy import Status
 from trueup.errors import ConfigError, DataError, MissingDependency, MissingSignal, NameMismatch, OutputExists
 from trueup.stages import augment as augment_stage
 
@@ -453,3 +456,29 @@ def test_commands_are_read_as_how_far_they_are_from_the_simulator(tmp_path):
     wrong = replace(config, data=DataConfig(command=("torque",)))
     with pytest.raises(MissingSignal, match="no commanded torque"):
         augment([Dataset(tmp_path / "data")], tmp_path / "no", run=RUN, config=wrong)
+
+
+@pytest.mark.parametrize("method", ["realeasy", "realeasy-rt", "mlp"])
+def test_every_way_to_predict_gives_the_same(data, tmp_path, method):
+    """Torch, the model folder, and, where there is no look ahead, a stream after its warm-up."""
+    made = augment([data], tmp_path / "m", run=RUN, config=replace(preset(method), epochs=2))
+    episode = next(data.episodes(data.select(split="test"), runs=[RUN]))
+    trained = Trained.load(tmp_path / "m")
+    first, second = made.augmentation.predict(episode), trained.predict(episode, RUN)
+    assert isinstance(trained, Augmenter)
+    assert isinstance(made.augmentation, Augmenter)
+    for signal in ("position", "velocity", "torque"):
+        np.testing.assert_allclose(first[signal], second[signal], atol=1e-5)
+    if method == "realeasy":
+        with pytest.raises(ConfigError, match="looks into the future"):
+            made.augmentation.stream(rate_hz=100.0, joints=JOINTS)
+        return
+    series = episode.run(RUN)
+    for stream in (made.augmentation.stream(rate_hz=100.0, joints=JOINTS), trained.stream(rate_hz=100, joints=JOINTS)):
+        for row in range(len(series)):
+            step = stream.step({name: series[name][row] for name in ("position", "velocity", "torque")})
+            expected = np.concatenate([second[name][row] for name in ("position", "velocity", "torque")])
+            if step.status is Status.OK:
+                np.testing.assert_allclose(step.values, expected, atol=1e-5)
+        assert row > stream.card.warmup_steps
+        assert step.status is Status.OK

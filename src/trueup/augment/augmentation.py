@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from safetensors.torch import save as save_tensors
 from trueup.augment.calibration import far_off, intervals_of, warmup_steps
 from trueup.augment.checkpoint import losses
 from trueup.augment.config import AugmentConfig
+from trueup.augment.correction import corrected
 from trueup.augment.corrector import Corrector
 from trueup.augment.gating import Errors, errors_of, gates_of
 from trueup.augment.networks import build_network
@@ -27,8 +29,11 @@ from trueup.augment.scaling import Scaling, Stops, Summary, counterparts, scalin
 from trueup.augment.training import OnEpoch, Trained, train
 from trueup.core.atomic import make_folder, write_bytes
 from trueup.core.config import build
+from trueup.core.episode import Episode
 from trueup.core.model_card import ONNX_NAME, WEIGHTS_NAME, Channel, Input, ModelCard, Output
 from trueup.core.provenance import provenance
+from trueup.core.timeseries import TimeSeries
+from trueup.deploy import Stream, StreamSettings
 from trueup.errors import DataError
 
 _VAL = "val"
@@ -154,6 +159,27 @@ class Augmentation:
         errors = replace(errors, corrected=np.where(used, errors.corrected, errors.simulated))
         card = _card(task, config, corrector, summary, errors, reasons, trained, seed)
         return Augmentation(card, corrector.cpu(), config, trained)
+
+    def predict(self, episode: Episode, run: str = "") -> TimeSeries:
+        """One run of an episode as the robot would have measured it, on the run's clock; the trained one if not named.
+
+        The same as `Trained.predict`, by torch.
+
+        Raises:
+            TrueupError: what `correction.corrected` raises.
+        """
+        return corrected(episode, run or self.card.run, self.card, self._computed)
+
+    def _computed(self, x: np.ndarray) -> np.ndarray:
+        with torch.no_grad():
+            out: np.ndarray = self.corrector(torch.from_numpy(np.ascontiguousarray(x))).numpy()
+        return out
+
+    def stream(self, *, rate_hz: float, joints: Sequence[str], settings: StreamSettings | None = None) -> Stream:
+        """The stateful step for a control loop, by onnxruntime; see `deploy.Stream`."""
+        with tempfile.TemporaryDirectory() as folder:
+            self.save(Path(folder))
+            return Stream.load(folder, rate_hz=rate_hz, joints=joints, settings=settings)
 
     def save(self, folder: Path) -> ModelCard:
         """Write `model.onnx`, `weights.safetensors` and, last, `model.json`; returns the card as written."""
