@@ -474,7 +474,10 @@ def test_every_way_to_predict_gives_the_same(data, tmp_path, method):
             made.augmentation.stream(rate_hz=100.0, joints=JOINTS)
         return
     series = episode.run(RUN)
-    for stream in (made.augmentation.stream(rate_hz=100.0, joints=JOINTS), trained.stream(rate_hz=100, joints=JOINTS)):
+    for stream in (
+        made.augmentation.stream(rate_hz=100.0, joints=JOINTS),
+        trained.stream(rate_hz=100.0, joints=JOINTS),
+    ):
         for row in range(len(series)):
             step = stream.step({name: series[name][row] for name in ("position", "velocity", "torque")})
             expected = np.concatenate([second[name][row] for name in ("position", "velocity", "torque")])
