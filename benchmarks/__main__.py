@@ -24,6 +24,8 @@ NAMES = (
     "thesis",
     "real_robots",
     "panda",
+    "training",
+    "augment",
     "streaming",
 )
 
