@@ -1,0 +1,146 @@
+"""`trueup augment train` as its user sees it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from augment.augment_cases import make_dataset
+from trueup.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return make_dataset(tmp_path_factory.mktemp("data") / "arm", perfect=("velocity",)).path
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*arguments):
+        with pytest.raises(SystemExit) as end:
+            main([str(argument) for argument in arguments])
+        printed = capsys.readouterr()
+        return end.value.code, printed.out, printed.err
+
+    return call
+
+
+def small(folder, **over):
+    text = {
+        "method": "realeasy-rt",
+        "network": {"hidden": [6]},
+        "window": {"samples": 40},
+        "batch": 4,
+        "epochs": 2,
+        **over,
+    }
+    path = folder / "small.yaml"
+    path.write_text(json.dumps(text))  # JSON is YAML
+    return path
+
+
+def test_it_says_how_good_it_is_on_val_and_what_to_do_next(run, data, tmp_path):
+    code, out, err = run(
+        *("augment", "train", data, "--out", tmp_path / "m", "--config", small(tmp_path), "--name", "arm-rt"),
+        *("--jobs", 1, "--tensorboard", tmp_path / "curves"),
+    )
+    assert code == 0
+    assert "arm-rt: RMSE on val, simulator -> corrected" in out
+    assert "torque [Nm]" in out
+    assert "finished after 2 epochs" in out
+    assert f"trueup augment eval {data} --model {tmp_path / 'm'}" in out
+    assert "switched off" in err
+    assert "velocity of pan" in err
+    assert {path.name for path in (tmp_path / "m").iterdir()} == {"model.json", "model.onnx", "weights.safetensors"}
+    assert list((tmp_path / "curves").glob("events.out.tfevents*"))
+
+
+def test_a_moving_average_needs_no_training(run, data, tmp_path):
+    code, out, _ = run("augment", "train", data, "--out", tmp_path / "m", "--method", "moving-average-rt")
+    assert code == 0
+    assert "epochs" not in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--method", "lstm"], "there is no such method: got lstm; available: realeasy, realeasy-rt"),
+        (["--method", "gru", "--config", "paper"], "no paper has a configuration of this method"),
+        (["--run", "dart/stock"], "has no run 'dart/stock': available: mujoco/stock"),
+        (["--signal", "current"], "data: signals: got current; available: position, velocity, torque"),
+        (["--command", "velocity"], "there is no commanded velocity: available: position"),
+        (["--device", "cuda"], "torch finds no GPU"),
+    ],
+)
+def test_what_cannot_be_is_said_in_one_line(run, data, tmp_path, arguments, message):
+    code, _, err = run("augment", "train", data, "--out", tmp_path / "m", *arguments)
+    assert code == 2
+    assert message in err
+    assert len([line for line in err.splitlines() if line.startswith("error:")]) == 1
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("over", "message"),
+    [
+        ({"netwrok": {}}, "has unknown keys ['netwrok']"),
+        ({"network": {"hidden": [0]}}, "network: hidden"),
+        ({"base": "thesis"}, "base: got thesis; available: default, paper"),
+        ({"loss": {"weights": {"torque": -1}}}, "loss: weight of torque"),
+        ({"network": {"kind": "mlp", "bidirectional": True}}, "mlp has one direction only"),
+    ],
+)
+def test_a_wrong_file_is_said_with_the_place(run, data, tmp_path, over, message):
+    code, _, err = run("augment", "train", data, "--out", tmp_path / "m", "--config", small(tmp_path, **over))
+    assert code == 2
+    assert message in err
+
+
+def test_method_and_file_exclude_one_another(run, data, tmp_path):
+    code, _, err = run(
+        "augment", "train", data, "--out", tmp_path / "m", "--method", "gru", "--config", small(tmp_path)
+    )
+    assert code == 2
+    assert "Write method: into the file." in err
+
+
+def test_papers_numbers_come_with_the_word_paper(run, data, tmp_path):
+    code, _, _ = run(
+        *("augment", "train", data, "--out", tmp_path / "m", "--method", "realeasy", "--config", "paper"),
+        *("--epochs", 0, "--jobs", 1),
+    )
+    assert code == 0
+    config = json.loads((tmp_path / "m" / "model.json").read_text())["provenance"]["config"]
+    assert config["network"]["hidden"] == [100, 21]
+    assert config["network"]["bidirectional"]
+    assert (config["batch"], config["window"]["rule"], config["window"]["draws"]) == (16, "half-shortest", 16)
+    assert (config["optimizer"]["name"], config["optimizer"]["rate"]) == ("rmsprop", 1e-4)
+    assert (config["data"]["normalization"], config["loss"]["scale"]) == ("limits", "normalized")
+
+
+def test_killed_and_resumed_from_the_command_line(data, tmp_path):
+    config, out = small(tmp_path, epochs=400, window={"samples": 40, "draws": 8}), tmp_path / "m"
+    command = [sys.executable, "-m", "trueup.cli.main", "augment", "train", data, "--out", out, "--config", config]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    process = subprocess.Popen([*map(str, command), "--jobs", "1"], env=environment, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while not (out / "checkpoint.safetensors").is_file():
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not (out / "model.json").exists()
+    done = subprocess.run([*map(str, command)], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "Give --overwrite or --resume" in done.stderr
+    other = small(tmp_path, epochs=3, window={"samples": 40, "draws": 8})
+    resume = [*map(str, command), "--resume", "--jobs", "1"]
+    done = subprocess.run(resume, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 2  # the file has changed meanwhile
+    assert "another configuration, seed or data" in done.stderr
+    assert other == config
