@@ -83,6 +83,7 @@ def test_every_part_has_an_arrow_and_stands_in_the_architecture_page():
         ("trueup.dataset", {"torch", "mujoco"}),
         ("trueup.measure", {"torch", "mujoco"}),
         ("trueup.deploy", {"torch", "mujoco", "onnx", "pyarrow", "scipy"}),
+        ("trueup.augment.trained", {"torch", "mujoco", "onnx", "pyarrow", "scipy"}),
         ("trueup.record", {"torch", "mujoco", "ompl", "toppra", "mink", "scipy"}),
         ("trueup.cli.main", {"torch", "mujoco", "plotly", "scipy"}),
     ],

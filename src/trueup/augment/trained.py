@@ -6,14 +6,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from trueup.augment.correction import corrected
+from trueup.augment.simulator import ResidualSimulator
 from trueup.core.episode import Episode
 from trueup.core.model_card import ModelCard
+from trueup.core.protocols import Simulator
 from trueup.core.timeseries import TimeSeries
 from trueup.deploy import Network, Predictor, Stream, StreamSettings
 
 
 class Trained:
-    """A model folder: an `Augmenter`, and a stream for control loops.
+    """A model folder: an `Augmenter`, a stream for control loops, and what makes a simulator a corrected one.
 
     Args:
         network: an opened model folder.
@@ -53,3 +55,7 @@ class Trained:
     ) -> Stream:
         """The stateful step for a control loop; see `deploy.Stream`."""
         return Stream(self._network, rate_hz=rate_hz, joints=joints, units=units, settings=settings)
+
+    def simulator(self, simulator: Simulator, *, warmup: bool = False) -> ResidualSimulator:
+        """A simulator whose signals are corrected, and a Simulator again; see `augment.simulator`."""
+        return ResidualSimulator(simulator, self._network, warmup=warmup)
