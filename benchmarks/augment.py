@@ -29,6 +29,7 @@ from trueup.core.atomic import make_folder, write_json
 from trueup.core.augment_result import AugmentResult
 from trueup.core.model_card import ModelCard
 from trueup.core.provenance import provenance
+from trueup.core.results import Ladder
 from trueup.dataset import Dataset
 from trueup.stages import evaluate
 
@@ -60,6 +61,7 @@ def run() -> list[Row]:
         "amounts": by_amount.to_json(),
         "others": {str(unit): item.to_json() for unit, item in others.items()},
         "so101": None if real is None else real.to_json(),
+        "so101_rungs": {} if real is None else _rungs(),
         "training": {name: _training(name) for name in (*MODELS, *(ARM_MODELS if arm is not None else ()))},
         "provenance": provenance(config={"jobs": JOBS}, seed=0, data_hash=known.hash),
     }
@@ -72,6 +74,12 @@ def _evaluated(data: Dataset, names: Sequence[str], what: str, run: str, split: 
     out = FOLDER / "evaluated" / what
     folders = [FOLDER / "models" / name for name in names]
     return evaluate(data, folders, out, run=run, split=split, overwrite=True).result
+
+
+def _rungs() -> dict[str, Any]:
+    """Rung -> position RMSE on test as identification counts it: mean over motions of the mean over joints."""
+    ladder = Ladder.load(FOLDER / "evaluated" / "so101" / "ladder.json")
+    return {rung.name: rung.splits["test"]["position"]["rmse"].to_json() for rung in ladder.rungs}
 
 
 def _training(name: str) -> dict[str, Any]:

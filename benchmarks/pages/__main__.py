@@ -1,24 +1,55 @@
 """Write every page whose result is stored."""
 
 import json
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-NAMES = {"thesis": "thesis.md", "real_robots": "real-robots.md", "panda": "panda.md"}
+NAMES = {
+    "thesis": "thesis.md",
+    "real_robots": "real-robots.md",
+    "panda": "panda.md",
+    "augment": "learned-corrections.md",
+}
+
+
+def is_stored(name: str) -> bool:
+    """Whether there is a result to make the page from."""
+    return _path(name).is_file()
 
 
 def text(name: str) -> str:
     """The page as the stored result makes it."""
-    result = json.loads((ROOT / "benchmarks" / "results" / f"{name}.json").read_text())
-    page: str = import_module(f"benchmarks.pages.{name}").page(result)
+    page: str = import_module(f"benchmarks.pages.{name}").page(_result(name))
     return page
+
+
+def figures(name: str) -> dict[str, str]:
+    """The page's figures, file in docs/ -> SVG; most pages have none."""
+    module = import_module(f"benchmarks.pages.{name}")
+    found: dict[str, str] = module.figures(_result(name)) if hasattr(module, "figures") else {}
+    return found
+
+
+def _path(name: str) -> Path:
+    return ROOT / "benchmarks" / "results" / f"{name}.json"
+
+
+def _result(name: str) -> Mapping[str, Any]:
+    result: Mapping[str, Any] = json.loads(_path(name).read_text())
+    return result
 
 
 def main() -> None:
     """Write the pages."""
     for name, file in NAMES.items():
-        (ROOT / "docs" / file).write_text(text(name))
+        if is_stored(name):
+            for path, content in {file: text(name), **figures(name)}.items():
+                (ROOT / "docs" / path).write_text(content)
+        else:
+            print(f"docs/{file} is left as it is: python -m benchmarks {name} has no result yet")
 
 
 if __name__ == "__main__":

@@ -14,7 +14,8 @@ TABLE_II = (36.4, 25.2, 24.2, 19.6, 12.3, 7.17, 7.15)
 TEXT = """# The papers' data set
 
 A tenth of the data set of Realeasy and the LSTM thesis, on a [virtual Panda](virtual-robot.md): {motions}. This page is
-made from what `python -m benchmarks panda` measures (`make pages` writes it). By hand:
+made from what `python -m benchmarks panda` measures (`make pages` writes it);
+[what learned corrections bring](learned-corrections.md) on all of its motions has its own. By hand:
 
 ```sh
 trueup record --robot panda --hardware lab --unit 1 --plan paper --scale 0.1 --out data/panda
