@@ -127,8 +127,35 @@ def test_a_finished_model_is_not_trained_again(data, tmp_path):
     assert (tmp_path / "model.json").read_bytes() == before
     assert not seen
     assert "was finished already" in again.notes
-    with pytest.raises(OutputExists, match="of other data"):
-        augment([data], tmp_path, run=RUN, config=SMALL, resume=True, seed=9)
+    for other in ({"seed": 9}, {"train_motions": 3}, {"name": "another"}, {"drop_flagged": True}):
+        with pytest.raises(OutputExists, match="holds a model of other data, or of another run, name"):
+            augment([data], tmp_path, run=RUN, config=SMALL, resume=True, **other)
+
+
+def test_a_model_that_is_replaced_can_be_resumed(data, tmp_path):
+    """The old one must not be taken for the new one, nor stand in its way."""
+    augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=1))
+
+    def stop(progress):
+        if progress.number == 2 and progress.epoch is None:
+            raise Stop
+
+    with pytest.raises(Stop):
+        augment([data], tmp_path, run=RUN, config=SMALL, overwrite=True, on_progress=stop)
+    made = augment([data], tmp_path, run=RUN, config=SMALL, resume=True)
+    assert len(made.augmentation.training.history) == SMALL.epochs
+
+
+def test_motions_that_could_not_be_replayed_are_left_out(tmp_path):
+    rng = np.random.default_rng(0)
+    episodes = [labelled(k, split, *motion(rng, 60)) for k, split in enumerate(["train", "train", "train", "val"])]
+    with DatasetWriter.create(tmp_path / "data", DatasetInfo(robot="arm")) as writer:
+        for episode, _ in episodes:
+            writer.append(episode)
+    write_run(tmp_path / "data", {episode.id: simulated for episode, simulated in episodes[1:]}, robot())
+    made = augment([Dataset(tmp_path / "data")], tmp_path / "out", run=RUN, config=replace(SMALL, epochs=1))
+    assert made.augmentation.card.provenance["training"]["motions"] == {"train": 2, "val": 1}
+    assert any("1 val motions cannot tell help from chance" in note for note in made.notes)
 
 
 def test_a_broken_checkpoint_is_said(data, tmp_path):
@@ -137,7 +164,7 @@ def test_a_broken_checkpoint_is_said(data, tmp_path):
         augment([data], tmp_path, run=RUN, config=SMALL, resume=True)
 
 
-def test_a_loss_that_runs_away_stops_training_and_keeps_the_best(data, tmp_path):
+def test_a_loss_that_runs_away_stops_training_and_keeps_the_best(data, tmp_path, monkeypatch):
     seen = []
 
     def poison(progress):
@@ -146,19 +173,14 @@ def test_a_loss_that_runs_away_stops_training_and_keeps_the_best(data, tmp_path)
             for parameter in poison.corrector.parameters():
                 parameter.data.fill_(float("nan"))
 
-    import trueup.augment.augmentation as module
-
-    original = module.train
+    original = augmentation.train
 
     def train(corrector, *args, **kwargs):
         poison.corrector = corrector
         return original(corrector, *args, **kwargs)
 
-    module.train = train
-    try:
-        made = augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=9), on_progress=poison)
-    finally:
-        module.train = original
+    monkeypatch.setattr(augmentation, "train", train)
+    made = augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=9), on_progress=poison)
     assert made.augmentation.training.status == "diverged"
     assert made.augmentation.training.best in (1, 2)
     assert max(seen) == 3
@@ -185,6 +207,13 @@ def test_what_cannot_be_trained_on_is_refused(data, tmp_path):
     empty = make_dataset(tmp_path / "empty", counts=(3, 0, 2))
     with pytest.raises(MissingSignal, match="no motion is in the split 'val'"):
         augment([empty], tmp_path / "b", run=RUN, config=SMALL)
+    for name in ("../x", "a b", "x" * 300):
+        with pytest.raises(ConfigError, match="--name"):
+            augment([data], tmp_path / "n", run=RUN, config=SMALL, name=name)
+    with pytest.raises(NameMismatch, match="--robot arm is not the robot of the run"):
+        augment([data], tmp_path / "r", run=RUN, config=SMALL, robot=robot(("a", "b")))
+    with pytest.raises(DataError, match="fewer samples per second"):
+        augment([data], tmp_path / "f", run=RUN, config=replace(SMALL, data=DataConfig(rate_hz=400.0)))
     with pytest.raises(ConfigError, match="no dataset"):
         augment([], tmp_path / "c", run=RUN)
     other = make_dataset(tmp_path / "other", joints=("pan", "tilt"))
@@ -222,8 +251,8 @@ def test_nan_is_refused_with_its_place(tmp_path):
 def test_val_that_overlaps_train_is_refused(tmp_path):
     """A piece of a train motion under another name, moved in time."""
     rng = np.random.default_rng(0)
-    simulated, measured = motion(rng, 80)
-    rows = slice(30, 60)
+    simulated, measured = motion(rng, 90)
+    rows = slice(31, 71)
     piece = [
         TimeSeries(s.time_s[rows] + 3.0, s.joints, {n: v[rows] for n, v in s.signals.items()}, s.units)
         for s in (simulated, measured)
@@ -238,34 +267,56 @@ def test_val_that_overlaps_train_is_refused(tmp_path):
             labelled(3, "val", *piece),
         ],
     )
-    with pytest.raises(DataError, match="val motion 'val3' holds samples of train motion 'train1'"):
-        augment([data], tmp_path / "out", run=RUN, config=SMALL)
+    for rate_hz in (None, 50.0):
+        config = replace(SMALL, data=DataConfig(rate_hz=rate_hz))
+        with pytest.raises(DataError, match="val motion 'val3' holds samples of train motion 'train1'"):
+            augment([data], tmp_path / f"out{rate_hz}", run=RUN, config=config)
 
 
-def pairs_of(folder, lengths, *, name="train", seed=0, still=(), outputs=None):
+def test_repeated_commands_read_by_a_coarse_encoder_are_no_overlap(tmp_path):
+    """The same motion twice, in ticks of 1.5 mrad with a little noise: two recordings, not one."""
+    rng = np.random.default_rng(0)
+    clock = np.arange(300) / 100
+    episodes = []
+    for number, split in enumerate(["train"] * 4 + ["val"] * 2):
+        ticks = np.round((np.sin(3 * clock) + 3e-4 * rng.normal(size=300)) / 1.5e-3) * 1.5e-3
+        measured = TimeSeries(
+            clock, JOINTS, {"position": np.stack([ticks, 0 * ticks], axis=1)}, {"position": ("rad",) * 2}
+        )
+        simulated = TimeSeries(
+            clock, JOINTS, {"position": np.stack([np.sin(3 * clock), 0 * clock], axis=1)}, measured.units
+        )
+        episodes.append(labelled(number, split, simulated, measured))
+    augment([with_episodes(tmp_path / "data", episodes)], tmp_path / "out", run=RUN, config=replace(SMALL, epochs=1))
+
+
+def pairs_of(folder, lengths, *, name="train", seed=0, still=(), label=True):
     """Pairs whose rows say which motion and sample they are."""
     rng = np.random.default_rng(seed)
     inputs = (Channel("position", "pan", "rad"), Channel("torque", "pan", "Nm"))
     episodes = []
     for number, samples in enumerate(lengths):
-        label = number + np.arange(samples)[:, None] / 1000
+        place = number + np.arange(samples)[:, None] / 1000 if label else np.zeros((samples, 1))
         value = np.full((samples, 1), 3.0) if number in still else rng.normal(size=(samples, 1))
         clock = np.arange(samples) / 100
         units = {"position": ("rad",), "torque": ("Nm",)}
-        series = TimeSeries(clock, ("pan",), {"position": label, "torque": value}, units)
+        series = TimeSeries(clock, ("pan",), {"position": place, "torque": value}, units)
         episodes.append(Episode(EpisodeMeta(f"{name}{number}"), series, simulated={"s": series}))
     path = folder / f"{name}.f32"
-    return write_pairs(episodes, path, run="s", inputs=inputs, outputs=outputs or inputs, rate_hz=100.0)
+    return write_pairs(episodes, path, run="s", inputs=inputs, outputs=inputs, rate_hz=100.0)
 
 
 def test_motions_that_rest_alike_do_not_overlap(tmp_path):
     """Standing robots measure the same numbers again and again, in train as in val."""
-    at_rest = (Channel("torque", "pan", "Nm"),)
-    train, val = (pairs_of(tmp_path, [40, 50], name=name, still=(0, 1), outputs=at_rest) for name in ("train", "val"))
+    train, val = (pairs_of(tmp_path, [40, 50], name=name, still=(0, 1), label=False) for name in ("train", "val"))
     refuse_overlap(train, val)
-    moving = pairs_of(tmp_path, [40, 50], name="moving", outputs=at_rest)
-    with pytest.raises(DataError, match="holds samples of train motion"):
-        refuse_overlap(moving, pairs_of(tmp_path, [40, 50], name="other", outputs=at_rest))
+    moving, other, same = (
+        pairs_of(tmp_path, [40, 50], name=name, label=False, seed=seed)
+        for name, seed in (("moving", 1), ("other", 2), ("same", 1))
+    )
+    refuse_overlap(moving, other)
+    with pytest.raises(DataError, match="val motion 'same0' holds samples of train motion 'moving0'"):
+        refuse_overlap(moving, same)
 
 
 @pytest.mark.parametrize("rule", ["fixed", "half-shortest"])

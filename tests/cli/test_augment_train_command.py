@@ -90,6 +90,8 @@ def test_what_cannot_be_is_said_in_one_line(run, data, tmp_path, arguments, mess
         ({"netwrok": {}}, "has unknown keys ['netwrok']"),
         ({"network": {"hidden": [0]}}, "network: hidden"),
         ({"base": "thesis"}, "base: got thesis; available: default, paper"),
+        ({"optimizer": {"rate": -1.0}}, "optimizer: rate: got -1.0; expected above 0"),
+        ({"optimizer": {"patience": 0}}, "optimizer: patience"),
         ({"loss": {"weights": {"torque": -1}}}, "loss: weight of torque"),
         ({"network": {"kind": "mlp", "bidirectional": True}}, "mlp has one direction only"),
     ],

@@ -19,14 +19,14 @@ from safetensors.torch import save as save_tensors
 
 from trueup.augment.calibration import far_off, intervals_of, warmup_steps
 from trueup.augment.checkpoint import losses
-from trueup.augment.config import AugmentConfig
+from trueup.augment.config import CHECKPOINT_NAME, AugmentConfig
 from trueup.augment.correction import corrected
 from trueup.augment.corrector import Corrector
 from trueup.augment.gating import Errors, errors_of, gates_of
 from trueup.augment.networks import build_network
 from trueup.augment.pairs import Pairs
 from trueup.augment.scaling import Scaling, Stops, Summary, counterparts, scaling_of, summarize
-from trueup.augment.training import OnEpoch, Trained, train
+from trueup.augment.training import OnProgress, Outcome, train
 from trueup.core.atomic import make_folder, write_bytes
 from trueup.core.config import build
 from trueup.core.episode import Episode
@@ -37,7 +37,6 @@ from trueup.deploy import Stream, StreamSettings
 from trueup.errors import DataError
 
 _VAL = "val"
-CHECKPOINT_NAME = "checkpoint.safetensors"
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +53,7 @@ class Task:
         val: pairs that choose.
         limits: (signal, joint) -> lowest and highest value, for normalization and stops.
         data_hash: of the dataset.
+        asked: hash of what the caller asked for; kept in the card.
         description: for people.
     """
 
@@ -66,6 +66,7 @@ class Task:
     val: Pairs
     limits: Mapping[tuple[str, str], tuple[float, float]]
     data_hash: str = ""
+    asked: str = ""
     description: str = ""
 
 
@@ -80,7 +81,7 @@ class Augmentation:
     """
 
     def __init__(
-        self, card: ModelCard, corrector: Corrector, config: AugmentConfig, training: Trained | None = None
+        self, card: ModelCard, corrector: Corrector, config: AugmentConfig, training: Outcome | None = None
     ) -> None:
         self.card = card
         self.corrector = corrector
@@ -97,7 +98,7 @@ class Augmentation:
         resume: bool = False,
         device: str = "cpu",
         threads: int | None = None,
-        on_progress: OnEpoch | None = None,
+        on_progress: OnProgress | None = None,
     ) -> Augmentation:
         """Train, switch off the outputs that do not help on val, and calibrate intervals on val.
 
@@ -124,7 +125,7 @@ class Augmentation:
         folder: Path,
         seed: int,
         device: str,
-        on_progress: OnEpoch | None,
+        on_progress: OnProgress | None,
         *,
         resume: bool,
     ) -> Augmentation:
@@ -140,7 +141,7 @@ class Augmentation:
             limits=task.limits,
         )
         stops = Stops.of(task.train.inputs, task.limits if config.data.stops else {})
-        corrector = _made(config, task.train.inputs, base, scaling, stops, seed)
+        corrector = _made(config, task.train.inputs, base, scaling, stops, task.rate_hz, seed)
         trained = train(
             corrector,
             task.train,
@@ -198,7 +199,7 @@ class Augmentation:
 
     @staticmethod
     def load(folder: Path) -> Augmentation:
-        """Read a model folder back, e.g. to train it on or to export it again.
+        """Read a model folder back, with the weights in torch.
 
         Raises:
             DataError: a file is missing, truncated or changed.
@@ -213,18 +214,24 @@ class Augmentation:
         width = len(card.outputs)
         blank = Scaling(*(np.ones(n) for n in (len(card.inputs), len(card.inputs), width, width, width)))
         stops = Stops.none(len(state["stop_edge"]))
-        corrector = _made(config, card.inputs, card.base, blank, stops, 0)
+        corrector = _made(config, card.inputs, card.base, blank, stops, card.rate_hz, 0)
         corrector.load_state_dict(state)
         corrector.eval()
         return Augmentation(card, corrector, config)
 
 
 def _made(
-    config: AugmentConfig, inputs: Sequence[Channel], base: np.ndarray, scaling: Scaling, stops: Stops, seed: int
+    config: AugmentConfig,
+    inputs: Sequence[Channel],
+    base: np.ndarray,
+    scaling: Scaling,
+    stops: Stops,
+    rate_hz: float,
+    seed: int,
 ) -> Corrector:
     before = torch.get_rng_state()
     torch.manual_seed(seed)
-    network = build_network(config.network, inputs=len(inputs) + stops.edge.size, base=base.tolist())
+    network = build_network(config.network, inputs=len(inputs) + stops.edge.size, base=base.tolist(), rate_hz=rate_hz)
     torch.set_rng_state(before)
     return Corrector(network, scaling, base, target=config.loss.target, relative=counterparts(inputs), stops=stops)
 
@@ -247,7 +254,9 @@ def _digest(task: Task, config: AugmentConfig, seed: int) -> str:
         "data": task.data_hash,
         "run": task.run,
         "rate_hz": task.rate_hz,
-        "motions": [[motion.id for motion in pairs.motions] for pairs in (task.train, task.val)],
+        "asked": task.asked,
+        "limits": sorted([*key, *value] for key, value in task.limits.items()),
+        "motions": [[[motion.id, motion.rows] for motion in pairs.motions] for pairs in (task.train, task.val)],
         "inputs": [channel.name for channel in task.train.inputs],
         "outputs": [channel.name for channel in task.train.outputs],
     }
@@ -261,7 +270,7 @@ def _card(
     summary: Summary,
     errors: Errors,
     reasons: Iterable[str],
-    trained: Trained,
+    trained: Outcome,
     seed: int,
 ) -> ModelCard:
     pairs = task.val
@@ -289,6 +298,7 @@ def _card(
         for number, (channel, reason) in enumerate(zip(pairs.outputs, reasons, strict=True))
     )
     made = provenance(config=config.to_json(), seed=seed, data_hash=task.data_hash)
+    made["asked"] = task.asked
     made["training"] = {
         "status": trained.status,
         "best_epoch": trained.best,

@@ -48,14 +48,13 @@ def intervals_of(corrector: Corrector, pairs: Pairs, coverage: float) -> Interva
     """
     base, slope = _shape(corrector, pairs)
     motions = len(pairs.motions)
-    above = np.zeros((motions, base.size, _RATIO_EDGES.size + 1))
-    for number, simulated, corrected, measured in predictions(corrector, pairs):
+    risk = np.zeros((base.size, _RATIO_EDGES.size))  # of the factor at each edge
+    for _, simulated, corrected, measured in predictions(corrector, pairs):
         error = np.abs(measured.astype(float) - corrected)
         ratio = error / (base + slope * np.abs(corrected.astype(float) - simulated))
         for output in range(base.size):
             counts = np.bincount(np.searchsorted(_RATIO_EDGES, ratio[:, output]), minlength=_RATIO_EDGES.size + 1)
-            above[number, output] = 1 - np.cumsum(counts) / len(ratio)
-    risk = above.mean(axis=0)[:, :-1]  # of the factor at each edge
+            risk[output] += (1 - np.cumsum(counts)[:-1] / len(ratio)) / motions
     allowed = 1 - coverage
     needed = int(np.ceil(coverage / allowed - 1e-9))  # 0.9 / (1 - 0.9) is a little more than 9
     enough = motions >= needed

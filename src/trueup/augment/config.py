@@ -12,6 +12,9 @@ from trueup.core.config import build, read_yaml
 from trueup.errors import ConfigError
 
 SIGNALS = ("position", "velocity", "torque")
+CHECKPOINT_NAME = "checkpoint.safetensors"
+# From so many val motions on, an output must help beyond chance.
+FEWEST_FOR_CHANCE = 10
 NetworkKind = Literal["lstm", "gru", "mlp", "linear", "transformer", "moving-average"]
 
 
@@ -26,6 +29,7 @@ class NetworkConfig:
         bidirectional: whether the network sees a motion from both ends ("precise"); not for a control loop. Outputs of
             the layers are concatenated, those of the last one summed (Realeasy, IV-C).
         history: samples that `mlp`, `linear`, `transformer` and `moving-average` see.
+        history_s: the same in seconds, whatever the rate; over `history` where it is given.
         heads: of the attention, `transformer` only.
         input_dropout: share of the samples that are skipped in training (Realeasy, IV-C).
         recurrent_dropout: share of the state's units that are left out of the recurrence of a batch.
@@ -36,10 +40,15 @@ class NetworkConfig:
     hidden: tuple[int, ...] = (100, 21)
     bidirectional: bool = False
     history: int = 50
+    history_s: float | None = None
     heads: int = 4
     input_dropout: float = 0.0
     recurrent_dropout: float = 0.0
     output_activation: Literal["linear", "tanh"] = "linear"
+
+    def samples(self, rate_hz: float) -> int:
+        """Samples that a network without a state sees."""
+        return self.history if self.history_s is None else max(1, round(self.history_s * rate_hz))
 
     def __post_init__(self) -> None:
         """Refuse what makes no network."""
@@ -47,8 +56,8 @@ class NetworkConfig:
             raise ConfigError("network: hidden", got=self.hidden, expected="positive sizes")
         if not self.hidden and self.kind in ("lstm", "gru", "transformer"):
             raise ConfigError(f"network: {self.kind} needs a hidden layer")
-        if self.history < 1:
-            raise ConfigError("network: history", got=self.history, expected="at least one sample")
+        if self.history < 1 or not (self.history_s is None or 0 < self.history_s < math.inf):
+            raise ConfigError("network: history", got=(self.history, self.history_s), expected="at least one sample")
         if self.bidirectional and self.kind not in ("lstm", "gru", "moving-average"):
             raise ConfigError(f"network: {self.kind} has one direction only", got="bidirectional: true")
         if self.kind == "transformer" and (self.heads < 1 or any(size % self.heads for size in self.hidden)):
@@ -105,6 +114,9 @@ class WindowConfig:
             `fixed` takes `samples`, as often as is needed to see each sample `draws` times in an epoch.
         samples: length of a fixed window.
         draws: see `rule`.
+
+    The first and last quarter of a fixed window may lie outside of a motion; it is then moved to begin with the motion,
+    or ends with it. So pieces from the start are more frequent than others, and networks start there.
     """
 
     rule: Literal["half-shortest", "fixed"] = "fixed"
@@ -166,6 +178,17 @@ class OptimizerConfig:
     warmup_steps: int = 100
     weight_decay: float = 1e-3
     clip: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that minimize nothing."""
+        for name, expected in (("rate", "above 0"), ("weight_decay", ">= 0"), ("clip", ">= 0")):
+            value = getattr(self, name)
+            if not math.isfinite(value) or value < 0 or (name == "rate" and value == 0):
+                raise ConfigError(f"optimizer: {name}", got=value, expected=expected)
+        if not 0 < self.factor < 1:
+            raise ConfigError("optimizer: factor", got=self.factor, expected="between 0 and 1")
+        if self.patience < 1 or self.warmup_steps < 0:
+            raise ConfigError("optimizer: patience, warmup_steps", got=(self.patience, self.warmup_steps))
 
 
 @dataclass(frozen=True)
@@ -285,7 +308,9 @@ METHODS: Mapping[str, AugmentConfig] = {
     "linear": AugmentConfig("linear", NetworkConfig("linear", ())),
     "transformer": AugmentConfig("transformer", NetworkConfig("transformer", (64, 64))),
     "moving-average": AugmentConfig(
-        "moving-average", NetworkConfig("moving-average", (), bidirectional=True), _AS_IT_IS, epochs=0
+        "moving-average", NetworkConfig("moving-average", (), bidirectional=True, history_s=0.5), _AS_IT_IS, epochs=0
     ),
-    "moving-average-rt": AugmentConfig("moving-average-rt", NetworkConfig("moving-average", ()), _AS_IT_IS, epochs=0),
+    "moving-average-rt": AugmentConfig(
+        "moving-average-rt", NetworkConfig("moving-average", (), history_s=0.5), _AS_IT_IS, epochs=0
+    ),
 }

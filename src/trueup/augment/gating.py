@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from trueup.augment.config import FEWEST_FOR_CHANCE
 from trueup.augment.corrector import Corrector
 from trueup.augment.pairs import Pairs
 from trueup.augment.training import predictions
@@ -57,7 +58,7 @@ def gates_of(errors: Errors, *, draws: int = 1000, seed: int = 0) -> tuple[Bool[
     difference = errors.corrected - errors.simulated
     count = len(errors.rows)
     rng = np.random.default_rng(seed)
-    many = count >= 10
+    many = count >= FEWEST_FOR_CHANCE
     if many:
         picks = rng.multinomial(count, np.full(count, 1 / count), size=draws)
         upper = np.quantile(picks @ difference, 0.975, axis=0)
@@ -68,7 +69,9 @@ def gates_of(errors: Errors, *, draws: int = 1000, seed: int = 0) -> tuple[Bool[
     kinds = np.array(errors.conditions)
     for output in range(difference.shape[1]):
         reason = ""
-        if errors.simulated[:, output].sum() == 0:
+        if not np.isfinite(difference[:, output]).all():
+            reason = "its error on val is not finite"
+        elif errors.simulated[:, output].sum() == 0:
             reason = "the simulator is exact on val"
         elif difference[:, output].sum() >= 0:
             worse = np.sqrt(errors.corrected[:, output].sum() / errors.simulated[:, output].sum()) - 1

@@ -17,12 +17,14 @@ from jaxtyping import Float32, Float64, UInt64
 from trueup.augment.channels import Grid, column, gather
 from trueup.core.episode import Episode
 from trueup.core.model_card import Channel
-from trueup.core.timeseries import TimeSeries
+from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.errors import DataError, MissingSignal
 
-# Rows of a val motion are looked for among those of train in runs of this many.
-_RUN = 8
+# Samples of a val motion are looked for among those of train in runs of this many; encoders of low resolution repeat
+# short ones by chance, so several must be found.
+_RUN = 32
 _RUNS_PER_MOTION = 200
+_FOUND = 3
 
 
 @dataclass(frozen=True)
@@ -51,12 +53,14 @@ class Pairs:
         inputs: I channels.
         outputs: K channels, measured.
         motions: where each is.
+        marks: for each motion the numbers of its runs of measured samples, as logged; see `refuse_overlap`.
     """
 
     path: Path
     inputs: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
     motions: tuple[Motion, ...]
+    marks: Path
     _open: list[int] = field(default_factory=list)
 
     @property
@@ -120,8 +124,9 @@ def write_pairs(
         TrueupError: an episode lacks a signal or a joint.
     """
     motions: list[Motion] = []
+    marks = path.with_suffix(".marks")
     at = 0
-    with path.open("wb") as file:
+    with path.open("wb") as file, marks.open("wb") as marked:
         for episode in episodes:
             series = episode.run(run)
             grid = Grid.of(_common(episode, series), rate_hz)
@@ -130,11 +135,13 @@ def write_pairs(
             _refuse_gaps(episode, x, inputs)
             _refuse_gaps(episode, y, outputs)
             file.write(np.concatenate([x, y], axis=1).tobytes())
+            runs = _runs(episode.measured)
+            marked.write(np.array([len(runs)], np.uint64).tobytes() + runs.tobytes())
             motions.append(Motion(episode.id, episode.meta.condition, at, len(x)))
             at += len(x)
     if not motions:
         raise DataError(f"there is no motion for {path.stem}")
-    return Pairs(path, tuple(inputs), tuple(outputs), tuple(motions))
+    return Pairs(path, tuple(inputs), tuple(outputs), tuple(motions), marks)
 
 
 def _common(episode: Episode, series: TimeSeries) -> Float64[np.ndarray, "T"]:
@@ -167,35 +174,46 @@ def _refuse_gaps(episode: Episode, values: Float32[np.ndarray, "T C"], channels:
 def refuse_overlap(train: Pairs, val: Pairs) -> None:
     """Refuse a val split that holds a piece of a train motion: nothing could be chosen by it.
 
-    Runs of eight measured rows that move are looked for bit by bit.
+    Runs of 32 measured samples that move are looked for bit by bit, in all joint signals, as they were logged.
 
     Raises:
         DataError: a val motion, or a piece of it, is in train too.
     """
-    wanted = {}
-    for motion, _, y in val:
-        runs = _runs(y)
-        step = max(1, len(runs) // _RUNS_PER_MOTION)
-        wanted.update(dict.fromkeys(runs[::step].tolist(), motion.id))
-    wanted.pop(0, None)
-    sought = np.array(sorted(wanted), np.uint64)
-    for motion, _, y in train:
-        runs = _runs(y)
-        found = runs[np.isin(runs, sought)]
-        if found.size:
+    sought: list[np.ndarray] = []
+    for runs in _marks(val):
+        moving = runs[runs != 0]
+        sought.append(moving[:: max(1, len(moving) // _RUNS_PER_MOTION)])
+    owners = np.repeat(np.arange(len(sought)), [len(runs) for runs in sought])
+    numbers = np.concatenate(sought)
+    order = np.argsort(numbers, kind="stable")
+    numbers, owners = numbers[order], owners[order]
+    for motion, runs in zip(train.motions, _marks(train), strict=True):
+        found = np.flatnonzero(np.isin(numbers, runs))
+        owner, count = np.unique(owners[found], return_counts=True)
+        if count.size and count.max() >= _FOUND:
             raise DataError(
-                f"val motion {wanted[int(found[0])]!r} holds samples of train motion {motion.id!r}",
+                f"val motion {val.motions[owner[count.argmax()]].id!r} holds samples of train motion {motion.id!r}",
                 hint="Split by whole motions: what is trained on cannot judge.",
             )
 
 
-def _runs(y: Float32[np.ndarray, "T K"]) -> UInt64[np.ndarray, "N"]:
-    """A number for each run of rows; 0 for a run in which something stands still."""
-    if len(y) < _RUN:
+def _marks(pairs: Pairs) -> Iterator[UInt64[np.ndarray, "N"]]:
+    """The numbers of the runs of each motion."""
+    with pairs.marks.open("rb") as file:
+        for _ in pairs.motions:
+            count = int(np.frombuffer(file.read(8), np.uint64)[0])
+            yield np.frombuffer(file.read(8 * count), np.uint64)
+
+
+def _runs(series: TimeSeries) -> UInt64[np.ndarray, "N"]:
+    """A number for each run of samples; 0 for a run in which something stands still."""
+    signals = [values for name, values in series.signals.items() if not name.startswith(BODY_PREFIX)]
+    if len(series) < _RUN or not signals:
         return np.empty(0, np.uint64)
-    bits = np.ascontiguousarray(y).view(np.uint32).astype(np.uint64)
+    bits = np.concatenate(signals, axis=1).astype(np.float64).view(np.uint64)
     factors = np.random.default_rng(0).integers(1, 2**63, bits.shape[1], np.uint64) * np.uint64(2) + np.uint64(1)
-    rows = (bits * factors).sum(axis=1, dtype=np.uint64)
+    bits = (bits ^ (bits >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)  # neighboring numbers differ in few bits
+    rows = ((bits ^ (bits >> np.uint64(32))) * factors).sum(axis=1, dtype=np.uint64)
     moves = np.concatenate([[True], rows[1:] != rows[:-1]])
     count = len(rows) - _RUN + 1
     numbers = np.zeros(count, np.uint64)

@@ -25,7 +25,7 @@ from trueup.errors import ConfigError, MissingDependency
 _DIVERGED = 20.0
 _VAL_BATCH = 32
 
-OnEpoch = Callable[["Progress"], None]
+OnProgress = Callable[["Progress"], None]
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,7 @@ class Progress:
 
     Attributes:
         epochs: how many there will be at most.
+        number: of the current epoch, from 1.
         batch: batches of the current epoch that are done.
         batches: batches in an epoch.
         epoch: the epoch that has just ended, or None within one.
@@ -49,7 +50,7 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class Trained:
+class Outcome:
     """How training went.
 
     Attributes:
@@ -76,8 +77,8 @@ def train(
     inputs: str,
     resume: bool = False,
     device: str = "cpu",
-    on_progress: OnEpoch | None = None,
-) -> Trained:
+    on_progress: OnProgress | None = None,
+) -> Outcome:
     """Train a corrector in place; in the end it has the weights of the best epoch on val.
 
     Epoch n draws from a generator seeded with (seed, n), so that a run that was interrupted and resumed ends with the
@@ -103,7 +104,7 @@ def train(
     corrector.to(place)
     parameters = [item for item in corrector.parameters() if item.requires_grad]
     if not parameters or config.epochs == 0:
-        return Trained((), 0, "finished", 0.0)
+        return Outcome((), 0, "finished", 0.0)
     optimizer = _optimizer(parameters, config.optimizer)
     windows = Windows(train_pairs, config.window, config.batch)
     history: list[Epoch] = []
@@ -144,7 +145,7 @@ def train(
         )
     corrector.network.load_state_dict(best)
     corrector.eval()
-    return Trained(tuple(history), best_number, status, sum(epoch.seconds for epoch in history))
+    return Outcome(tuple(history), best_number, status, sum(epoch.seconds for epoch in history))
 
 
 def find_device(name: str) -> torch.device:
@@ -170,7 +171,7 @@ def _epoch(
     history: Sequence[Epoch],
     weight: Tensor,
     seed: int,
-    on_progress: OnEpoch | None,
+    on_progress: OnProgress | None,
 ) -> tuple[float, float]:
     """Mean loss and last learning rate of one epoch."""
     corrector.train()

@@ -11,6 +11,9 @@ from jaxtyping import Float32, Int
 from trueup.augment.config import WindowConfig
 from trueup.augment.pairs import Pairs
 
+# Rows of whole motions, padding included, that are predicted at once.
+_ROWS_AT_ONCE = 64_000
+
 
 @dataclass(frozen=True, eq=False)
 class Batch:
@@ -64,10 +67,7 @@ class Windows:
                 yield self._cut(chosen, starts, length)
 
     def _fixed(self, rng: np.random.Generator) -> Iterator[Batch]:
-        """Motions drawn by their length. The first and last quarter of a window may lie outside of a motion.
-
-        So pieces that begin with the motion are as frequent as others: networks start there.
-        """
+        """Motions drawn by their length; see `WindowConfig` for where windows lie."""
         length = self._config.samples
         share = self._rows / self._rows.sum()
         for _ in range(len(self)):
@@ -85,10 +85,14 @@ class Windows:
 
 
 def whole_motions(pairs: Pairs, batch: int) -> Iterator[tuple[Int[np.ndarray, "B"], Batch]]:
-    """All motions whole, those of similar length together, with their numbers."""
-    order = np.argsort([motion.rows for motion in pairs.motions], kind="stable")
-    for start in range(0, order.size, batch):
-        chosen = order[start : start + batch]
+    """All motions whole, those of similar length together, with their numbers; fewer at once where they are long."""
+    rows = np.array([motion.rows for motion in pairs.motions])
+    order = np.argsort(rows, kind="stable")
+    start = 0
+    while start < order.size:
+        many = min(batch, max(1, _ROWS_AT_ONCE // int(rows[order[min(start + batch, order.size) - 1]])))
+        chosen = order[start : start + many]
+        start += many
         parts = [pairs.motion(pairs.motions[number]) for number in chosen]
         lengths = np.array([len(x) for x, _ in parts])
         x = np.zeros((lengths.max(), chosen.size, len(pairs.inputs)), np.float32)

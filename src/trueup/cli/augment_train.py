@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.markup import escape
+from rich.status import Status
 from rich.table import Table
 
 from trueup.cli import options
@@ -135,7 +136,7 @@ def _watching(folder: Path | None) -> Iterator[Callable[[Progress], None]]:
     """Shows where training stands, here and, if there is a folder, in TensorBoard."""
     with contextlib.ExitStack() as stack:
         board = stack.enter_context(_board(folder)) if folder else None
-        status = stack.enter_context(err.status("training")) if err.is_terminal else None
+        status: list[Status] = []
         last = -_PLAIN_EVERY_S
 
         def show(progress: Progress) -> None:
@@ -146,8 +147,11 @@ def _watching(folder: Path | None) -> Iterator[Callable[[Progress], None]]:
                         f"loss/{name}" if name != "rate" else name, getattr(progress.epoch, name), progress.number
                     )
             text = _line(progress)
-            if status:
-                status.update(text)
+            if err.is_terminal:
+                # Only now: two displays at once, this one and the bar of the reading, are refused by older versions.
+                if not status:
+                    status.append(stack.enter_context(err.status("training")))
+                status[0].update(text)
             elif time.monotonic() - last >= _PLAIN_EVERY_S:
                 last = time.monotonic()
                 err.print(text, markup=False)

@@ -81,8 +81,8 @@ class Output(Channel):
         base: number of the input channel that is corrected.
         gate: share of the network's correction that is used; 0 is switched off.
         reason: why it is switched off; empty if it is not.
-        interval: half width of the interval [unit] for a correction c: `interval[0] + interval[1] * |c|`; None where
-            val has too few motions for one.
+        interval: half width of the interval [unit] for a correction c: `interval[0] + interval[1] * |c|`; None if there
+            is none.
         far: a simulator that is off by more than this is far off [unit].
         far_correction: corrections at which the probability of "far off" is known, increasing [unit].
         far_probability: those probabilities, not decreasing.

@@ -11,6 +11,10 @@ from trueup.core.model_card import ModelCard
 from trueup.deploy.network import Network
 from trueup.errors import DataError
 
+# Samples that go through a network with states at a time: attention over a long motion at once would need memory with
+# the square of its length.
+_PIECE = 512
+
 
 class Predictor:
     """Corrects motions from their first sample to their last; for networks of any kind.
@@ -22,6 +26,7 @@ class Predictor:
     def __init__(self, network: Network) -> None:
         self._network = network
         self._states = network.card.states
+        self._outputs = ["y", *(f"{state.name}_out" for state in self._states)]
 
     @staticmethod
     def load(folder: Path | str) -> Predictor:
@@ -62,8 +67,13 @@ class Predictor:
                 got=f"{bad.sum()}, the first in {channels[channel].name}, sample {t} of motion {b}",
             )
         first = x[0].astype(np.float64)
-        feed = {"x": np.ascontiguousarray(x, np.float32)}
-        for state in self._states:
-            feed[state.name] = state.initial(first)
-        corrected: Float32[np.ndarray, "T B K"] = self._network.session.run(["y"], feed)[0]
+        feed = {state.name: state.initial(first) for state in self._states}
+        piece = _PIECE if self._states else len(x)
+        parts = []
+        for start in range(0, len(x), piece):
+            feed["x"] = np.ascontiguousarray(x[start : start + piece], np.float32)
+            y, *after = self._network.session.run(self._outputs, feed)
+            feed |= {state.name: value for state, value in zip(self._states, after, strict=True)}
+            parts.append(y)
+        corrected: Float32[np.ndarray, "T B K"] = np.concatenate(parts)
         return corrected

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,11 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trueup.align import JointMap
-from trueup.augment.config import SIGNALS, AugmentConfig
+from trueup.augment.config import CHECKPOINT_NAME, FEWEST_FOR_CHANCE, SIGNALS, AugmentConfig
 from trueup.core.atomic import make_folder
-from trueup.core.config import build
 from trueup.core.episode import Episode
-from trueup.core.model_card import CARD_NAME, Channel, ModelCard
+from trueup.core.model_card import CARD_NAME, ONNX_NAME, WEIGHTS_NAME, Channel, ModelCard
 from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError, MissingDependency, MissingSignal, NameMismatch, OutputExists
 from trueup.robots import RobotSpec, find_model
@@ -78,7 +78,7 @@ def augment(
         out: the model's folder.
         run: label of the run that is corrected, e.g. `mujoco/stock`.
         config: method, network, loss, optimizer; the real-time Realeasy network if None.
-        robot: its description, for normalization by limits; what the run says of it if None.
+        robot: its description, for limits of positions and velocities; what the run says of it if None.
         name: of the model; the method if empty.
         description: for people, kept in the card.
         drop_flagged: leave out motions with quality warnings.
@@ -95,26 +95,46 @@ def augment(
         OutputExists: `out` holds a model, or the training of another one.
         MissingSignal: there is no such run, or no motion in train or val.
         DataError: a sample is not finite, val overlaps train, or motions have different rates.
-        ConfigError: training diverges in its first epoch.
-        MissingDependency: torch is not installed.
+        ConfigError: the name makes no label, there is nothing to choose from, or training diverges in its first epoch.
+        NameMismatch: the robot has other joints than the run.
+        MissingDependency: torch is not installed, or finds no GPU.
     """
     try:
         from trueup.augment import Augmentation, Task
         from trueup.augment.pairs import channels_of, refuse_overlap, write_pairs
+        from trueup.augment.training import find_device
     except ModuleNotFoundError as error:
         raise MissingDependency(
             f"training needs {error.name}", hint="pip install 'trueup[learn]' (or make install in a clone)"
         ) from error
     config, out = config or AugmentConfig(), Path(out)
+    find_device(device)
+    name = name or config.method
+    _refuse_bad_name(name)
     make_folder(out)
     if any(out.iterdir()) and not (overwrite or resume):
         raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
     sources = _sources(datasets, run)
     origin = _Origin.of(sources, run)
     data_hash = _joint_hash(sources, run)
-    if resume and not overwrite and (out / CARD_NAME).is_file():
-        return _finished(out, data_hash, config, seed)
-    ids = {split: _ids(sources, split, drop_flagged=drop_flagged) for split in ("train", "val")}
+    limits = _limits(robot, origin, sources[0], config)
+    asked = _digest(
+        {
+            "data": data_hash,
+            "run": run,
+            "config": config.to_json(),
+            "limits": sorted([*key, *value] for key, value in limits.items()),
+            "name": name,
+            "drop_flagged": drop_flagged,
+            "train_motions": train_motions,
+            "seed": seed,
+        }
+    )
+    if overwrite:
+        _forget(out)
+    elif (out / CARD_NAME).is_file():
+        return _finished(out, asked)
+    ids = {split: _ids(sources, run, split, drop_flagged=drop_flagged) for split in ("train", "val")}
     if train_motions is not None:
         ids["train"] = _drawn(ids["train"], train_motions, seed)
     first = next(_episodes(sources, ids["train"][:1], run, origin.joint_map))
@@ -127,11 +147,11 @@ def augment(
     pairs_folder = out / _PAIRS
     shutil.rmtree(pairs_folder, ignore_errors=True)
     make_folder(pairs_folder)
-    if overwrite:
-        (out / "checkpoint.safetensors").unlink(missing_ok=True)
     made: dict[str, Pairs] = {}
     for split, chosen in ids.items():
-        episodes = _at_rate(_episodes(sources, chosen, run, origin.joint_map), run, rate_hz, config)
+        episodes = _at_rate(
+            _episodes(sources, chosen, run, origin.joint_map), run, rate_hz, given=config.data.rate_hz is not None
+        )
         made[split] = write_pairs(
             track(episodes, split, len(chosen)),
             pairs_folder / f"{split}.f32",
@@ -142,9 +162,8 @@ def augment(
         )
     with made["train"] as train, made["val"] as val:
         refuse_overlap(train, val)
-        limits, limit_notes = _limits(robot, origin, sources[0], inputs, config)
         task = Task(
-            name=name or config.method,
+            name=name,
             robot=origin.robot,
             joints=origin.joints,
             run=run,
@@ -153,6 +172,7 @@ def augment(
             val=val,
             limits=limits,
             data_hash=data_hash,
+            asked=asked,
             description=description,
         )
         augmentation = Augmentation.fit(
@@ -160,16 +180,28 @@ def augment(
             config,
             folder=out,
             seed=seed,
-            resume=resume and not overwrite,
+            resume=resume,
             device=device,
             threads=jobs,
             on_progress=on_progress,
         )
     augmentation.save(out)
     # Only here is nothing left that an interruption could cost.
-    (out / "checkpoint.safetensors").unlink(missing_ok=True)
+    (out / CHECKPOINT_NAME).unlink(missing_ok=True)
     shutil.rmtree(pairs_folder, ignore_errors=True)
-    return Augmented(augmentation, out, (*limit_notes, *_notes(augmentation)))
+    return Augmented(augmentation, out, (*_unknown_limits(limits, inputs, config), *_notes(augmentation)))
+
+
+def _refuse_bad_name(name: str) -> None:
+    """Corrected runs are called after their network: what makes no label must not be found out after the training."""
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.+=-]{0,99}", name) or ".." in name:
+        raise ConfigError("--name", got=repr(name), expected="letters, digits, _ . + = -, at most 100")
+
+
+def _forget(out: Path) -> None:
+    """Remove a model that is to be replaced: an interrupted training must not find it beside its checkpoint."""
+    for file in (CARD_NAME, ONNX_NAME, WEIGHTS_NAME, CHECKPOINT_NAME):
+        (out / file).unlink(missing_ok=True)
 
 
 @dataclass(frozen=True)
@@ -228,19 +260,27 @@ def _sources(datasets: Sequence[Dataset], run: str) -> list[Dataset]:
 
 
 def _joint_hash(sources: Sequence[Dataset], run: str) -> str:
-    parts = [[source.hash, source.run_info(run).get("inputs", {}), source.splits] for source in sources]
+    parts = [
+        [source.hash, source.run_info(run).get("inputs", {}), source.splits, source.run_ids(run)] for source in sources
+    ]
+    return _digest(parts)
+
+
+def _digest(parts: Any) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
-def _ids(sources: Sequence[Dataset], split: str, *, drop_flagged: bool) -> list[tuple[int, str]]:
+def _ids(sources: Sequence[Dataset], run: str, split: str, *, drop_flagged: bool) -> list[tuple[int, str]]:
     """Number of the dataset and id of each motion of a split that the run has too."""
     found = []
     for number, source in enumerate(sources):
         if split in source.splits.values():
-            found += [(number, name) for name in source.select(split=split, drop_flagged=drop_flagged)]
+            there = set(source.run_ids(run))  # without those that could not be replayed
+            chosen = source.select(split=split, drop_flagged=drop_flagged)
+            found += [(number, name) for name in chosen if name in there]
     if not found:
         raise MissingSignal(
-            f"no motion is in the split {split!r}",
+            f"no motion of the run {run!r} is in the split {split!r}",
             available=sorted({item for source in sources for item in source.splits.values()}),
             hint="Training needs train and val: give --splits 80/15/5 when you import, or a split.json.",
         )
@@ -261,8 +301,6 @@ def _episodes(
     several = len(sources) > 1
     for number, name in chosen:
         source = sources[number]
-        if name not in source.run_ids(run):
-            continue  # could not be replayed
         episode = in_robot_names(source.episode(name, runs=[run]), joint_map)
         if several:
             episode = replace(episode, meta=replace(episode.meta, id=f"{number}/{name}"))
@@ -275,11 +313,17 @@ def _rate(episode: Episode, run: str) -> float:
     return float(whole) if whole and abs(rate / whole - 1) < 0.01 else rate
 
 
-def _at_rate(episodes: Iterable[Episode], run: str, rate_hz: float, config: AugmentConfig) -> Iterator[Episode]:
-    """Refuse motions of another rate, unless the configuration asks for one."""
+def _at_rate(episodes: Iterable[Episode], run: str, rate_hz: float, *, given: bool) -> Iterator[Episode]:
+    """Refuse motions of another rate, or, where a rate is given, of a lower one: nobody simulated what is between."""
     for episode in episodes:
-        rate = episode.run(run).rate_hz
-        if config.data.rate_hz is None and abs(rate / rate_hz - 1) > _SAME_RATE:
+        rate = min(episode.run(run).rate_hz, episode.measured.rate_hz)
+        if given and rate < rate_hz * (1 - _SAME_RATE):
+            raise DataError(
+                f"episode {episode.id!r} has fewer samples per second than data.rate_hz",
+                got=f"{rate:.4g} Hz",
+                expected=f"at least {rate_hz:.4g} Hz",
+            )
+        if not given and abs(rate / rate_hz - 1) > _SAME_RATE:
             raise DataError(
                 f"episode {episode.id!r} has another rate than the first one",
                 got=f"{rate:.4g} Hz",
@@ -289,33 +333,48 @@ def _at_rate(episodes: Iterable[Episode], run: str, rate_hz: float, config: Augm
         yield episode
 
 
-def _limits(
-    robot: RobotSpec | None, origin: _Origin, source: Dataset, inputs: Sequence[Channel], config: AugmentConfig
-) -> tuple[dict[tuple[str, str], tuple[float, float]], tuple[str, ...]]:
-    """Limits of positions, velocities and torques, where robot, model or run say them."""
-    limits: dict[tuple[str, str], tuple[float, float]] = {}
-    stated = origin.info.get("inputs", {}).get("robot", {}).get("joints", [])
-    for joint in stated:
+Limits = dict[tuple[str, str], tuple[float, float]]
+
+
+def _limits(robot: RobotSpec | None, origin: _Origin, source: Dataset, config: AugmentConfig) -> Limits:
+    """(signal, joint) -> limits of positions, velocities and torques, where robot, model or run say them."""
+    if robot is not None and set(robot.joint_names) != set(origin.joints):
+        raise NameMismatch(
+            f"--robot {robot.name} is not the robot of the run",
+            left=robot.joint_names,
+            right=origin.joints,
+            left_name="robot has",
+            right_name="run has",
+        )
+    limits: Limits = {}
+    for joint in origin.info.get("inputs", {}).get("robot", {}).get("joints", []):
         if joint.get("position_limits"):
             limits["position", joint["name"]] = tuple(joint["position_limits"])
-    for joint, torque in (origin.info.get("torque_limits") or {}).items():
-        limits["torque", joint] = (-float(torque), float(torque))
-    for joint, speed in _speeds(robot, source).items():
-        limits["velocity", joint] = (-speed, speed)
-    missing = sorted({f"{c.signal} of {c.joint}" for c in inputs if (c.signal, c.joint) not in limits})
-    if not missing or config.data.normalization != "limits":
-        return limits, ()
-    note = f"no limits are known for {', '.join(missing)}: normalized by the range of the train split"
-    return limits, (note,)
+    for spec in robot.joints if robot else ():
+        if spec.position_limits:
+            limits["position", spec.name] = spec.position_limits
+    for name, torque in (origin.info.get("torque_limits") or {}).items():
+        limits["torque", name] = (-float(torque), float(torque))
+    if robot is not None and config.data.normalization == "limits":
+        limits |= {("velocity", name): (-speed, speed) for name, speed in _speeds(robot, source).items()}
+    return limits
 
 
-def _speeds(robot: RobotSpec | None, source: Dataset) -> dict[str, float]:
+def _unknown_limits(limits: Limits, inputs: Sequence[Channel], config: AugmentConfig) -> Iterator[str]:
+    if config.data.normalization == "limits" and config.network.kind != "moving-average":
+        missing = sorted({f"{c.signal} of {c.joint}" for c in inputs if (c.signal, c.joint) not in limits})
+        if missing:
+            yield f"no limits are known for {', '.join(missing)}: normalized by the range of the train split"
+
+
+def _speeds(robot: RobotSpec, source: Dataset) -> dict[str, float]:
     """Velocity limits that the model states; none where there is no model."""
-    if robot is None:
-        return {}
     import mujoco
 
-    path = find_model(robot, folder=source.info.model_path(source.path) or source.path / "model")
+    try:
+        path = find_model(robot, folder=source.info.model_path(source.path) or source.path / "model")
+    except ConfigError:
+        return {}
     model = mujoco.MjModel.from_xml_path(str(path))
     numerics = {model.numeric(row).name: model.numeric(row).data for row in range(model.nnumeric)}
     values = numerics.get("velocity_limit", np.empty(0))
@@ -323,14 +382,12 @@ def _speeds(robot: RobotSpec | None, source: Dataset) -> dict[str, float]:
     return dict(zip(names, map(float, values), strict=True)) if len(values) == len(names) else {}
 
 
-def _finished(out: Path, data_hash: str, config: AugmentConfig, seed: int) -> Augmented:
+def _finished(out: Path, asked: str) -> Augmented:
     from trueup.augment import Augmentation
 
-    made = ModelCard.load(out).provenance
-    earlier = build(AugmentConfig, made["config"], f"{out / CARD_NAME}: config")
-    if (made["data_hash"], made["seed"], earlier) != (data_hash, seed, config):
+    if ModelCard.load(out).provenance.get("asked") != asked:
         raise OutputExists(
-            f"{out} holds a model of other data, or of another configuration or seed",
+            f"{out} holds a model of other data, or of another run, name, configuration or seed",
             hint="Give --overwrite to replace it, or choose another --out.",
         )
     augmentation = Augmentation.load(out)
@@ -349,5 +406,8 @@ def _notes(augmentation: Augmentation) -> Iterator[str]:
             off.setdefault(output.reason, []).append(f"{output.signal} of {output.joint}")
     for reason, names in off.items():
         yield f"switched off, so that the simulator's value stays: {', '.join(names)} ({reason})"
+    if 0 < training["motions"]["val"] < FEWEST_FOR_CHANCE:
+        count = training["motions"]["val"]
+        yield f"{count} val motions cannot tell help from chance: outputs are used if they help there"
     if card.coverage_note:
         yield f"intervals: {card.coverage_note}"

@@ -12,14 +12,16 @@ from trueup.augment.networks.windowed import Transformer as Transformer
 __all__ = ["MovingAverage", "Network", "Perceptron", "Recurrent", "Transformer", "build_network"]
 
 
-def build_network(config: NetworkConfig, *, inputs: int, base: Sequence[int]) -> Network:
+def build_network(config: NetworkConfig, *, inputs: int, base: Sequence[int], rate_hz: float = 100.0) -> Network:
     """The network of a configuration, with random weights.
 
     Args:
         config: kind and sizes.
         inputs: number of input channels.
         base: for each output channel the input that it corrects.
+        rate_hz: samples per second, for windows that are given in seconds.
     """
+    history = config.samples(rate_hz)
     tanh = config.output_activation == "tanh"
     if config.kind in ("lstm", "gru"):
         return Recurrent(
@@ -33,7 +35,7 @@ def build_network(config: NetworkConfig, *, inputs: int, base: Sequence[int]) ->
             tanh=tanh,
         )
     if config.kind == "moving-average":
-        return MovingAverage(inputs, base, history=config.history, centered=config.bidirectional)
+        return MovingAverage(inputs, base, history=history, centered=config.bidirectional)
     if config.kind == "transformer":
         return Transformer(
             inputs,
@@ -41,7 +43,7 @@ def build_network(config: NetworkConfig, *, inputs: int, base: Sequence[int]) ->
             width=config.hidden[0],
             depth=len(config.hidden),
             heads=config.heads,
-            history=config.history,
+            history=history,
             input_dropout=config.input_dropout,
             tanh=tanh,
         )
@@ -49,7 +51,7 @@ def build_network(config: NetworkConfig, *, inputs: int, base: Sequence[int]) ->
         inputs,
         len(base),
         hidden=config.hidden,
-        history=config.history,
+        history=history,
         input_dropout=config.input_dropout,
         tanh=tanh,
     )

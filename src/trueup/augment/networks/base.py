@@ -12,6 +12,8 @@ from trueup.augment.graph import Graph
 from trueup.core.model_card import State
 
 States = tuple[Tensor, ...]
+# Samples that a network without a state works on at a time.
+_PIECE = 512
 
 
 class Network(nn.Module, ABC):
@@ -65,8 +67,15 @@ class Network(nn.Module, ABC):
 
         Before its start stands the first sample of a motion, again and again.
         """
-        seen = torch.cat([x[:1].expand(self.past, -1, -1), x]) if self.past else x
-        return self.run(seen, self.initial(x[0]), lengths)[0]
+        if not self.past:
+            return self.run(x, self.initial(x[0]), lengths)[0]
+        seen = torch.cat([x[:1].expand(self.past, -1, -1), x])
+        # Attention over a long motion at once would need memory with the square of its length.
+        parts = [
+            self.run(seen[start : start + self.past + _PIECE], self.initial(x[0]), None)[0]
+            for start in range(0, len(x), _PIECE)
+        ]
+        return torch.cat(parts)
 
 
 class SkipSamples(nn.Module):
