@@ -304,7 +304,7 @@ METHODS: Mapping[str, AugmentConfig] = {
     "realeasy": AugmentConfig("realeasy", NetworkConfig(bidirectional=True)),
     "realeasy-rt": AugmentConfig("realeasy-rt"),
     "gru": AugmentConfig("gru", NetworkConfig("gru")),
-    "mlp": AugmentConfig("mlp", NetworkConfig("mlp", (128, 128))),
+    "mlp": AugmentConfig("mlp", NetworkConfig("mlp", (128, 128), history=20)),
     "linear": AugmentConfig("linear", NetworkConfig("linear", ())),
     "transformer": AugmentConfig("transformer", NetworkConfig("transformer", (64, 64))),
     "moving-average": AugmentConfig(
