@@ -21,14 +21,15 @@ from torch import nn
 
 from benchmarks.augment_models import FOLDER
 from benchmarks.table import Row, at_most, shown
-from trueup.augment import AugmentConfig, preset
+from trueup.augment import Augmentation, AugmentConfig, Task, preset
 from trueup.augment.config import WindowConfig
 from trueup.augment.corrector import Corrector
 from trueup.augment.networks import build_network
-from trueup.augment.pairs import Pairs, write_pairs
+from trueup.augment.pairs import Pairs, refuse_overlap, write_pairs
 from trueup.augment.scaling import Scaling
-from trueup.augment.training import train
-from trueup.augment.windows import Batch, Windows
+from trueup.augment.training import batch_loss, train
+from trueup.augment.windows import Windows
+from trueup.core.config import build
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.model_card import Channel, ModelCard
 from trueup.core.timeseries import TimeSeries
@@ -134,39 +135,51 @@ def _to_the_papers_error(method: str) -> list[Row]:
     reached = next((item["number"] for item in history if item["val"] <= target), None)
     with TemporaryDirectory() as name:
         pairs = made(Path(name) / "train.f32", 160)
-        configs = (preset(method), preset(method, paper=True))
-        steps = _paired(*(lambda config=config: _batch_seconds(config, pairs) for config in configs))
-    motions, rows = 1376, 424_000  # train split of the papers' data set, samples at 100 Hz
-    batches = (2 * rows / 120 / 32, 16 * motions / 16)
-    seconds = [per_batch * count for per_batch, count in zip(steps, batches, strict=True)]
-    share = math.inf if reached is None else reached * seconds[0] / (50 * seconds[1])
+        steps = _paired(
+            lambda: _batch_seconds(_config(ours), pairs),
+            lambda: _batch_seconds(_config(paper), pairs),
+        )
+    took = paper.provenance["training"]["history"]
+    seconds = [per_batch * _batches(card) for per_batch, card in zip(steps, (ours, paper), strict=True)]
+    share = math.inf if reached is None else reached * seconds[0] / (len(took) * seconds[1])
     return [
         at_most(f"{method}: time to the papers' error on val over the papers' time", share, 0.5, "x"),
         shown(f"{method}: epochs to the papers' error, of {len(history)}", reached or math.nan, ""),
     ]
 
 
+def _config(card: ModelCard) -> AugmentConfig:
+    return build(AugmentConfig, card.provenance["config"], card.name)
+
+
+def _batches(card: ModelCard) -> int:
+    """Batches in an epoch of a training."""
+    config, motions = _config(card), card.provenance["training"]["motions"]["train"]
+    if config.window.rule == "half-shortest":
+        return config.window.draws * math.ceil(motions / config.batch)
+    rows = card.provenance["training"]["rows"]["train"]
+    return round(config.window.draws * rows / config.window.samples / config.batch)
+
+
 def _batch_seconds(config: AugmentConfig, pairs: Pairs) -> float:
+    """Median time of a batch, as training runs it."""
     corrector = _corrector(config)
-    optimizer = torch.optim.AdamW(corrector.parameters(), lr=1e-4)
-    batches = [
-        batch
-        for batch, _ in zip(
-            Windows(pairs, config.window, config.batch).epoch(np.random.default_rng(0)), range(40), strict=False
-        )
-    ]
-    started = time.perf_counter()
-    for batch in batches:
-        _step(corrector, batch, optimizer)
-    return (time.perf_counter() - started) / len(batches)
-
-
-def _step(corrector: Corrector, batch: Batch, optimizer: torch.optim.Optimizer) -> None:
-    x, y = torch.from_numpy(batch.x), torch.from_numpy(batch.y)
-    loss = corrector.squares(x, y, None).mean()
-    optimizer.zero_grad()
-    loss.backward()
-    optimizer.step()
+    kind = torch.optim.RMSprop if config.optimizer.name == "rmsprop" else torch.optim.AdamW
+    optimizer = kind(corrector.parameters(), lr=1e-4)
+    weight = torch.full((21,), 1 / 21)
+    times = []
+    for batch, _ in zip(
+        Windows(pairs, config.window, config.batch).epoch(np.random.default_rng(0)), range(40), strict=False
+    ):
+        started = time.perf_counter()
+        loss = batch_loss(corrector, batch, weight)
+        optimizer.zero_grad()
+        loss.backward()
+        if config.optimizer.clip:
+            nn.utils.clip_grad_norm_(corrector.parameters(), config.optimizer.clip)
+        optimizer.step()
+        times.append(time.perf_counter() - started)
+    return float(np.median(times))
 
 
 def _memory() -> list[Row]:
@@ -186,11 +199,15 @@ def _peak_mb(motions: int) -> float:
 
 
 def _train_and_tell(motions: int) -> None:
-    """In a process of its own: write pairs, train for one epoch of as many batches, print the peak [MB]."""
+    """In a process of its own: pairs, one epoch, gates and intervals, as a user's training; print the peak [MB]."""
     with TemporaryDirectory() as name:
-        pairs, val = made(Path(name) / "train.f32", motions), made(Path(name) / "val.f32", 20, seed=1)
+        folder = Path(name)
+        pairs, val = made(folder / "train.f32", motions), made(folder / "val.f32", motions // 5, seed=1)
+        refuse_overlap(pairs, val)
         config = preset("realeasy-rt")
-        _ours(replace(config, window=replace(config.window, draws=1), epochs=1), pairs, val, Path(name))
+        task = Task("m", "arm", JOINTS, "s", 100.0, pairs, val, {})
+        small = replace(config, window=replace(config.window, draws=1), epochs=1)
+        Augmentation.fit(task, small, folder=folder)
     print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 
 

@@ -305,6 +305,7 @@ def _card(
         "seconds": trained.seconds,
         "history": losses(trained.history),
         "motions": {"train": len(task.train.motions), "val": len(task.val.motions)},
+        "rows": {"train": task.train.rows, "val": task.val.rows},
     }
     return ModelCard(
         name=task.name,

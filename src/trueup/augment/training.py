@@ -183,7 +183,7 @@ def _epoch(
         rate = _rate(config, history, done + len(windows) * (number - 1), len(windows))
         for group in optimizer.param_groups:
             group["lr"] = rate
-        loss = _loss(corrector, batch, weight)
+        loss = batch_loss(corrector, batch, weight)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
         if config.optimizer.clip > 0:
@@ -199,7 +199,8 @@ def _epoch(
     return total / len(windows), rate
 
 
-def _loss(corrector: Corrector, batch: Batch, weight: Tensor) -> Tensor:
+def batch_loss(corrector: Corrector, batch: Batch, weight: Tensor) -> Tensor:
+    """The loss of a batch; `weight` of the outputs adds up to 1, (K,)."""
     x, y, lengths = _on(corrector, batch)
     squares = corrector.squares(x, y, lengths) @ weight
     if lengths is None:
@@ -214,7 +215,7 @@ def val_loss(corrector: Corrector, pairs: Pairs, weight: Tensor) -> float:
     total, count = 0.0, 0
     with torch.no_grad():
         for _, batch in whole_motions(pairs, _VAL_BATCH):
-            total += float(_loss(corrector, batch, weight)) * int(batch.lengths.sum())
+            total += float(batch_loss(corrector, batch, weight)) * int(batch.lengths.sum())
             count += int(batch.lengths.sum())
     return total / count
 
