@@ -31,7 +31,7 @@ TRAIN_UNIT = 1
 OTHER_UNITS = (2, 3)
 # The zoo's model must serve robots that nobody has recorded yet.
 ZOO_UNITS = (1, 4, 6, 7)
-AMOUNTS = (86, 172, 344, 688)
+AMOUNTS = (86, 344)
 
 
 @dataclass(frozen=True)

@@ -306,7 +306,7 @@ METHODS: Mapping[str, AugmentConfig] = {
     "gru": AugmentConfig("gru", NetworkConfig("gru")),
     "mlp": AugmentConfig("mlp", NetworkConfig("mlp", (128, 128), history=20)),
     "linear": AugmentConfig("linear", NetworkConfig("linear", ())),
-    "transformer": AugmentConfig("transformer", NetworkConfig("transformer", (64, 64))),
+    "transformer": AugmentConfig("transformer", NetworkConfig("transformer", (64, 64), history=25)),
     "moving-average": AugmentConfig(
         "moving-average", NetworkConfig("moving-average", (), bidirectional=True, history_s=0.5), _AS_IT_IS, epochs=0
     ),
