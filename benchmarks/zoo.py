@@ -86,7 +86,7 @@ def _text(card: ModelCard, results: dict[int, AugmentResult]) -> str:
         factors = (cuts[joint].factor for joint in joints)
         rows.append([f"unit {unit}: times smaller", *(f"{f.value:.3g} [{f.low:.3g}, {f.high:.3g}]" for f in factors)])
     others = [
-        f"unit {unit} {signal} at least {min(item.factor.value for item in _joints(result, signal)):.2g} times smaller"
+        f"{min(item.factor.value for item in _joints(result, signal)):.0f} times ({signal}, unit {unit})"
         for unit, result in results.items()
         for signal in ("position", "velocity")
     ]
@@ -97,7 +97,7 @@ def _text(card: ModelCard, results: dict[int, AugmentResult]) -> str:
         units=", ".join(map(str, ZOO_UNITS)),
         others=" and ".join(map(str, OTHER_UNITS)),
         torque=table(["", *(f"joint {number}" for number in range(1, len(joints) + 1))], rows),
-        motion="MSE of " + ", ".join(others) + " on every joint",
+        motion="on every joint MSE is smaller by at least " + ", ".join(others),
         warmup=card.warmup_steps,
         coverage=card.coverage,
     )
