@@ -6,7 +6,9 @@ writes `benchmarks/results/augment.json`, from which docs/learned-corrections.md
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +27,7 @@ from benchmarks.augment_models import (
     train_all,
 )
 from benchmarks.table import Row, at_least, at_most, shown
-from trueup.core.atomic import make_folder, write_json
+from trueup.core.atomic import make_folder, write_text
 from trueup.core.augment_result import AugmentResult
 from trueup.core.model_card import ModelCard
 from trueup.core.provenance import provenance
@@ -56,17 +58,17 @@ def run() -> list[Row]:
     real = None if arm is None else _evaluated(arm, SO101, "so101", FITTED)
     result = {
         "schema": "trueup.learned/1",
-        "lab": lab.to_json(),
-        "rough": rough.to_json(),
-        "amounts": by_amount.to_json(),
-        "others": {str(unit): item.to_json() for unit, item in others.items()},
-        "so101": None if real is None else real.to_json(),
+        "lab": _stored(lab),
+        "rough": _stored(rough),
+        "amounts": _stored(by_amount, promises=False),
+        "others": {str(unit): _stored(item) for unit, item in others.items()},
+        "so101": None if real is None else _stored(real),
         "so101_rungs": {} if real is None else _rungs(),
         "training": {name: _training(name) for name in (*MODELS, *(ARM_MODELS if arm is not None else ()))},
         "provenance": provenance(config={"jobs": JOBS}, seed=0, data_hash=known.hash),
     }
     make_folder(RESULT.parent)
-    write_json(RESULT, result)
+    write_text(RESULT, json.dumps(result, allow_nan=False, separators=(",", ":")) + "\n")
     return [*_lab_rows(lab), *_other_rows(others), *_so101_rows(real)]
 
 
@@ -74,6 +76,20 @@ def _evaluated(data: Dataset, names: Sequence[str], what: str, run: str, split: 
     out = FOLDER / "evaluated" / what
     folders = [FOLDER / "models" / name for name in names]
     return evaluate(data, folders, out, run=run, split=split, overwrite=True).result
+
+
+def _stored(result: AugmentResult, *, promises: bool = True) -> Any:
+    """What the page needs: no list of motions, no more digits than anyone reads."""
+    models = result.models if promises else [replace(item, coverage={}, reliability={}) for item in result.models]
+    return _rounded(replace(result, models=tuple(models), conditions_of={}).to_json())
+
+
+def _rounded(tree: Any) -> Any:
+    if isinstance(tree, dict):
+        return {key: _rounded(value) for key, value in tree.items()}
+    if isinstance(tree, list):
+        return [_rounded(value) for value in tree]
+    return float(f"{tree:.5g}") if isinstance(tree, float) else tree
 
 
 def _rungs() -> dict[str, Any]:

@@ -30,7 +30,7 @@ import trueup.zoo
 
 model = trueup.zoo.load("{name}")
 stream = model.stream(rate_hz=100.0, joints=model.card.joints)  # one sample in, one corrected sample out
-corrected = model.predict(episode, "mujoco/stock")              # or a whole motion
+corrected = model.predict(episode, "mujoco/stock")  # or a whole motion
 ```
 
 **Trained on** {motions} motions of the virtual units {units} (`trueup record --hardware lab`), of several joints and of

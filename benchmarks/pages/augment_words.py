@@ -55,7 +55,8 @@ def rivals(lab: AugmentResult) -> str:
 def best_baseline(lab: AugmentResult, model: str, test: str) -> str:
     """The baseline that leaves least torque error; only those that run in a control loop beside one that does."""
     causal = lab.model(model).causal
-    known = [name for name in BASELINES if lab.model(name).causal or not causal]
+    there = {item.name for item in lab.models}
+    known = [name for name in BASELINES if name in there and (lab.model(name).causal or not causal)]
     return min(known, key=lambda name: lab.model(name).cuts[test]["torque"][ALL_JOINTS].mse.value)
 
 
