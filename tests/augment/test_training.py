@@ -8,9 +8,8 @@ import pytest
 import torch
 
 from augment.augment_cases import JOINTS, RUN, make_dataset, motion, robot, write_run
-from trueup.augment import Augmentation, AugmentConfig, preset
-from trueup.augment.augmentation import CHECKPOINT_NAME
-from trueup.augment.config import DataConfig, LossConfig, NetworkConfig, OptimizerConfig, WindowConfig
+from trueup.augment import Augmentation, AugmentConfig, augmentation, preset
+from trueup.augment.config import CHECKPOINT_NAME, DataConfig, LossConfig, NetworkConfig, OptimizerConfig, WindowConfig
 from trueup.augment.pairs import refuse_overlap, write_pairs
 from trueup.augment.scaling import summarize
 from trueup.augment.trained import Trained
@@ -205,7 +204,7 @@ def test_what_cannot_be_trained_on_is_refused(data, tmp_path):
     with pytest.raises(MissingSignal, match="has no run 'dart/stock'"):
         augment([data], tmp_path / "a", run="dart/stock", config=SMALL)
     empty = make_dataset(tmp_path / "empty", counts=(3, 0, 2))
-    with pytest.raises(MissingSignal, match="no motion is in the split 'val'"):
+    with pytest.raises(MissingSignal, match="no motion of the run 'mujoco/stock' is in the split 'val'"):
         augment([empty], tmp_path / "b", run=RUN, config=SMALL)
     for name in ("../x", "a b", "x" * 300):
         with pytest.raises(ConfigError, match="--name"):
