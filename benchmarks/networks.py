@@ -6,15 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import onnx
-from onnx import TensorProto, helper, numpy_helper
+import torch
 
-from trueup.core.model_card import CARD_NAME, ONNX_NAME, Channel, Input, ModelCard, Output, State
+from trueup.augment.config import NetworkConfig
+from trueup.augment.corrector import Corrector
+from trueup.augment.networks import build_network
+from trueup.augment.scaling import Scaling
+from trueup.core.model_card import CARD_NAME, ONNX_NAME, Channel, Input, ModelCard, Output
 
 JOINTS = tuple(f"joint{number + 1}" for number in range(7))
 UNITS = {"position": "rad", "velocity": "rad/s", "torque": "Nm"}
 REACH = {"position": 2.5, "velocity": 2.0, "torque": 50.0}
 RATE_HZ = 1000.0
-HIDDEN = 100
+# Units of the layers of Realeasy's networks (IV-C): 21 -> 100 -> 21.
+HIDDEN = (100, 21)
 
 
 def inputs_of(joints: Sequence[str] = JOINTS, *, command: bool = False) -> tuple[Input, ...]:
@@ -61,133 +66,54 @@ def card_of(**changes: object) -> ModelCard:
     return replace(card, **changes)
 
 
-class Graph:
-    """Nodes and weights of an ONNX graph whose result is `x + gate * correction`, everything in SI."""
-
-    def __init__(self, card: ModelCard, seed: int, states: Sequence[State]) -> None:
-        self.rng = np.random.default_rng(seed)
-        self.card = card
-        self.nodes: list[onnx.NodeProto] = []
-        self.weights: list[onnx.TensorProto] = []
-        ranges = np.array([(channel.low, channel.high) for channel in card.inputs], np.float32)
-        self.add("Sub", ["x", self.constant("center", ranges.mean(axis=1))], "offset")
-        self.add("Mul", ["offset", self.constant("scale", 2 / np.ptp(ranges, axis=1))], "normal")
-        self.states = tuple(states)
-
-    def constant(self, name: str, value: np.ndarray) -> str:
-        """A named constant."""
-        kind = np.int64 if value.dtype.kind == "i" else np.float32
-        self.weights.append(numpy_helper.from_array(np.ascontiguousarray(value, kind), name))
-        return name
-
-    def random(self, name: str, *shape: int, size: float = 0.3) -> str:
-        """A constant of normal draws."""
-        return self.constant(name, size * self.rng.standard_normal(shape))
-
-    def add(self, kind: str, inputs: Sequence[str], *outputs: str, **attributes: object) -> str:
-        """A node; returns its first output."""
-        self.nodes.append(helper.make_node(kind, list(inputs), list(outputs), **attributes))
-        return outputs[0]
-
-    def finish(self, hidden: str, width: int) -> onnx.ModelProto:
-        """Dense layer, scale to SI, and the sum with what is corrected."""
-        bases = self.card.base
-        self.add("MatMul", [hidden, self.random("dense", width, len(bases))], "product")
-        self.add("Add", ["product", self.random("bias", len(bases))], "sum")
-        reach = np.array([self.card.inputs[base].high for base in bases])
-        self.add("Mul", ["sum", self.constant("gate", 0.2 * reach)], "correction")
-        self.add("Gather", ["x", self.constant("bases", bases)], "base", axis=2)
-        self.add("Add", ["base", "correction"], "y")
-
-        def tensor(name: str, shape: Sequence[int | str]) -> onnx.ValueInfoProto:
-            return helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)
-
-        shapes = {
-            state.name: ["B" if axis == state.batch_axis else size for axis, size in enumerate(state.shape)]
-            for state in self.states
-        }
-        graph = helper.make_graph(
-            self.nodes,
-            "network",
-            [tensor("x", ["T", "B", len(self.card.inputs)]), *(tensor(*item) for item in shapes.items())],
-            [
-                tensor("y", ["T", "B", len(bases)]),
-                *(tensor(f"{name}_out", shape) for name, shape in shapes.items()),
-            ],
-            self.weights,
-        )
-        return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
-
-
 @dataclass(frozen=True)
 class Made:
-    """A folder with a network in it, and its card as written."""
+    """A folder with a network in it, and its card as written; the same network in torch, if it is one of ours."""
 
     folder: Path
     card: ModelCard
+    corrector: Corrector | None = None
 
 
-def written(folder: Path, card: ModelCard, model: onnx.ModelProto) -> Made:
+def written(folder: Path, card: ModelCard, model: bytes) -> Made:
     """The model folder."""
-    onnx.checker.check_model(model)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / ONNX_NAME).write_bytes(model.SerializeToString())
+    (folder / ONNX_NAME).write_bytes(model)
     return Made(folder, card.save(folder))
 
 
-def real_time(folder: Path, *, hidden: int = HIDDEN, seed: int = 0, **changes: object) -> Made:
+def corrector_of(card: ModelCard, config: NetworkConfig, seed: int = 0) -> Corrector:
+    """A network with random weights, as large in its output as a fifth of what its inputs reach."""
+    torch.manual_seed(seed)
+    low, high = np.array([(channel.low, channel.high) for channel in card.inputs]).T
+    corrected = high[card.base]
+    scaling = Scaling((low + high) / 2, (high - low) / 2, np.zeros(corrected.size), 0.2 * corrected, corrected)
+    network = build_network(config, inputs=len(card.inputs), base=card.base.tolist(), rate_hz=card.rate_hz)
+    return Corrector(network, scaling, card.base, target="residual").eval()
+
+
+def real_time(folder: Path, *, hidden: Sequence[int] = HIDDEN, seed: int = 0, **changes: object) -> Made:
     """Two LSTM layers and a dense one, as Realeasy's real-time network."""
-    states = [State(name, (1, 1, hidden)) for name in ("h0", "c0", "h1", "c1")]
-    card = card_of(states=tuple(states), **changes)
-    graph = Graph(card, seed, states)
-    below, width = "normal", len(card.inputs)
-    for layer in range(2):
-        weights = [
-            graph.random(f"W{layer}", 1, 4 * hidden, width, size=0.2),
-            graph.random(f"R{layer}", 1, 4 * hidden, hidden, size=0.1),
-            graph.random(f"B{layer}", 1, 8 * hidden, size=0.1),
-        ]
-        sequence = graph.add(
-            *("LSTM", [below, *weights, "", f"h{layer}", f"c{layer}"]),
-            *(f"all{layer}", f"h{layer}_out", f"c{layer}_out"),
-            hidden_size=hidden,
-        )
-        below = graph.add("Squeeze", [sequence, graph.constant(f"axis{layer}", np.array([1]))], f"hidden{layer}")
-        width = hidden
-    return written(folder, card, graph.finish(below, hidden))
+    return _made(folder, NetworkConfig("lstm", tuple(hidden)), seed, **changes)
 
 
-def window(folder: Path, *, past: int = 4, hidden: int = 16, seed: int = 0, **changes: object) -> Made:
-    """A layer over the current sample and the `past` ones before it, which it keeps as a buffer of inputs."""
-    width = len(changes.get("inputs", inputs_of()))
-    state = State("buffer", (past, 1, width), start="first")
-    card = card_of(**{"states": (state,), "warmup_steps": past, "method": "mlp", **changes})
-    graph = Graph(card, seed, [state])
-    offset = graph.add("Sub", ["buffer", "center"], "buffer_offset")
-    normal = graph.add("Mul", [offset, "scale"], "buffer_normal")
-    graph.add("Concat", [normal, "normal"], "seen", axis=0)
-    graph.add("Transpose", ["seen"], "columns", perm=[1, 2, 0])
-    graph.add("Conv", ["columns", graph.random("kernel", hidden, width, past + 1)], "features")
-    graph.add("Tanh", ["features"], "bent")
-    graph.add("Transpose", ["bent"], "rows", perm=[2, 0, 1])
-    graph.add("Concat", ["buffer", "x"], "both", axis=0)
-    ends = [graph.constant(name, np.array([value])) for name, value in (("from", -past), ("to", 2**40), ("along", 0))]
-    graph.add("Slice", ["both", *ends], "buffer_out")
-    return written(folder, card, graph.finish("rows", hidden))
+def window(folder: Path, *, past: int = 4, hidden: Sequence[int] = (16,), seed: int = 0, **changes: object) -> Made:
+    """Dense layers over the current sample and the `past` ones before it, which it keeps as a buffer of inputs."""
+    config = NetworkConfig("mlp", tuple(hidden), history=past + 1)
+    return _made(folder, config, seed, **{"warmup_steps": past, "method": "mlp", **changes})
 
 
-def bidirectional(folder: Path, *, hidden: int = 16, seed: int = 0, **changes: object) -> Made:
+def bidirectional(folder: Path, *, hidden: Sequence[int] = (16,), seed: int = 0, **changes: object) -> Made:
     """A network that reads the motion both ways; it has no states."""
-    card = card_of(**{"causal": False, "warmup_steps": 0, "method": "realeasy", **changes})
-    graph = Graph(card, seed, [])
-    weights = [
-        graph.random("W", 2, 4 * hidden, len(card.inputs), size=0.2),
-        graph.random("R", 2, 4 * hidden, hidden, size=0.1),
-        graph.random("B", 2, 8 * hidden, size=0.1),
-    ]
-    graph.add("LSTM", ["normal", *weights], "both_ways", hidden_size=hidden, direction="bidirectional")
-    graph.add("ReduceSum", ["both_ways", graph.constant("ways", np.array([1]))], "hidden", keepdims=0)
-    return written(folder, card, graph.finish("hidden", hidden))
+    config = NetworkConfig("lstm", tuple(hidden), bidirectional=True)
+    return _made(folder, config, seed, **{"causal": False, "warmup_steps": 0, "method": "realeasy", **changes})
+
+
+def _made(folder: Path, config: NetworkConfig, seed: int, **changes: object) -> Made:
+    card = card_of(**changes)
+    corrector = corrector_of(card, config, seed)
+    made = written(folder, replace(card, states=corrector.states), corrector.exported({}))
+    return replace(made, corrector=corrector)
 
 
 def motion(card: ModelCard, steps: int, *, copies: int = 1, seed: int = 0) -> np.ndarray:
@@ -215,10 +141,10 @@ def by_signal(card: ModelCard, x: np.ndarray, series: str = "simulated") -> dict
 
 def changed(made: Made, change: Callable[[onnx.GraphProto], object]) -> None:
     """Change the graph, and write it and a card that vouches for it."""
-    path = made.folder / ONNX_NAME
-    model = onnx.load_from_string(path.read_bytes())
+    model = onnx.load_from_string((made.folder / ONNX_NAME).read_bytes())
     change(model.graph)
-    written(made.folder, made.card, model)
+    onnx.checker.check_model(model)
+    written(made.folder, made.card, model.SerializeToString())
 
 
 def spoiled_card(made: Made, old: str, new: str) -> None:

@@ -16,9 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-import onnx
 import torch
-from onnx import numpy_helper
 
 from benchmarks.networks import HIDDEN, JOINTS, Made, by_signal, motion, real_time
 from benchmarks.table import Row, at_most, print_table, shown
@@ -170,47 +168,28 @@ def _plain(network: Network) -> Runner:
     return runner
 
 
-def _weights(made: Made) -> Sample:
-    graph = onnx.load(made.folder / "model.onnx").graph
-    return {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
-
-
 def _torch(made: Made) -> Runner:
-    """The same weights in torch; it has the gates in another order."""
-    weights = _weights(made)
-
-    def gates(values: np.ndarray) -> torch.Tensor:
-        i, o, f, c = np.split(values, 4)
-        return torch.from_numpy(np.concatenate([i, f, c, o]))
-
-    layers = torch.nn.LSTM(len(made.card.inputs), HIDDEN, 2)
-    dense = torch.nn.Linear(HIDDEN, len(made.card.outputs))
-    with torch.no_grad():
-        for layer in range(2):
-            getattr(layers, f"weight_ih_l{layer}").copy_(gates(weights[f"W{layer}"][0]))
-            getattr(layers, f"weight_hh_l{layer}").copy_(gates(weights[f"R{layer}"][0]))
-            for name, bias in zip(("ih", "hh"), np.split(weights[f"B{layer}"][0], 2), strict=True):
-                getattr(layers, f"bias_{name}_l{layer}").copy_(gates(bias))
-        dense.weight.copy_(torch.from_numpy(weights["dense"].T.copy()))
-        dense.bias.copy_(torch.from_numpy(weights["bias"].copy()))
-    center, scale, gate = (torch.from_numpy(weights[name].copy()) for name in ("center", "scale", "gate"))
-    states = None
+    """The same network in torch, sample by sample."""
+    corrector = made.corrector
+    network, states = corrector.network, corrector.network.initial(torch.zeros(1, len(made.card.inputs)))
+    gate = corrector.gate * corrector.out_scale
 
     @torch.inference_mode()
     def runner(_: int, __: Sample, vector: np.ndarray) -> np.ndarray:
         nonlocal states
-        x = torch.from_numpy(vector)[None]
-        hidden, states = layers((x - center) * scale, states)
-        y: np.ndarray = (x + gate * dense(hidden))[0].numpy()
+        x = torch.from_numpy(vector)[None, None]
+        out, states = network.run(corrector.read(x), states, None)
+        y: np.ndarray = (x[..., corrector.base] + gate * out)[0, 0].numpy()
         return y
 
     return runner
 
 
 def _products(made: Made) -> Runner:
-    """What no implementation can do without: one product per layer with all of its weights."""
-    weights = _weights(made)
-    matrices = [np.concatenate([weights[f"W{layer}"][0], weights[f"R{layer}"][0]], axis=1) for layer in range(2)]
+    """What no implementation can do without: one product per recurrent layer with all of its weights."""
+    weights = made.corrector.state_dict()
+    layers = [f"network.forwards.{layer}.weight" for layer in range(len(HIDDEN))]
+    matrices = [np.hstack([weights[f"{layer}_{part}_l0"].numpy() for part in ("ih", "hh")]) for layer in layers]
     operands = [np.ones(matrix.shape[1], np.float32) for matrix in matrices]
     results = [np.zeros(len(matrix), np.float32) for matrix in matrices]
 
@@ -218,7 +197,7 @@ def _products(made: Made) -> Runner:
         operands[0][: vector.size] = vector
         for matrix, operand, result in zip(matrices, operands, results, strict=True):
             np.dot(matrix, operand, out=result)
-        return results[1]
+        return results[-1]
 
     return runner
 

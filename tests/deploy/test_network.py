@@ -13,7 +13,7 @@ from trueup.errors import DataError, FormatError, MissingDependency
 
 @pytest.mark.parametrize("make", [real_time, window, bidirectional])
 def test_a_folder_opens_with_its_card(tmp_path, make):
-    made = make(tmp_path, hidden=8)
+    made = make(tmp_path, hidden=(8, 5))
     network = Network.load(str(tmp_path))
     assert network.card == made.card
     assert network.card.files.keys() == {ONNX_NAME}
@@ -38,7 +38,7 @@ def test_missing_and_empty_folders(tmp_path):
 
 
 def test_a_missing_graph(tmp_path):
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     (made.folder / ONNX_NAME).unlink()
     with pytest.raises(DataError) as error:
         Network.load(made.folder)
@@ -47,7 +47,7 @@ def test_a_missing_graph(tmp_path):
 
 @pytest.mark.parametrize("keep", [0, 1, 1000, -1])
 def test_a_truncated_graph(tmp_path, keep):
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     path = made.folder / ONNX_NAME
     path.write_bytes(path.read_bytes()[:keep])
     with pytest.raises(DataError) as error:
@@ -56,7 +56,7 @@ def test_a_truncated_graph(tmp_path, keep):
 
 
 def test_one_changed_byte_of_the_graph(tmp_path):
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     path = made.folder / ONNX_NAME
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
@@ -67,7 +67,7 @@ def test_one_changed_byte_of_the_graph(tmp_path):
 
 
 def test_the_graph_of_another_model(tmp_path):
-    made, other = real_time(tmp_path / "a", hidden=8), real_time(tmp_path / "b", hidden=8, seed=1)
+    made, other = real_time(tmp_path / "a", hidden=(8, 5)), real_time(tmp_path / "b", hidden=(8, 5), seed=1)
     (made.folder / ONNX_NAME).write_bytes((other.folder / ONNX_NAME).read_bytes())
     with pytest.raises(DataError) as error:
         Network.load(made.folder)
@@ -75,7 +75,7 @@ def test_the_graph_of_another_model(tmp_path):
 
 
 def test_an_edited_card(tmp_path):
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     spoiled_card(made, '"rate_hz": 1000.0', '"rate_hz": 100.0')
     with pytest.raises(DataError) as error:
         Network.load(made.folder)
@@ -83,7 +83,7 @@ def test_an_edited_card(tmp_path):
 
 
 def test_a_card_of_another_version(tmp_path):
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     spoiled_card(made, "trueup.model/1", "trueup.model/9")
     with pytest.raises(FormatError) as error:
         Network.load(made.folder)
@@ -124,7 +124,7 @@ def recard(made, **changes):
     ids=["inputs", "no states", "size", "axis", "future", "joints"],
 )
 def test_a_card_that_does_not_fit_the_graph(tmp_path, changes, words):
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     recard(made, **changes)
     with pytest.raises(DataError) as error:
         Network.load(made.folder)
@@ -136,7 +136,7 @@ def test_a_graph_that_takes_one_sample_only(tmp_path):
     tensors = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, 1, 21]) for name in "xy"]
     graph = helper.make_graph([helper.make_node("Identity", ["x"], ["y"])], "fixed", tensors[:1], tensors[1:])
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
-    written(tmp_path, card_of(), model)
+    written(tmp_path, card_of(), model.SerializeToString())
     with pytest.raises(DataError) as error:
         Network.load(tmp_path)
     says(error, "[1, 1, 21]", "any")
@@ -145,7 +145,8 @@ def test_a_graph_that_takes_one_sample_only(tmp_path):
 def test_a_graph_in_double_precision(tmp_path):
     tensors = [helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["T", "B", 21]) for name in "xy"]
     graph = helper.make_graph([helper.make_node("Identity", ["x"], ["y"])], "double", tensors[:1], tensors[1:])
-    written(tmp_path, card_of(), helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9))
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
+    written(tmp_path, card_of(), model.SerializeToString())
     with pytest.raises(DataError) as error:
         Network.load(tmp_path)
     says(error, "tensor(double)", "tensor(float)")
@@ -153,7 +154,7 @@ def test_a_graph_in_double_precision(tmp_path):
 
 def test_weights_outside_of_the_file_are_not_read(tmp_path):
     """A graph may name another file for its weights; that file has no hash, so it must not count."""
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     path = made.folder / ONNX_NAME
     model = onnx.load_from_string(path.read_bytes())
     onnx.save_model(model, str(path), save_as_external_data=True, location="elsewhere", size_threshold=0)
@@ -166,7 +167,7 @@ def test_weights_outside_of_the_file_are_not_read(tmp_path):
 
 @pytest.mark.parametrize("table", [((0.0, 1.0), (0.5,)), ((1.0, 1.0), (0.1, 0.5)), ((1.0, 0.5), (0.1, 0.5))])
 def test_probabilities_that_cannot_be_looked_up(tmp_path, table):
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     broken = replace(made.card.outputs[3], far_correction=table[0], far_probability=table[1])
     recard(made, outputs=(*made.card.outputs[:3], broken, *made.card.outputs[4:]))
     with pytest.raises(DataError) as error:
@@ -175,7 +176,7 @@ def test_probabilities_that_cannot_be_looked_up(tmp_path, table):
 
 
 def test_without_onnxruntime_it_says_what_to_install(tmp_path, monkeypatch):
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(MissingDependency) as error:
         Network.load(made.folder)

@@ -8,7 +8,7 @@ from trueup.errors import ConfigError, DataError
 
 @pytest.fixture(params=[real_time, window, bidirectional], ids=["rt", "window", "both ways"])
 def predictor(request, tmp_path):
-    request.param(tmp_path, hidden=12)
+    request.param(tmp_path, hidden=(12,))
     return Predictor.load(tmp_path)
 
 

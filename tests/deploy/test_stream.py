@@ -44,7 +44,7 @@ def outputs(stream, x, **options):
 @given(
     make=st.sampled_from([real_time, window]),
     joints=st.integers(1, 4),
-    hidden=st.integers(1, 24),
+    hidden=st.lists(st.integers(1, 24), min_size=1, max_size=2),
     steps=st.integers(1, 60),
     warmup=st.integers(0, 12),
     command=st.booleans(),
@@ -80,7 +80,7 @@ def test_a_stream_equals_the_whole_motion_after_its_warmup(make, joints, hidden,
 
 
 def test_corrections_can_come_before_the_warmup_is_over(tmp_path):
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     x = motion(made.card, 12)
     stream = stream_of(made, settings=StreamSettings(correct_while_warming=True))
     found = outputs(stream, x)
@@ -92,7 +92,7 @@ def test_corrections_can_come_before_the_warmup_is_over(tmp_path):
 
 @pytest.mark.parametrize("make", [real_time, window])
 def test_a_reset_stream_is_a_new_one(tmp_path, make):
-    made = make(tmp_path, hidden=8)
+    made = make(tmp_path, hidden=(8, 5))
     stream = stream_of(made)
     first = outputs(stream, motion(made.card, 20))
     stream.step_vector(motion(made.card, 1)[0, 0])  # an odd number, for the two sets of states
@@ -106,7 +106,7 @@ def test_a_reset_stream_is_a_new_one(tmp_path, make):
 
 
 def test_two_streams_of_one_network_do_not_meet(tmp_path):
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     network = Network.load(tmp_path)
     a, b = (Stream(network, rate_hz=1000.0, joints=JOINTS) for _ in range(2))
     x, y = motion(made.card, 20), motion(made.card, 20, seed=1)
@@ -126,7 +126,7 @@ def test_channels_may_stand_in_any_order_and_leave_joints_out(tmp_path):
     bases = [k for k, channel in enumerate(inputs) if channel.signal == "torque"]
     rows = [replace(output, base=base) for base in bases for output in outputs_of(JOINTS[:3])
             if (output.signal, output.joint) == (inputs[base].signal, inputs[base].joint)]  # fmt: skip
-    made = real_time(tmp_path, hidden=8, joints=JOINTS[:3], inputs=inputs, outputs=tuple(rows), warmup_steps=0)
+    made = real_time(tmp_path, hidden=(8, 5), joints=JOINTS[:3], inputs=inputs, outputs=tuple(rows), warmup_steps=0)
     stream = stream_of(made)
     given = {
         "position": np.array([0.1, 0.2, 0.3]),
@@ -145,7 +145,7 @@ def test_channels_may_go_joint_by_joint(tmp_path):
     ordinary = inputs_of(JOINTS[:3])
     inputs = tuple(ordinary[3 * signal + joint] for joint in range(3) for signal in range(3))
     outputs = tuple(replace(outputs_of(JOINTS[:3])[3 * (k % 3) + k // 3], base=k) for k in range(9))
-    made = real_time(tmp_path, hidden=8, joints=JOINTS[:3], inputs=inputs, outputs=outputs)
+    made = real_time(tmp_path, hidden=(8, 5), joints=JOINTS[:3], inputs=inputs, outputs=outputs)
     x = motion(made.card, 10)
     stream = stream_of(made)
     for t in range(10):
@@ -156,7 +156,7 @@ def test_channels_may_go_joint_by_joint(tmp_path):
 
 
 def test_the_signals_of_a_step_are_views_of_its_values(tmp_path):
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     stream = stream_of(made)
     for row in motion(made.card, 10):
         step = stream.step_vector(row[0])
@@ -172,7 +172,7 @@ def test_the_signals_of_a_step_are_views_of_its_values(tmp_path):
 
 
 def test_intervals_and_warnings_are_for_corrected_values_only(tmp_path):
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     x = motion(made.card, 40)
     stream, confidence = stream_of(made), Confidence(made.card)
     warned = 0
@@ -197,7 +197,7 @@ def test_intervals_and_warnings_are_for_corrected_values_only(tmp_path):
 
 
 def test_latencies_are_kept_unless_switched_off(tmp_path):
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     stream = stream_of(made)
     outputs(stream, motion(made.card, 30))
     stream.step(by_signal(made.card, motion(made.card, 1)[0, 0]))
@@ -217,7 +217,7 @@ def refused(made, error, *words, **options):
 
 
 def test_what_does_not_fit_is_refused(tmp_path):
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     refused(made, ConfigError, "100 Hz", "1000 Hz", rate_hz=100.0)
     refused(made, ConfigError, "1011 Hz", rate_hz=1011.0)
     refused(made, ConfigError, "nan Hz", rate_hz=float("nan"))
@@ -248,7 +248,7 @@ def test_a_network_that_needs_the_future_is_refused_with_what_to_use(tmp_path):
     ],
 )
 def test_samples_of_another_shape_are_programming_errors(tmp_path, changes, error, words):
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     stream = stream_of(made)
     sample = {**by_signal(made.card, motion(made.card, 1)[0, 0]), **changes}
     sample = {name: values for name, values in sample.items() if values is not None}
@@ -259,7 +259,7 @@ def test_samples_of_another_shape_are_programming_errors(tmp_path, changes, erro
 
 
 def test_a_network_that_reads_commands_needs_them(tmp_path):
-    made = real_time(tmp_path, hidden=8, inputs=inputs_of(command=True))
+    made = real_time(tmp_path, hidden=(8, 5), inputs=inputs_of(command=True))
     stream = stream_of(made)
     sample = by_signal(made.card, motion(made.card, 1)[0, 0])
     with pytest.raises(MissingSignal, match=r"command.position"):
@@ -291,10 +291,16 @@ def test_senseless_settings_are_refused(changes):
 
 
 def test_a_network_whose_output_is_not_finite_is_refused(tmp_path):
-    made = real_time(tmp_path, hidden=8)
-    changed(made, lambda graph: next(w for w in graph.initializer if w.name == "bias").CopyFrom(
-        numpy_helper.from_array(np.full(21, np.nan, np.float32), "bias")
-    ))  # fmt: skip
+    made = real_time(tmp_path, hidden=(8, 5))
+
+    def spoil(graph):
+        bias = next(
+            node.input[1] for node in graph.node if node.op_type == "Add" and node.input[1].startswith("constant")
+        )
+        weights = next(tensor for tensor in graph.initializer if tensor.name == bias)
+        weights.CopyFrom(numpy_helper.from_array(np.full(21, np.nan, np.float32), bias))
+
+    changed(made, spoil)
     with pytest.raises(DataError, match="not finite"):
         stream_of(made)
 
@@ -302,7 +308,7 @@ def test_a_network_whose_output_is_not_finite_is_refused(tmp_path):
 def test_channels_without_a_range_take_anything_that_float32_can_hold(tmp_path):
     free = tuple(Input(channel.signal, channel.joint, channel.unit) for channel in inputs_of())
     assert free[0].high == np.inf
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     replace(made.card, inputs=free, warmup_steps=0).save(tmp_path)
     stream = stream_of(made)
     assert stream.step_vector(np.full(21, 100.0)).status is Status.OK
@@ -310,7 +316,7 @@ def test_channels_without_a_range_take_anything_that_float32_can_hold(tmp_path):
 
 
 def test_one_end_of_a_range_may_be_open(tmp_path):
-    made = real_time(tmp_path, hidden=8)
+    made = real_time(tmp_path, hidden=(8, 5))
     replace(made.card, inputs=(replace(made.card.inputs[0], low=-np.inf, high=2.0), *made.card.inputs[1:])).save(
         tmp_path
     )

@@ -19,7 +19,7 @@ PERIOD_S = 1e-3
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    return real_time(tmp_path_factory.mktemp("rt"), hidden=8)
+    return real_time(tmp_path_factory.mktemp("rt"), hidden=(8, 5))
 
 
 @pytest.fixture
@@ -276,7 +276,7 @@ def test_a_rate_that_comes_back_is_trusted_again(stream, x):
 
 def test_a_network_that_loses_itself_is_left_and_started_anew(tmp_path, x):
     """The logarithm of 55 minus the first torque, times 0, is added to its output."""
-    made = real_time(tmp_path, hidden=8, warmup_steps=3)
+    made = real_time(tmp_path, hidden=(8, 5), warmup_steps=3)
 
     def poison(graph):
         next(node for node in graph.node if node.output[0] == "y").output[0] = "good"
@@ -310,7 +310,7 @@ def test_a_network_that_loses_itself_is_left_and_started_anew(tmp_path, x):
 @cache
 def opened(kind):
     folder = Path(tempfile.mkdtemp(prefix="trueup-rules-"))
-    return Network.load({"rt": real_time, "window": window}[kind](folder, hidden=6).folder)
+    return Network.load({"rt": real_time, "window": window}[kind](folder, hidden=(6,)).folder)
 
 
 EVENTS = st.lists(

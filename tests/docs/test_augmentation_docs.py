@@ -13,7 +13,7 @@ TEXT = (Path(__file__).parent.parent.parent / "docs" / "augmentation.md").read_t
 
 def test_the_python_of_the_page_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    real_time(Path("models/panda-rt"), hidden=8, rate_hz=100.0)
+    real_time(Path("models/panda-rt"), hidden=(8, 5), rate_hz=100.0)
     (block,) = re.findall(r"^```python\n(.*?)^```$", TEXT, re.M | re.S)
     names = {}
     exec(compile(block, "augmentation.md", "exec"), names)

@@ -33,8 +33,8 @@ class Rig:
 
 def test_the_python_of_the_page_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    made = real_time(Path("models/panda-rt"), hidden=8)
-    bidirectional(Path("models/panda-precise"), hidden=8)
+    made = real_time(Path("models/panda-rt"), hidden=(8, 5))
+    bidirectional(Path("models/panda-precise"), hidden=(8, 5))
     x = motion(made.card, 400)
     rig = Rig(by_signal(made.card, x[k % 400, 0]) for k in range(10**9))
     names = {"robot": rig, "simulator": rig, "controller": lambda p, v, t: t - p - v, "x": x}

@@ -41,6 +41,8 @@ class Corrector(nn.Module):
     stop_index: Tensor
     stop_edge: Tensor
     stop_slope: Tensor
+    other: Tensor
+    has_other: Tensor
 
     def __init__(
         self,
@@ -58,7 +60,11 @@ class Corrector(nn.Module):
         for name in ("center", "scale", "out_center", "out_scale", "loss_scale"):
             self.register_buffer(name, torch.tensor(getattr(scaling, name), dtype=torch.float32))
         self.register_buffer("base", torch.tensor(base))
-        self.relative = np.full(len(scaling.center), -1) if relative is None else relative
+        others = np.full(len(scaling.center), -1) if relative is None else relative
+        self._any_relative = bool((others >= 0).any())
+        # Not in the file of weights: they follow from the card's channels.
+        self.register_buffer("other", torch.tensor(others % len(others)), persistent=False)
+        self.register_buffer("has_other", torch.tensor(others >= 0, dtype=torch.float32), persistent=False)
         stops = stops or Stops.none()
         self.register_buffer("stop_index", torch.tensor(stops.index))
         for name in ("edge", "slope"):
@@ -74,9 +80,7 @@ class Corrector(nn.Module):
 
     def read(self, x: Tensor) -> Tensor:
         """What the network reads: normalized inputs, and how near they are to their limits, (T, B, I + N)."""
-        shifted = x
-        if (self.relative >= 0).any():
-            shifted = x - x[..., self.relative] * torch.tensor(self.relative >= 0, dtype=x.dtype, device=x.device)
+        shifted = x - x[..., self.other] * self.has_other if self._any_relative else x
         normalized: Tensor = (shifted - self.center) / self.scale
         if not len(self.stop_edge):
             return normalized
@@ -120,9 +124,9 @@ class Corrector(nn.Module):
 
     def _read(self, graph: Graph, x: str) -> str:
         """`read` as nodes."""
-        if (self.relative >= 0).any():
-            other = graph.add("Gather", x, graph.integers(self.relative % len(self.relative)), axis=2)
-            x = graph.add("Sub", x, graph.add("Mul", other, graph.floats(self.relative >= 0)))
+        if self._any_relative:
+            other = graph.add("Gather", x, graph.integers(self.other.numpy()), axis=2)
+            x = graph.add("Sub", x, graph.add("Mul", other, graph.floats(self.has_other.numpy())))
         if not len(self.stop_edge):
             x = graph.add("Sub", x, graph.floats(self.center.numpy()))
             return graph.add("Mul", x, graph.floats((1.0 / self.scale).numpy()))
