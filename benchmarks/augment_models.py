@@ -55,7 +55,9 @@ def _amount(count: int | None, target: str) -> Model:
     """As many steps whatever the amount, so that only the data differ (LSTM thesis, Fig. 12)."""
     config = preset("realeasy-rt")
     draws = round(2 * 1376 / (count or 1376))
-    loss = LossConfig("residual" if target == "residual" else "plain")
+    # In normalized units, as the thesis has it: in those of the simulator, positions would be all that counts to a
+    # network that must make them anew.
+    loss = LossConfig("residual" if target == "residual" else "plain", "normalized")
     return Model(replace(config, loss=loss, epochs=20, window=WindowConfig("fixed", draws=draws)), train_motions=count)
 
 
