@@ -255,7 +255,7 @@ def test_no_process_stays_behind(tmp_path, who):
     if who == "all":
         assert process.returncode == 130
         assert "Traceback" not in problems
-        assert "--resume goes on" in problems
+        assert "What was finished is kept" in problems
     assert list(Dataset(out).ids) == IDS[: len(Dataset(out))]
 
 
