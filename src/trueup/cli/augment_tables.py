@@ -85,19 +85,11 @@ def gated_lines(result: AugmentResult) -> list[str]:
     """Which outputs are switched off and why, one line per network."""
     lines = []
     for model in result.models:
-        signals: dict[str, list[str]] = {}
-        for item in model.gated:
-            signals.setdefault(item.signal, []).append(item.joint)
-        if signals:
-            names = [f"{signal} of {_named(joints, result.joints)}" for signal, joints in signals.items()]
-            reasons = list(dict.fromkeys(item.reason for item in model.gated if item.reason))
+        if model.gated:
+            names, reasons = result.off_outputs(model), model.off_reasons
             why = f": {reasons[0]}" + (", and the like" if len(reasons) > 1 else "") if reasons else ""
             lines.append(f"{model.name} leaves {'; '.join(names)} as simulated{why}")
     return lines
-
-
-def _named(joints: Sequence[str], all_joints: Sequence[str]) -> str:
-    return "all joints" if set(all_joints) <= set(joints) else ", ".join(joints)
 
 
 def _confidence_cells(model: ModelEvaluation, condition: str, signal: str) -> list[str]:

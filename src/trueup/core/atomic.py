@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,15 @@ def write_json(path: Path, value: Any) -> None:
 def as_read_back(value: Any) -> Any:
     """The value as JSON gives it back: tuples are lists, keys are text."""
     return json.loads(json.dumps(value))
+
+
+def without_nan(tree: Any) -> Any:
+    """The value with null for numbers that are not finite, which JSON has not."""
+    if isinstance(tree, Mapping):
+        return {key: without_nan(value) for key, value in tree.items()}
+    if isinstance(tree, list | tuple):
+        return [without_nan(value) for value in tree]
+    return None if isinstance(tree, float) and not math.isfinite(tree) else tree
 
 
 def read_json(path: Path) -> Any:

@@ -12,11 +12,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from trueup.core.atomic import as_read_back, read_json, write_json
-from trueup.core.config import build
+from trueup.core.atomic import as_read_back, read_json, without_nan, write_json
+from trueup.core.config import build_versioned
 from trueup.core.results import Estimate
 from trueup.core.step_times import StepTimes
-from trueup.errors import ConfigError, DataError, FormatError
 
 AUGMENT_SCHEMA = "trueup.augment/1"
 AUGMENT_NAME = "augment.json"
@@ -145,6 +144,11 @@ class ModelEvaluation:
     reliability: Mapping[str, Mapping[str, Reliability]] = field(default_factory=dict)
     latency: StepTimes | None = None
 
+    @property
+    def off_reasons(self) -> list[str]:
+        """Why outputs are switched off, each reason once."""
+        return list(dict.fromkeys(item.reason for item in self.gated if item.reason))
+
     def is_off(self, signal: str, joint: str) -> bool:
         """Whether the training switched this output off."""
         return any((item.signal, item.joint) == (signal, joint) for item in self.gated)
@@ -228,6 +232,16 @@ class AugmentResult:
         """The network of this name."""
         return next(item for item in self.models if item.name == name)
 
+    def off_outputs(self, model: ModelEvaluation) -> list[str]:
+        """What the training of a network switched off, signal by signal, e.g. `torque of joint1, joint2`."""
+        joints: dict[str, list[str]] = {}
+        for item in model.gated:
+            joints.setdefault(item.signal, []).append(item.joint)
+        return [
+            f"{signal} of {'all joints' if set(self.joints) <= set(names) else ', '.join(names)}"
+            for signal, names in joints.items()
+        ]
+
     def best(self, signal: str) -> ModelEvaluation | None:
         """The network that leaves least of a signal's error, over all motions; None without networks."""
 
@@ -240,7 +254,7 @@ class AugmentResult:
 
     def to_json(self) -> dict[str, Any]:
         """The content of augment.json."""
-        return {"schema": AUGMENT_SCHEMA, **as_read_back(_without_nan(asdict(self)))}
+        return {"schema": AUGMENT_SCHEMA, **as_read_back(without_nan(asdict(self)))}
 
     @staticmethod
     def from_json(data: Any, where: str = AUGMENT_NAME) -> AugmentResult:
@@ -250,14 +264,7 @@ class AugmentResult:
             FormatError: something else, or of another version.
             DataError: broken.
         """
-        found = data.get("schema") if isinstance(data, Mapping) else type(data).__name__
-        if found != AUGMENT_SCHEMA:
-            raise FormatError(f"{where} holds no evaluation of this version", got=found, expected=AUGMENT_SCHEMA)
-        content = {key: _with_nan(value) for key, value in data.items() if key != "schema"}
-        try:
-            return build(AugmentResult, content, where)
-        except ConfigError as error:
-            raise DataError(f"{where} is broken", got=error.summary) from error
+        return build_versioned(AugmentResult, _with_nan(data), where, schema=AUGMENT_SCHEMA, what="evaluation")
 
     def save(self, path: Path) -> None:
         """Write augment.json atomically."""
@@ -267,14 +274,6 @@ class AugmentResult:
     def load(path: Path) -> AugmentResult:
         """Read augment.json."""
         return AugmentResult.from_json(read_json(path), str(path))
-
-
-def _without_nan(tree: Any) -> Any:
-    if isinstance(tree, Mapping):
-        return {key: _without_nan(value) for key, value in tree.items()}
-    if isinstance(tree, list | tuple):
-        return [_without_nan(value) for value in tree]
-    return None if isinstance(tree, float) and not math.isfinite(tree) else tree
 
 
 def _with_nan(tree: Any) -> Any:

@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 import yaml
 
-from trueup.errors import ConfigError
+from trueup.errors import ConfigError, DataError, FormatError
 
 T = TypeVar("T")
 
@@ -78,6 +78,29 @@ def build(cls: type[T], data: Any, where: str) -> T:
         raise ConfigError(f"{where} lacks {missing}", available=fields)
     hints = typing.get_type_hints(cls)
     return cls(**{key: _convert(hints[key], value, f"{where}: {key}") for key, value in data.items()})
+
+
+def build_versioned(cls: type[T], data: Any, where: str, *, schema: str, what: str) -> T:
+    """A frozen dataclass from a result file whose key `schema` says what it is.
+
+    Args:
+        cls: dataclass type.
+        data: content of the file.
+        where: the file, for messages.
+        schema: what `schema` must say.
+        what: what the file holds, for messages.
+
+    Raises:
+        FormatError: something else, or of another version.
+        DataError: broken.
+    """
+    found = data.get("schema") if isinstance(data, Mapping) else type(data).__name__
+    if found != schema:
+        raise FormatError(f"{where} holds no {what} of this version", got=found, expected=schema)
+    try:
+        return build(cls, {key: value for key, value in data.items() if key != "schema"}, where)
+    except ConfigError as error:
+        raise DataError(f"{where} is broken", got=error.summary) from error
 
 
 def _convert(hint: Any, value: Any, where: str) -> Any:

@@ -27,7 +27,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from trueup.core.atomic import as_read_back, read_json, write_json
+from trueup.core.atomic import as_read_back, read_json, without_nan, write_json
 from trueup.core.config import build
 from trueup.errors import ConfigError, DataError, FormatError
 
@@ -184,7 +184,7 @@ class ModelCard:
 
     def to_json(self) -> dict[str, Any]:
         """The content of model.json, with a hash over all the rest."""
-        content = as_read_back({"schema": CARD_SCHEMA, **_finite(asdict(self))})
+        content = as_read_back({"schema": CARD_SCHEMA, **without_nan(asdict(self))})
         return {**content, _HASH: _digest(content)}
 
     @staticmethod
@@ -260,12 +260,3 @@ def file_hash(path: Path) -> str:
 
 def _digest(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def _finite(tree: Any) -> Any:
-    """Infinite bounds become null: JSON has no infinity."""
-    if isinstance(tree, Mapping):
-        return {key: _finite(value) for key, value in tree.items()}
-    if isinstance(tree, list | tuple):
-        return [_finite(value) for value in tree]
-    return None if isinstance(tree, float) and not math.isfinite(tree) else tree

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from trueup.core.atomic import read_json, write_json
+from trueup.core.atomic import read_json, without_nan, write_json
 from trueup.errors import DataError, FormatError
 
 GAP_SCHEMA = "trueup.gap/1"
@@ -165,7 +165,7 @@ class GapResult:
                 }
                 for name, values in self.groups.items()
             },
-            "episodes": _without_nan(self.episodes),
+            "episodes": without_nan(self.episodes),
             "episode_splits": dict(self.splits),
             "settings": dict(self.settings),
             "provenance": dict(self.provenance),
@@ -313,12 +313,6 @@ def _broken(what: str) -> Iterator[None]:
 
 def _number(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
-
-
-def _without_nan(tree: Any) -> Any:
-    if isinstance(tree, Mapping):
-        return {key: _without_nan(value) for key, value in tree.items()}
-    return _number(tree)
 
 
 def _with_nan(tree: Any) -> Any:

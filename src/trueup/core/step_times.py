@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from trueup.core.atomic import as_read_back, read_json, write_json
-from trueup.core.config import build
-from trueup.errors import ConfigError, DataError, FormatError
+from trueup.core.config import build_versioned
 
 LATENCY_SCHEMA = "trueup.latency/1"
 LATENCY_NAME = "latency.json"
@@ -64,13 +63,7 @@ class StepTimes:
             FormatError: something else, or of another version.
             DataError: broken.
         """
-        found = data.get("schema") if isinstance(data, Mapping) else type(data).__name__
-        if found != LATENCY_SCHEMA:
-            raise FormatError(f"{where} holds no times of this version", got=found, expected=LATENCY_SCHEMA)
-        try:
-            return build(StepTimes, {key: value for key, value in data.items() if key != "schema"}, where)
-        except ConfigError as error:
-            raise DataError(f"{where} is broken", got=error.summary) from error
+        return build_versioned(StepTimes, data, where, schema=LATENCY_SCHEMA, what="times")
 
     def save(self, path: Path) -> None:
         """Write latency.json atomically."""

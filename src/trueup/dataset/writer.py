@@ -46,6 +46,11 @@ def dataset_spec(folder: Path) -> StoreSpec:
     return StoreSpec(folder, "episodes.parquet", {"measured": "measured", "command": "command"}, tuple(fields))
 
 
+def is_label_part(text: str) -> bool:
+    """Whether a text can stand between the slashes of a run's label."""
+    return bool(_LABEL_PART.fullmatch(text)) and ".." not in text
+
+
 def run_spec(dataset: Path, label: str) -> StoreSpec:
     """The store of one run.
 
@@ -57,7 +62,7 @@ def run_spec(dataset: Path, label: str) -> StoreSpec:
         raise ConfigError(
             "the label 'command' is kept for the command taken as the motion", hint="choose another label"
         )
-    if len(parts) > 3 or not all(_LABEL_PART.fullmatch(part) and ".." not in part for part in parts):
+    if len(parts) > 3 or not all(is_label_part(part) for part in parts):
         raise ConfigError(
             "this is no label for a run", got=repr(label), expected="ENGINE/VARIANT such as mujoco/fitted+realeasy"
         )

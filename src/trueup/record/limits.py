@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float64
@@ -155,16 +155,30 @@ def limits_of(
     )
 
 
+def stated_rates(model: Any, names: Sequence[str], kind: Literal["velocity", "acceleration"]) -> dict[str, float]:
+    """Joint -> largest speed or acceleration that a model states in its custom numerics; empty if it does not.
+
+    Args:
+        model: a compiled `mujoco.MjModel`.
+        names: all its joints, in its order.
+        kind: which of the two.
+    """
+    numerics = {model.numeric(row).name: model.numeric(row).data for row in range(model.nnumeric)}
+    values = numerics.get(f"{kind}_limit", np.empty(0))
+    return dict(zip(names, map(float, values), strict=True)) if len(values) == len(names) else {}
+
+
 def _rates(
-    joints: tuple[str, ...], names: list[str], model: Any, kind: str, given: Mapping[str, float]
+    joints: tuple[str, ...],
+    names: list[str],
+    model: Any,
+    kind: Literal["velocity", "acceleration"],
+    given: Mapping[str, float],
 ) -> Float64[np.ndarray, "J"]:
     unknown = [name for name in given if name not in joints]
     if unknown:
         raise NameMismatch(f"{kind} limits for {unknown}, which are no joints", left=given, right=joints)
-    numerics = {model.numeric(row).name: model.numeric(row).data for row in range(model.nnumeric)}
-    values = numerics.get(f"{kind}_limit", np.empty(0))
-    from_model = dict(zip(names, values, strict=True)) if len(values) == len(names) else {}
-    found = {**from_model, **given}
+    found = {**stated_rates(model, names, kind), **given}
     missing = [name for name in joints if name not in found]
     if missing:
         raise ConfigError(

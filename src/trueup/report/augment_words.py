@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from trueup.core.augment_result import ALL_JOINTS, ANY_CONDITION, AugmentResult, ModelEvaluation
 from trueup.core.results import Estimate
@@ -71,12 +70,8 @@ def off_sentences(result: AugmentResult) -> list[str]:
     """Which outputs their training has switched off, and why."""
     lines = []
     for model in result.models:
-        signals: dict[str, list[str]] = {}
-        for item in model.gated:
-            signals.setdefault(item.signal, []).append(item.joint)
-        if signals:
-            what = "; ".join(f"{signal} of {_names(joints, result.joints)}" for signal, joints in signals.items())
-            reasons = list(dict.fromkeys(item.reason for item in model.gated if item.reason))
+        if model.gated:
+            what, reasons = "; ".join(result.off_outputs(model)), model.off_reasons
             more = "; the other reasons are in augment.json" if len(reasons) > 1 else ""
             lines.append(f"{model.name} leaves {what} as simulated{f': {reasons[0]}{more}' if reasons else ''}.")
     return lines
@@ -152,7 +147,3 @@ def _harm_sentence(result: AugmentResult, model: ModelEvaluation) -> str:
     if not worse:
         return "It makes no signal of any joint worse for sure, in no group of motions."
     return f"It makes worse for sure: {', '.join(worse)}."
-
-
-def _names(joints: Sequence[str], every: Sequence[str]) -> str:
-    return "all joints" if set(every) <= set(joints) else ", ".join(joints)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,12 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trueup.align import JointMap
+from trueup.augment.channels import RATE_TOLERANCE
 from trueup.augment.config import CHECKPOINT_NAME, FEWEST_FOR_CHANCE, SIGNALS, AugmentConfig
 from trueup.core.atomic import make_folder
 from trueup.core.episode import Episode
 from trueup.core.model_card import CARD_NAME, ONNX_NAME, WEIGHTS_NAME, Channel, ModelCard
 from trueup.dataset import Dataset
+from trueup.dataset.writer import is_label_part
 from trueup.errors import ConfigError, DataError, MissingDependency, MissingSignal, NameMismatch, OutputExists
+from trueup.record.limits import stated_rates
 from trueup.robots import RobotSpec, find_model
 from trueup.stages.progress import Track, silent
 from trueup.stages.replaying import in_robot_names
@@ -30,8 +32,7 @@ if TYPE_CHECKING:
 
 # Pairs of motions for training; gone when everything is written.
 _PAIRS = "pairs"
-# Rates of motions that differ by no more than this share are one rate.
-_SAME_RATE = 0.02
+_LONGEST_NAME = 100
 
 
 @dataclass(frozen=True)
@@ -194,8 +195,8 @@ def augment(
 
 def _refuse_bad_name(name: str) -> None:
     """Corrected runs are called after their network: what makes no label must not be found out after the training."""
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.+=-]{0,99}", name) or ".." in name:
-        raise ConfigError("--name", got=repr(name), expected="letters, digits, _ . + = -, at most 100")
+    if not is_label_part(name) or len(name) > _LONGEST_NAME:
+        raise ConfigError("--name", got=repr(name), expected=f"letters, digits, _ . + = -, at most {_LONGEST_NAME}")
 
 
 def _forget(out: Path) -> None:
@@ -317,13 +318,13 @@ def _at_rate(episodes: Iterable[Episode], run: str, rate_hz: float, *, given: bo
     """Refuse motions of another rate, or, where a rate is given, of a lower one: nobody simulated what is between."""
     for episode in episodes:
         rate = min(episode.run(run).rate_hz, episode.measured.rate_hz)
-        if given and rate < rate_hz * (1 - _SAME_RATE):
+        if given and rate < rate_hz * (1 - RATE_TOLERANCE):
             raise DataError(
                 f"episode {episode.id!r} has fewer samples per second than data.rate_hz",
                 got=f"{rate:.4g} Hz",
                 expected=f"at least {rate_hz:.4g} Hz",
             )
-        if not given and abs(rate / rate_hz - 1) > _SAME_RATE:
+        if not given and abs(rate / rate_hz - 1) > RATE_TOLERANCE:
             raise DataError(
                 f"episode {episode.id!r} has another rate than the first one",
                 got=f"{rate:.4g} Hz",
@@ -376,10 +377,7 @@ def _speeds(robot: RobotSpec, source: Dataset) -> dict[str, float]:
     except ConfigError:
         return {}
     model = mujoco.MjModel.from_xml_path(str(path))
-    numerics = {model.numeric(row).name: model.numeric(row).data for row in range(model.nnumeric)}
-    values = numerics.get("velocity_limit", np.empty(0))
-    names = [model.joint(row).name for row in range(model.njnt)]
-    return dict(zip(names, map(float, values), strict=True)) if len(values) == len(names) else {}
+    return stated_rates(model, [model.joint(row).name for row in range(model.njnt)], "velocity")
 
 
 def _finished(out: Path, asked: str) -> Augmented:
