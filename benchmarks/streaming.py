@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import platform
 import time
 from collections.abc import Callable
 from importlib import metadata
@@ -22,8 +21,10 @@ from benchmarks.networks import HIDDEN, JOINTS, Made, by_signal, motion, real_ti
 from benchmarks.table import Row, at_most, print_table, shown
 from trueup.core.atomic import make_folder, write_json
 from trueup.core.provenance import provenance
-from trueup.deploy import Latency, LoopReport, Network, Predictor, Status, Stream, run_loop
+from trueup.core.step_times import StepTimes
+from trueup.deploy import Latency, LoopReport, Network, Predictor, Stream
 from trueup.deploy.latency import PERCENTILES
+from trueup.stages.timing import time_steps
 
 RESULT = Path(__file__).parent / "results" / "streaming.json"
 RATE_HZ = 1000.0
@@ -45,10 +46,10 @@ def run(*, loop_s: float = 60.0, rounds: int = _ROUNDS, write: bool = False) -> 
     with TemporaryDirectory() as name:
         made = real_time(Path(name))
         found = _measured(made, rounds)
-        loop, corrected = _looped(made, loop_s)
+        times, loop = time_steps(made.folder, rate_hz=RATE_HZ, seconds=loop_s)
     if write:
         make_folder(RESULT.parent)
-        write_json(RESULT, _result(found, loop, loop_s))
+        write_json(RESULT, _result(found, times, loop, loop_s))
     rows = []
     for runner, latency in found.items():
         for key, share in PERCENTILES.items():
@@ -64,7 +65,6 @@ def run(*, loop_s: float = 60.0, rounds: int = _ROUNDS, write: bool = False) -> 
         shown(f"{title}: step, p99.9", loop.step.percentile_us(99.9), "us"),
         shown(f"{title}: step, longest", loop.step.max_us, "us"),
         shown(f"{title}: wake-up too late by, p99.9", loop.wakeup.percentile_us(99.9), "us"),
-        shown(f"{title}: samples that were not corrected", loop.cycles - corrected, ""),
     ]
     return rows
 
@@ -101,21 +101,6 @@ def _measured(made: Made, rounds: int) -> dict[str, Latency]:
                 record(clock() - began)
         at += _STEPS
     return found
-
-
-def _looped(made: Made, loop_s: float) -> tuple[LoopReport, int]:
-    """The loop, and how many samples it corrected."""
-    samples = [by_signal(made.card, row) for row in motion(made.card, 5000)[:, 0]]
-    stream = Stream.load(made.folder, rate_hz=RATE_HZ, joints=JOINTS)
-    cycle = corrected = 0
-
-    def step(time_s: float) -> None:
-        nonlocal cycle, corrected
-        answer = stream.step(samples[cycle % len(samples)], time_s=time_s)
-        cycle += 1
-        corrected += answer.status is Status.OK
-
-    return run_loop(step, rate_hz=RATE_HZ, duration_s=loop_s), corrected
 
 
 def _stream(network: Network, *, by_vector: bool) -> Runner:
@@ -202,9 +187,9 @@ def _products(made: Made) -> Runner:
     return runner
 
 
-def _result(found: dict[str, Latency], loop: LoopReport, loop_s: float) -> dict[str, Any]:
+def _result(found: dict[str, Latency], times: StepTimes, loop: LoopReport, loop_s: float) -> dict[str, Any]:
     packages = {name: metadata.version(name) for name in ("onnxruntime", "torch")}
-    machine = {"cpu": _cpu(), "cores": os.cpu_count(), "load": list(os.getloadavg())}
+    machine = {"name": times.machine, "load": list(os.getloadavg())}
     return {
         "schema": "trueup.streaming/1",
         "step": {name: latency.to_json() for name, latency in found.items()},
@@ -212,15 +197,6 @@ def _result(found: dict[str, Latency], loop: LoopReport, loop_s: float) -> dict[
         "loop": {"duration_s": loop_s, **loop.to_json()},
         "provenance": provenance(config={"packages": packages, "machine": machine}, seed=0),
     }
-
-
-def _cpu() -> str:
-    """The processor's name, where the system tells it."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.split(": ")[1] for line in lines if line.startswith("model name")), platform.processor())
 
 
 def main() -> None:

@@ -116,28 +116,28 @@ class Corrector(nn.Module):
             seen = graph.add("Concat", given.pop(), x, axis=0)
             bounds = (graph.integers([bound]) for bound in (-network.past, np.iinfo(np.int64).max, 0))
             after_buffer = [graph.add("Slice", seen, *bounds)]
-        out, after = network.draw(graph, self._read(graph, seen), given)
+        scale = torch.cat([1.0 / self.scale, self.stop_slope])
+        shifted = self._shifted(graph, seen)
+        out, after = network.draw_scaled(graph, shifted, given, scale, self.gate * self.out_scale)
         graph.output(self._summed(graph, x, out), "y", ["T", "B", network.outputs])
         for state, name, shape in zip(self.states, (*after, *after_buffer), shapes, strict=True):
             graph.output(name, f"{state.name}_out", shape)
         return graph.serialized(metadata)
 
-    def _read(self, graph: Graph, x: str) -> str:
-        """`read` as nodes."""
+    def _shifted(self, graph: Graph, x: str) -> str:
+        """`read` as nodes, but for the factor of each input."""
         if self._any_relative:
             other = graph.add("Gather", x, graph.integers(self.other.numpy()), axis=2)
             x = graph.add("Sub", x, graph.add("Mul", other, graph.floats(self.has_other.numpy())))
-        if not len(self.stop_edge):
-            x = graph.add("Sub", x, graph.floats(self.center.numpy()))
-            return graph.add("Mul", x, graph.floats((1.0 / self.scale).numpy()))
         count = len(self.stop_edge)
+        if not count:
+            return graph.add("Sub", x, graph.floats(self.center.numpy()))
         rows = np.concatenate([np.arange(len(self.center)), self.stop_index.numpy()])
         bounds = np.full((2, rows.size), np.inf) * [[-1], [1]]
-        bounds[:, -count:] = [[0.0], [_BEYOND]]
+        bounds[:, -count:] = np.sort([np.zeros(count), _BEYOND / self.stop_slope.numpy()], axis=0)
         # What may be near a stop is a simulated position, and from those nothing was subtracted.
         x = graph.add("Gather", x, graph.integers(rows), axis=2)
         x = graph.add("Sub", x, graph.floats(torch.cat([self.center, self.stop_edge]).numpy()))
-        x = graph.add("Mul", x, graph.floats(torch.cat([1.0 / self.scale, self.stop_slope]).numpy()))
         return graph.add("Min", graph.add("Max", x, graph.floats(bounds[0])), graph.floats(bounds[1]))
 
     def _summed(self, graph: Graph, x: str, out: str) -> str:
@@ -145,7 +145,6 @@ class Corrector(nn.Module):
         base, gate = self.base.numpy(), self.gate.numpy()
         if not np.array_equal(base, np.arange(len(self.center))):
             x = graph.add("Gather", x, graph.integers(base), axis=2)
-        out = graph.add("Mul", out, graph.floats(gate * self.out_scale.numpy()))
         if self.target == "plain":
             out = graph.add("Add", out, graph.floats(gate * self.out_center.numpy()))
             x = graph.add("Mul", x, graph.floats(1.0 - gate))

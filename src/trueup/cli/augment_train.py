@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -12,18 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.markup import escape
-from rich.status import Status
 from rich.table import Table
 
 from trueup.cli import options
-from trueup.cli.console import err, note, out, track
+from trueup.cli.console import note, out, status_line, track
 from trueup.errors import ConfigError, MissingDependency
 
 if TYPE_CHECKING:
     from trueup.augment import AugmentConfig, Progress
     from trueup.core.model_card import ModelCard
-
-_PLAIN_EVERY_S = 10.0
 
 
 def register(app: typer.Typer) -> None:
@@ -136,25 +132,15 @@ def _watching(folder: Path | None) -> Iterator[Callable[[Progress], None]]:
     """Shows where training stands, here and, if there is a folder, in TensorBoard."""
     with contextlib.ExitStack() as stack:
         board = stack.enter_context(_board(folder)) if folder else None
-        status: list[Status] = []
-        last = -_PLAIN_EVERY_S
+        line = stack.enter_context(status_line())
 
         def show(progress: Progress) -> None:
-            nonlocal last
             if board and progress.epoch:
                 for name in ("train", "val", "rate"):
                     board.add_scalar(
                         f"loss/{name}" if name != "rate" else name, getattr(progress.epoch, name), progress.number
                     )
-            text = _line(progress)
-            if err.is_terminal:
-                # Only now: two displays at once, this one and the bar of the reading, are refused by older versions.
-                if not status:
-                    status.append(stack.enter_context(err.status("training")))
-                status[0].update(text)
-            elif time.monotonic() - last >= _PLAIN_EVERY_S:
-                last = time.monotonic()
-                err.print(text, markup=False)
+            line(_line(progress))
 
         yield show
 

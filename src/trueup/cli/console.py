@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from typing import TYPE_CHECKING, TypeVar
 
 from rich.console import Console
@@ -18,6 +18,7 @@ from rich.progress import (
     TextColumn,
     TimeRemainingColumn,
 )
+from rich.status import Status
 from rich.text import Text
 
 if TYPE_CHECKING:
@@ -80,30 +81,41 @@ def _plain(items: Iterable[T], what: str, total: int | None) -> Generator[T]:
 
 
 @contextlib.contextmanager
+def status_line() -> Iterator[Callable[[str], None]]:
+    """Shows where long work stands: a line that is rewritten on a terminal, a line now and then elsewhere."""
+    with contextlib.ExitStack() as stack:
+        status: list[Status] = []
+        last = -_PLAIN_EVERY_S
+
+        def show(text: str) -> None:
+            nonlocal last
+            if err.is_terminal:
+                # Only now: two displays at once, this one and the bar of a reading, are refused by older versions.
+                if not status:
+                    status.append(stack.enter_context(err.status("")))
+                status[0].update(Text(text))
+            elif time.monotonic() - last >= _PLAIN_EVERY_S:
+                last = time.monotonic()
+                err.print(text, markup=False)
+
+        yield show
+
+
+@contextlib.contextmanager
 def iterations() -> Iterator[OnModel]:
-    """Shows where a search stands: a line that is rewritten on a terminal, a line now and then elsewhere."""
-    last = -_PLAIN_EVERY_S
+    """Shows where a search stands."""
+    with status_line() as show:
 
-    def text(model: str, progress: SearchProgress) -> str:
-        return (
-            f"{model}: {progress.phase} {progress.iteration}, residual {progress.rms:.4g}, "
-            f"{progress.evaluations} candidates, {progress.evaluations / max(progress.seconds, 1e-9):.3g}/s, "
-            f"{progress.seconds:.0f} s"
-        )
+        def on_model(model: str, progress: SearchProgress) -> None:
+            show(
+                f"{model}: {progress.phase} {progress.iteration}, residual {progress.rms:.4g}, "
+                f"{progress.evaluations} candidates, {progress.evaluations / max(progress.seconds, 1e-9):.3g}/s, "
+                f"{progress.seconds:.0f} s"
+            )
 
-    if err.is_terminal:
-        with err.status("looking for a start") as status:
-            yield lambda model, progress: status.update(text(model, progress))
-        return
-
-    def plain(model: str, progress: SearchProgress) -> None:
-        nonlocal last
-        now = time.monotonic()
-        if now - last >= _PLAIN_EVERY_S:
-            last = now
-            err.print(text(model, progress), markup=False)
-
-    yield plain
+        if err.is_terminal:
+            show("looking for a start")
+        yield on_model
 
 
 def _plain_text(text: str) -> str:

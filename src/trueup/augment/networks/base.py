@@ -53,6 +53,16 @@ class Network(nn.Module, ABC):
     def draw(self, graph: Graph, x: str, states: Sequence[str]) -> tuple[str, tuple[str, ...]]:
         """The same as nodes of an ONNX graph; returns the names of the output and of the new states."""
 
+    def draw_scaled(
+        self, graph: Graph, x: str, states: Sequence[str], inputs: Tensor, outputs: Tensor
+    ) -> tuple[str, tuple[str, ...]]:
+        """`draw`, with the inputs multiplied by (I,) before and the outputs by (K,) after.
+
+        Networks that are run in a control loop have both in their weights: there, every node counts.
+        """
+        out, after = self.draw(graph, graph.add("Mul", x, graph.floats(inputs.numpy())), states)
+        return graph.add("Mul", out, graph.floats(outputs.numpy())), after
+
     def initial(self, first: Tensor) -> States:
         """The states before the first sample, (B, I)."""
         made = []

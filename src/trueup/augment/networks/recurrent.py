@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import Literal
 
@@ -128,6 +129,20 @@ class Recurrent(Network):
                 x = graph.add("Reshape", turned, graph.integers([0, 0, 2 * size]))
         x = draw_linear(graph, self.dense, x)
         return graph.add("Tanh", x) if self.tanh else x, tuple(after) if self.causal else ()
+
+    def draw_scaled(
+        self, graph: Graph, x: str, states: Sequence[str], inputs: Tensor, outputs: Tensor
+    ) -> tuple[str, tuple[str, ...]]:
+        """See `Network.draw_scaled`."""
+        scaled = copy.deepcopy(self)
+        with torch.no_grad():
+            for layer in (*scaled.forwards[:1], *scaled.backwards[:1]):
+                layer.get_parameter("weight_ih_l0").mul_(inputs)
+            if not self.tanh:
+                scaled.dense.weight.mul_(outputs[:, None])
+                scaled.dense.bias.mul_(outputs)
+        out, after = scaled.draw(graph, x, states)
+        return graph.add("Mul", out, graph.floats(outputs.numpy())) if self.tanh else out, after
 
     def _weights(self, layer: nn.Module) -> tuple[Tensor, Tensor, Tensor]:
         """Input weights, recurrent weights and both biases with the gates in the order of ONNX."""
