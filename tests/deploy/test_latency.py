@@ -51,3 +51,12 @@ def test_empty_cleared_and_endless():
     assert latency.percentile_us(50.0) <= latency.max_us == 2**60 * 1e-3
     latency.clear()
     assert latency.to_json() == Latency().to_json()
+
+
+def test_histograms_add_up():
+    both, one, other = Latency(), Latency(), Latency()
+    for number, part in ((900, one), (1_000_000, other), (5, other)):
+        part.record(number)
+        both.record(number)
+    one.add(other)
+    assert one.to_json() == both.to_json()

@@ -58,6 +58,12 @@ class Latency:
                 return min(_upper_ns(bin) * _US, self.max_us)
         return self.max_us
 
+    def add(self, other: Latency) -> None:
+        """Count another's durations as well."""
+        for bin, count in enumerate(other._counts):
+            self._counts[bin] += count
+        self._max_ns = max(self._max_ns, other._max_ns)
+
     def clear(self) -> None:
         """Begin to count anew."""
         self._counts[:] = array("Q", bytes(8 * len(self._counts)))
