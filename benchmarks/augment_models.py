@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -107,17 +107,23 @@ def data_of(unit: int, scale: float = 1.0, seed: int | None = None) -> Dataset:
 
 
 def train(name: str) -> Path:
-    """Train a model, or find it trained; returns its folder."""
+    """Train a model on its data, or find it trained; returns its folder."""
     model = {**MODELS, **ARM_MODELS}[name]
-    folder = FOLDER / "models" / name
     arm = so101() if name in ARM_MODELS else None
     data = [data_of(unit, _scale(model)) for unit in model.units] if arm is None else [arm]
+    return _train(name, [item.path for item in data])
+
+
+def _train(name: str, data: Sequence[Path]) -> Path:
+    """`train` on datasets that are there; several of these may run at once."""
+    model = {**MODELS, **ARM_MODELS}[name]
+    folder = FOLDER / "models" / name
     augment(
-        data,
+        [Dataset(path) for path in data],
         folder,
         run=model.run,
         config=model.config,
-        robot=load_robot("panda" if arm is None else "so101"),
+        robot=load_robot("so101" if name in ARM_MODELS else "panda"),
         name=name,
         train_motions=model.train_motions,
         jobs=1,
@@ -142,11 +148,18 @@ def so101() -> Dataset | None:
 
 def train_all() -> None:
     """Train every model that is missing, one process per core."""
-    for unit, scale in {(unit, _scale(model)) for model in MODELS.values() for unit in model.units}:
-        data_of(unit, scale)
-    names = [*MODELS, *(ARM_MODELS if so101() is not None else ())]
-    for folder in in_processes(train, names, jobs=JOBS, begin=_ready):
+    wanted = {(unit, _scale(model)) for model in MODELS.values() for unit in model.units}
+    made = {key: data_of(*key).path for key in sorted(wanted)}
+    tasks = [(name, [made[unit, _scale(model)] for unit in model.units]) for name, model in MODELS.items()]
+    arm = so101()
+    if arm is not None:
+        tasks += [(name, [arm.path]) for name in ARM_MODELS]
+    for folder in in_processes(_train_task, tasks, jobs=JOBS, begin=_ready):
         print(folder, flush=True)
+
+
+def _train_task(task: tuple[str, list[Path]]) -> Path:
+    return _train(*task)
 
 
 def _scale(model: Model) -> float:
