@@ -124,9 +124,9 @@ are trained and tested on `panda_rough`. Torque RMSE in Nm on motions of several
 
 `realeasy-rt` with as many training steps whatever the amount, so that only the data differ (thesis, Fig. 12);
 *residual* learns what must be added to the simulation, *plain* the signal itself. Torque RMSE in Nm, joints together;
-the factor is that of the mean square errors, above 1 if the residual loss leaves less. Both count errors in units of
-the simulator's own, which is hard on the plain one: it has to make positions anew, to milliradians; the thesis counted
-in normalized units, where torque is most of the loss:
+the factor is that of the mean square errors, above 1 if the residual loss leaves less. Both count errors in normalized
+units, as in the thesis; in those of the simulator's own error, our default, a network that has to make positions anew,
+to milliradians, learns little else:
 
 {amounts}
 
