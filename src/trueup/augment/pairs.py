@@ -20,9 +20,10 @@ from trueup.core.model_card import Channel
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.errors import DataError, MissingSignal
 
-# Samples of a val motion are looked for among those of train in runs of this many; encoders of low resolution repeat
-# short ones by chance, so several must be found.
+# Samples of a val motion are looked for among those of train in runs of this many changes; encoders of low resolution
+# repeat short ones by chance, so several must be found.
 _RUN = 32
+_SHORTEST = 8
 _RUNS_PER_MOTION = 200
 _FOUND = 3
 
@@ -174,25 +175,28 @@ def _refuse_gaps(episode: Episode, values: Float32[np.ndarray, "T C"], channels:
 def refuse_overlap(train: Pairs, val: Pairs) -> None:
     """Refuse a val split that holds a piece of a train motion: nothing could be chosen by it.
 
-    Runs of 32 measured samples that move are looked for bit by bit, in all joint signals, as they were logged.
+    Runs of 32 measured samples that differ from the one before, and how long each of them stood, are looked for bit by
+    bit, in all joint signals, as they were logged. Motions with fewer changes are compared as a whole.
 
     Raises:
         DataError: a val motion, or a piece of it, is in train too.
     """
-    sought: list[np.ndarray] = []
-    for runs in _marks(val):
-        moving = runs[runs != 0]
-        sought.append(moving[:: max(1, len(moving) // _RUNS_PER_MOTION)])
-    owners = np.repeat(np.arange(len(sought)), [len(runs) for runs in sought])
+    sought = [runs[:: max(1, len(runs) // _RUNS_PER_MOTION)].copy() for runs in _marks(val)]
+    counts = np.array([len(runs) for runs in sought])
+    owners = np.repeat(np.arange(len(sought)), counts)
     numbers = np.concatenate(sought)
     order = np.argsort(numbers, kind="stable")
     numbers, owners = numbers[order], owners[order]
     for motion, runs in zip(train.motions, _marks(train), strict=True):
-        found = np.flatnonzero(np.isin(numbers, runs))
-        owner, count = np.unique(owners[found], return_counts=True)
-        if count.size and count.max() >= _FOUND:
+        first, behind = (np.searchsorted(numbers, runs, side) for side in ("left", "right"))
+        there = np.unique(np.stack([first, behind], axis=1)[behind > first], axis=0)
+        if not len(there):
+            continue
+        owner, found = np.unique(np.concatenate([owners[a:b] for a, b in there]), return_counts=True)
+        enough = found >= np.minimum(_FOUND, counts[owner])
+        if enough.any():
             raise DataError(
-                f"val motion {val.motions[owner[count.argmax()]].id!r} holds samples of train motion {motion.id!r}",
+                f"val motion {val.motions[owner[enough.argmax()]].id!r} holds samples of train motion {motion.id!r}",
                 hint="Split by whole motions: what is trained on cannot judge.",
             )
 
@@ -206,22 +210,26 @@ def _marks(pairs: Pairs) -> Iterator[UInt64[np.ndarray, "N"]]:
 
 
 def _runs(series: TimeSeries) -> UInt64[np.ndarray, "N"]:
-    """A number for each run of samples; 0 for a run in which something stands still."""
+    """A number for each run of changes; one for all of them if there are few, none if hardly anything changes."""
     signals = [values for name, values in series.signals.items() if not name.startswith(BODY_PREFIX)]
-    if len(series) < _RUN or not signals:
+    if not signals:
         return np.empty(0, np.uint64)
     bits = np.concatenate(signals, axis=1).astype(np.float64).view(np.uint64)
     factors = np.random.default_rng(0).integers(1, 2**63, bits.shape[1], np.uint64) * np.uint64(2) + np.uint64(1)
     bits = (bits ^ (bits >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)  # neighboring numbers differ in few bits
     rows = ((bits ^ (bits >> np.uint64(32))) * factors).sum(axis=1, dtype=np.uint64)
-    moves = np.concatenate([[True], rows[1:] != rows[:-1]])
-    count = len(rows) - _RUN + 1
-    numbers = np.zeros(count, np.uint64)
-    moving = np.ones(count, bool)
-    for number in range(_RUN):
-        numbers = numbers * np.uint64(0x9E3779B97F4A7C15) + rows[number : number + count]
-        moving &= moves[number : number + count]
-    return np.where(moving, numbers, np.uint64(0))
+    # Logs hold samples, for a bus slower than the log or an encoder that is coarse. How long they stand counts: the
+    # ticks of such an encoder alone are the same whenever it passes them. The last sample may stand on beyond a cut.
+    changes = np.flatnonzero(rows[1:] != rows[:-1]) + 1
+    stood = np.diff(changes).astype(np.uint64)
+    marks = rows[changes[:-1]] + stood * np.uint64(0x94D049BB133111EB)
+    width = min(_RUN, len(marks))
+    if width < _SHORTEST:
+        return np.empty(0, np.uint64)
+    numbers = np.zeros(len(marks) - width + 1, np.uint64)
+    for number in range(width):
+        numbers = numbers * np.uint64(0x9E3779B97F4A7C15) + marks[number : number + len(numbers)]
+    return numbers
 
 
 def channels_of(
