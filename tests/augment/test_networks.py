@@ -7,10 +7,11 @@ import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from trueup.augment.config import NetworkConfig
+from trueup.augment.config import AugmentConfig, DataConfig, NetworkConfig
 from trueup.augment.corrector import Corrector
 from trueup.augment.networks import build_network
 from trueup.augment.scaling import Scaling
+from trueup.errors import ConfigError
 
 KINDS = [
     NetworkConfig("lstm", (12, 7)),
@@ -189,12 +190,45 @@ def test_a_moving_average_is_one(centered):
     scaling = Scaling(np.zeros(6), np.ones(6), np.zeros(4), np.ones(4), np.ones(4))
     corrector = Corrector(corrector.network, scaling, np.array([0, 1, 2, 4]), target="residual").eval()
     x = rng.normal(size=(25, 6)).astype(np.float32)
-    before = 2 if centered else 5
-    padded = np.concatenate([np.repeat(x[:1], before, axis=0), x, np.repeat(x[-1:], 5 - before, axis=0)])
-    expected = np.stack([padded[row : row + 6].mean(axis=0) for row in range(25)])[:, [0, 1, 2, 4]]
+    before, after = (3, 3) if centered else (5, 0)  # six have no middle
+    padded = np.concatenate([np.repeat(x[:1], before, axis=0), x, np.repeat(x[-1:], after, axis=0)])
+    expected = np.stack([padded[row : row + before + after + 1].mean(axis=0) for row in range(25)])[:, [0, 1, 2, 4]]
     with torch.no_grad():
         found = corrector(torch.from_numpy(x[:, None])).numpy()[:, 0]
     np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_a_centered_mean_of_a_ramp_is_the_ramp():
+    """No half sample early or late, whatever the number of samples."""
+    for history in (4, 5):
+        network = build_network(
+            NetworkConfig("moving-average", (), history=history, bidirectional=True), inputs=1, base=[0]
+        )
+        x = torch.arange(30, dtype=torch.float32)[:, None, None]
+        np.testing.assert_allclose(network(x, None)[5:-5].numpy(), 0, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"kind": "linear", "hidden": (10,)},
+        {"kind": "moving-average", "hidden": (10,)},
+        {"kind": "mlp", "recurrent_dropout": 0.1},
+        {"kind": "moving-average", "hidden": (), "input_dropout": 0.1},
+        {"kind": "moving-average", "hidden": (), "output_activation": "tanh"},
+    ],
+    ids=str,
+)
+def test_what_a_kind_of_network_cannot_use_is_refused(options):
+    with pytest.raises(ConfigError, match=f"network: .*{options['kind']}"):
+        NetworkConfig(**options)
+
+
+def test_tanh_needs_a_bound_that_holds():
+    network = NetworkConfig("lstm", (5,), output_activation="tanh")
+    with pytest.raises(ConfigError, match="cut the peaks.*expected data: normalization: limits"):
+        AugmentConfig(network=network)
+    AugmentConfig(network=network, data=DataConfig(normalization="limits"))
 
 
 def test_a_gate_of_zero_leaves_the_simulator_as_it_is():

@@ -6,6 +6,8 @@ import numpy as np
 import onnxruntime
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
 
 from augment.augment_cases import JOINTS, RUN, make_dataset, motion, robot, write_run
 from trueup.augment import Augmentation, AugmentConfig, augmentation, preset
@@ -160,6 +162,25 @@ def test_motions_that_could_not_be_replayed_are_left_out(tmp_path):
 def test_a_broken_checkpoint_is_said(data, tmp_path):
     (tmp_path / CHECKPOINT_NAME).write_bytes(b"not a checkpoint")
     with pytest.raises(DataError, match="is no checkpoint"):
+        augment([data], tmp_path, run=RUN, config=SMALL, resume=True)
+
+
+def test_a_checkpoint_of_another_version_is_said(data, tmp_path):
+    """Other layers than today's, under the same hash of the inputs."""
+
+    def interrupt(progress):
+        if progress.number == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        augment([data], tmp_path, run=RUN, config=SMALL, on_progress=interrupt)
+    path = tmp_path / CHECKPOINT_NAME
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  # it has no __iter__
+    tensors["network.dense.weight"] = tensors["network.dense.weight"][1:]
+    save_file(tensors, path, metadata)
+    with pytest.raises(DataError, match="written by another version of trueup or torch.*\nGive --overwrite"):
         augment([data], tmp_path, run=RUN, config=SMALL, resume=True)
 
 
@@ -318,6 +339,65 @@ def test_motions_that_rest_alike_do_not_overlap(tmp_path):
         refuse_overlap(moving, same)
 
 
+@pytest.mark.parametrize("samples", [200, 20])
+def test_an_overlap_is_found_in_a_log_that_holds_its_samples(tmp_path, samples):
+    """Every value twice, as from a bus at half the rate of the log; of a short motion there is one run only."""
+
+    def pairs(name, seeds):
+        episodes = []
+        for seed in seeds:
+            rng = np.random.default_rng(seed)
+            value = np.repeat(rng.normal(size=(samples // 2, 1)), 2, axis=0)
+            series = TimeSeries(np.arange(samples) / 100, ("pan",), {"position": value}, {"position": ("rad",)})
+            episodes.append(Episode(EpisodeMeta(f"{name}{seed}"), series, simulated={"s": series}))
+        channels = (Channel("position", "pan", "rad"),)
+        return write_pairs(
+            episodes, tmp_path / f"{name}.f32", run="s", inputs=channels, outputs=channels, rate_hz=100.0
+        )
+
+    train, fresh, again = pairs("train", (1, 2, 3)), pairs("val", (4, 5)), pairs("again", (6, 3))
+    refuse_overlap(train, fresh)
+    with pytest.raises(DataError, match="val motion 'again3' holds samples of train motion 'train3'"):
+        refuse_overlap(train, again)
+
+
+def test_a_run_at_another_time_than_its_measurement_is_refused(tmp_path):
+    series, later = (
+        TimeSeries(np.arange(50) / 100 + start, ("pan",), {"position": np.ones((50, 1))}, {"position": ("rad",)})
+        for start in (0.0, 5.0)
+    )
+    channels = (Channel("position", "pan", "rad"),)
+    options = {"run": "s", "inputs": channels, "outputs": channels, "rate_hz": 100.0}
+    with pytest.raises(DataError, match=r"'e': s and the measurement share no time.*got 5 to 5.49 s and 0 to 0.49 s"):
+        write_pairs([Episode(EpisodeMeta("e"), series, simulated={"s": later})], tmp_path / "x.f32", **options)
+    with pytest.raises(DataError, match="episode 'e' is too short for the network"):
+        write_pairs(
+            [Episode(EpisodeMeta("e"), series, simulated={"s": series})],
+            tmp_path / "x.f32",
+            **{**options, "rate_hz": 1.0},
+        )
+
+
+def test_a_signal_without_weight_is_left_as_simulated(data, tmp_path):
+    """Nothing was learned of it, so that what the network says of it is a matter of luck."""
+    config = replace(SMALL, epochs=1, loss=LossConfig(weights={"position": 0.0}))
+    card = augment([data], tmp_path / "a", run=RUN, config=config).augmentation.card
+    off = {output.name: output.reason for output in card.outputs if output.signal == "position"}
+    assert set(off.values()) == {"its weight in the loss is 0"}
+    for unknown in ({"velocity": 2.0}, {"torque": 1.0, "velocity": 0.0}):
+        config = replace(SMALL, data=DataConfig(signals=("torque",)), loss=LossConfig(weights=unknown))
+        with pytest.raises(ConfigError, match="weights of velocity, which is not corrected"):
+            augment([data], tmp_path / f"b{len(unknown)}", run=RUN, config=config)
+
+
+def test_the_random_numbers_of_the_caller_are_left_alone(data, tmp_path):
+    torch.manual_seed(3)
+    expected = torch.rand(4)
+    torch.manual_seed(3)
+    augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=1))
+    assert torch.equal(torch.rand(4), expected)
+
+
 @pytest.mark.parametrize("rule", ["fixed", "half-shortest"])
 def test_windows_are_pieces_of_motions(tmp_path, rule):
     lengths = [30, 55, 80, 33, 41]
@@ -428,12 +508,12 @@ def test_the_folder_holds_a_card_that_can_be_loaded(data, tmp_path):
 def test_a_moving_average_of_the_simulator_is_one(data, tmp_path, method):
     """Errors on val against those of numpy's own mean over half a second."""
     card = augment([data], tmp_path, run=RUN, config=preset(method)).augmentation.card
-    before = 24 if method == "moving-average" else 49
+    before, after = (25, 25) if method == "moving-average" else (49, 0)
     squares, count = np.zeros(2), 0
     for episode in data.episodes(data.select(split="val"), runs=[RUN]):
         x = episode.run(RUN)["torque"]
-        padded = np.concatenate([np.repeat(x[:1], before, axis=0), x, np.repeat(x[-1:], 49 - before, axis=0)])
-        mean = np.stack([padded[row : row + 50].mean(axis=0) for row in range(len(x))])
+        padded = np.concatenate([np.repeat(x[:1], before, axis=0), x, np.repeat(x[-1:], after, axis=0)])
+        mean = np.stack([padded[row : row + before + after + 1].mean(axis=0) for row in range(len(x))])
         squares += ((episode.measured["torque"] - mean) ** 2).sum(axis=0)
         count += len(x)
     used = {output.joint: output.gate for output in card.outputs if output.signal == "torque"}

@@ -155,7 +155,8 @@ class Augmentation:
             on_progress=on_progress,
         )
         errors = errors_of(corrector, task.val)
-        used, reasons = gates_of(errors, seed=seed)
+        counted = [config.loss.weights.get(channel.signal, 1.0) > 0 for channel in task.val.outputs]
+        used, reasons = gates_of(errors, counted, seed=seed)
         corrector.set_gate(used.astype(float))
         errors = replace(errors, corrected=np.where(used, errors.corrected, errors.simulated))
         card = _card(task, config, corrector, summary, errors, reasons, trained, seed)

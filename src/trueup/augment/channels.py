@@ -32,8 +32,13 @@ class Grid:
     own: bool
 
     @staticmethod
-    def of(stamps_s: Float64[np.ndarray, "T"], rate_hz: float) -> Grid:
+    def of(stamps_s: Float64[np.ndarray, "T"], rate_hz: float, what: str = "this motion") -> Grid:
         """The stamps themselves where they come at `rate_hz`, else an even clock from the first to the last.
+
+        Args:
+            stamps_s: of a series, (T,).
+            rate_hz: of the network.
+            what: whose they are, for messages.
 
         Raises:
             DataError: the series is shorter than two samples of that rate.
@@ -45,7 +50,9 @@ class Grid:
             return Grid(stamps_s, own=True)
         count = int(np.floor((stamps_s[-1] - stamps_s[0]) / step + 1e-6)) + 1
         if count < 2:
-            raise DataError("too short for the network", got=f"{stamps_s.size} samples", expected=f"{2 * step:g} s")
+            raise DataError(
+                f"{what} is too short for the network", got=f"{stamps_s.size} samples", expected=f"{2 * step:g} s"
+            )
         return Grid(stamps_s[0] + step * np.arange(count), own=False)
 
     def back(

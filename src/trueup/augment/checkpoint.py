@@ -37,6 +37,9 @@ class Epoch:
     seconds: float
 
 
+_ANEW = "Give --overwrite to begin anew."
+
+
 @dataclass(frozen=True)
 class Checkpoint:
     """What is needed to go on; draws of an epoch depend on seed and number of the epoch alone.
@@ -81,17 +84,23 @@ def read_checkpoint(
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  # it has no __iter__
         tree = json.loads(metadata["state"])
         groups = json.loads(metadata["groups"])
-    except (SafetensorError, OSError, KeyError, ValueError) as error:
-        raise DataError(f"{path} is no checkpoint", got=error, hint="Give --overwrite to begin anew.") from error
-    if tree["inputs"] != inputs:
+        asked = tree["inputs"]
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
+        raise DataError(f"{path} is no checkpoint", got=error, hint=_ANEW) from error
+    if asked != inputs:
         raise OutputExists(
             f"{path.parent} holds the training of another configuration, seed or data",
             hint="Give --overwrite to begin anew, or choose another --out.",
         )
-    history = tuple(Epoch(**item) for item in tree["history"])
-    network.load_state_dict(_part(tensors, "network."))
-    optimizer.load_state_dict({"state": _slots(tensors), "param_groups": groups})
-    return Checkpoint(inputs, history, tree["best"]), _part(tensors, "best.")
+    try:
+        history = tuple(Epoch(**item) for item in tree["history"])
+        network.load_state_dict(_part(tensors, "network."))
+        optimizer.load_state_dict({"state": _slots(tensors), "param_groups": groups})
+        return Checkpoint(inputs, history, tree["best"]), _part(tensors, "best.")
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:  # RuntimeError is what torch raises for shapes
+        raise DataError(
+            f"{path} was written by another version of trueup or torch", got=str(error).split("\n")[0], hint=_ANEW
+        ) from error
 
 
 def _part(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:

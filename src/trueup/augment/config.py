@@ -32,8 +32,8 @@ class NetworkConfig:
         history_s: the same in seconds, whatever the rate; over `history` where it is given.
         heads: of the attention, `transformer` only.
         input_dropout: share of the samples that are skipped in training (Realeasy, IV-C).
-        recurrent_dropout: share of the state's units that are left out of the recurrence of a batch.
-        output_activation: `tanh` bounds the correction by the scale of its output.
+        recurrent_dropout: share of the state's units that are left out of the recurrence of a batch; `lstm`, `gru`.
+        output_activation: `tanh` bounds the output by the range of its joint; with `normalization: limits`.
     """
 
     kind: NetworkKind = "lstm"
@@ -56,6 +56,12 @@ class NetworkConfig:
             raise ConfigError("network: hidden", got=self.hidden, expected="positive sizes")
         if not self.hidden and self.kind in ("lstm", "gru", "transformer"):
             raise ConfigError(f"network: {self.kind} needs a hidden layer")
+        if self.hidden and self.kind in ("linear", "moving-average"):
+            raise ConfigError(f"network: {self.kind} has no hidden layer", got=f"hidden: {list(self.hidden)}")
+        if self.recurrent_dropout and self.kind not in ("lstm", "gru"):
+            raise ConfigError(f"network: {self.kind} has no recurrence", got="recurrent_dropout")
+        if self.kind == "moving-average" and (self.input_dropout or self.output_activation != "linear"):
+            raise ConfigError("network: a moving-average has nothing to train", got="input_dropout or tanh")
         if self.history < 1 or not (self.history_s is None or 0 < self.history_s < math.inf):
             raise ConfigError("network: history", got=(self.history, self.history_s), expected="at least one sample")
         if self.bidirectional and self.kind not in ("lstm", "gru", "moving-average"):
@@ -230,6 +236,12 @@ class AugmentConfig:
         ):
             raise ConfigError(
                 "a moving average has nothing to normalize", expected="data: normalization: limits, stops: false"
+            )
+        if self.network.output_activation == "tanh" and self.data.normalization != "limits":
+            raise ConfigError(
+                "network: output_activation: tanh would cut the peaks of every correction",
+                expected="data: normalization: limits",
+                hint="Its bound is the scale of the output: with limits the range of the joint.",
             )
         if not 0 < self.coverage < 1:
             raise ConfigError("coverage", got=self.coverage, expected="a share between 0 and 1")

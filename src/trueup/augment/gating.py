@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,11 +47,20 @@ def errors_of(corrector: Corrector, pairs: Pairs) -> Errors:
     return Errors(rows, sums[0], sums[1], tuple(motion.condition for motion in pairs.motions))
 
 
-def gates_of(errors: Errors, *, draws: int = 1000, seed: int = 0) -> tuple[Bool[np.ndarray, "K"], tuple[str, ...]]:
+def gates_of(
+    errors: Errors, trained: Sequence[bool] | None = None, *, draws: int = 1000, seed: int = 0
+) -> tuple[Bool[np.ndarray, "K"], tuple[str, ...]]:
     """Which outputs are used, and for the others why not.
 
     An output is used if its squared error on val is below the simulator's: over all motions, with the upper end of
-    the 95 % bootstrap interval over motions where there are ten or more; and within each condition.
+    the 95 % bootstrap interval over motions where there are ten or more; and within each condition. With fewer motions,
+    half of the outputs that are worth nothing pass.
+
+    Args:
+        errors: on val.
+        trained: whether the loss counted an output, (K,); all of them if None.
+        draws: of the bootstrap.
+        seed: of the draws.
 
     Returns:
         used, (K,); reason, empty for those that are used.
@@ -69,7 +79,9 @@ def gates_of(errors: Errors, *, draws: int = 1000, seed: int = 0) -> tuple[Bool[
     kinds = np.array(errors.conditions)
     for output in range(difference.shape[1]):
         reason = ""
-        if not np.isfinite(difference[:, output]).all():
+        if trained is not None and not trained[output]:
+            reason = "its weight in the loss is 0"
+        elif not np.isfinite(difference[:, output]).all():
             reason = "its error on val is not finite"
         elif errors.simulated[:, output].sum() == 0:
             reason = "the simulator is exact on val"

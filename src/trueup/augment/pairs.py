@@ -121,35 +121,42 @@ def write_pairs(
         rate_hz: of the network.
 
     Raises:
-        DataError: a value is not finite, or there is no motion.
+        DataError: a value is not finite, there is no motion, or the disk is full.
         TrueupError: an episode lacks a signal or a joint.
     """
     motions: list[Motion] = []
     marks = path.with_suffix(".marks")
     at = 0
-    with path.open("wb") as file, marks.open("wb") as marked:
-        for episode in episodes:
-            series = episode.run(run)
-            grid = Grid.of(_common(episode, series), rate_hz)
-            x = gather(episode, run, inputs, grid.time_s)
-            y = _measured(episode, outputs, grid.time_s)
-            _refuse_gaps(episode, x, inputs)
-            _refuse_gaps(episode, y, outputs)
-            file.write(np.concatenate([x, y], axis=1).tobytes())
-            runs = _runs(episode.measured)
-            marked.write(np.array([len(runs)], np.uint64).tobytes() + runs.tobytes())
-            motions.append(Motion(episode.id, episode.meta.condition, at, len(x)))
-            at += len(x)
+    try:
+        with path.open("wb") as file, marks.open("wb") as marked:
+            for episode in episodes:
+                grid = Grid.of(_common(episode, run), rate_hz, f"episode {episode.id!r}")
+                x = gather(episode, run, inputs, grid.time_s)
+                y = _measured(episode, outputs, grid.time_s)
+                _refuse_gaps(episode, x, inputs)
+                _refuse_gaps(episode, y, outputs)
+                file.write(np.concatenate([x, y], axis=1).tobytes())
+                runs = _runs(episode.measured)
+                marked.write(np.array([len(runs)], np.uint64).tobytes() + runs.tobytes())
+                motions.append(Motion(episode.id, episode.meta.condition, at, len(x)))
+                at += len(x)
+    except OSError as error:  # of these two files: reading has errors of its own
+        raise DataError(f"cannot write {path}", got=error.strerror or str(error)) from error
     if not motions:
         raise DataError(f"there is no motion for {path.stem}")
     return Pairs(path, tuple(inputs), tuple(outputs), tuple(motions), marks)
 
 
-def _common(episode: Episode, series: TimeSeries) -> Float64[np.ndarray, "T"]:
+def _common(episode: Episode, run: str) -> Float64[np.ndarray, "T"]:
     """The stamps of a run that the measurement covers too."""
-    measured = episode.measured.time_s
-    inside = (series.time_s >= measured[0]) & (series.time_s <= measured[-1])
-    return series.time_s if inside.all() else series.time_s[inside]
+    measured, stamps = episode.measured.time_s, episode.run(run).time_s
+    inside = (stamps >= measured[0]) & (stamps <= measured[-1])
+    if not inside.any():
+        raise DataError(
+            f"episode {episode.id!r}: {run} and the measurement share no time",
+            got=f"{stamps[0]:.4g} to {stamps[-1]:.4g} s and {measured[0]:.4g} to {measured[-1]:.4g} s",
+        )
+    return stamps if inside.all() else stamps[inside]
 
 
 def _measured(

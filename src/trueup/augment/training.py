@@ -114,7 +114,7 @@ def train(
     if resume and checkpoint.is_file():
         state, best = read_checkpoint(checkpoint, inputs, corrector.network, optimizer)
         history, best_number = list(state.history), state.best
-    # The sum is the mean over outputs once weights are relative to their mean.
+    # With weights that add up to 1, the sum over outputs is their weighted mean.
     weight = torch.tensor(_weights(config, train_pairs), dtype=torch.float32, device=place)
     while len(history) < config.epochs:
         if _is_over(history, best_number, config.stop_after):
@@ -122,7 +122,8 @@ def train(
             break
         number = len(history) + 1
         started = time.perf_counter()
-        loss, rate = _epoch(corrector, windows, optimizer, config, history, weight, seed, on_progress)
+        with torch.random.fork_rng(devices=[place] if place.type == "cuda" else []):
+            loss, rate = _epoch(corrector, windows, optimizer, config, history, weight, seed, on_progress)
         val = float(val_loss(corrector, val_pairs, weight)) if math.isfinite(loss) else math.nan
         if _runs_away(loss, [epoch.train for epoch in history]) or _runs_away(val, [e.val for e in history]):
             status = "diverged"
@@ -243,6 +244,10 @@ def predictions(corrector: Corrector, pairs: Pairs) -> Iterator[tuple[int, np.nd
 
 def _weights(config: AugmentConfig, pairs: Pairs) -> Float64[np.ndarray, "K"]:
     """Weight of each output; they add up to 1, so that the loss is a mean."""
+    signals = list(dict.fromkeys(channel.signal for channel in pairs.outputs))
+    unknown = sorted(set(config.loss.weights) - set(signals))
+    if unknown:
+        raise ConfigError(f"loss: weights of {', '.join(unknown)}, which is not corrected", available=signals)
     weights = np.array([config.loss.weights.get(channel.signal, 1.0) for channel in pairs.outputs])
     if weights.sum() <= 0:
         raise ConfigError("loss: weights leave nothing to learn", got=dict(config.loss.weights))

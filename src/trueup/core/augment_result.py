@@ -119,7 +119,7 @@ class ModelEvaluation:
         trained_run: run that it was trained to correct.
         trained_robot: kind of robot that it was trained for.
         causal: whether it can run in a control loop.
-        signals: those that it corrects, unless they are switched off.
+        signals: those that it was trained to correct, whether they are switched off or not.
         cuts: what is left of each error.
         gated: outputs that are switched off.
         coverage: of its intervals; only where it has some.
@@ -190,8 +190,8 @@ class AugmentResult:
         pairs: every network against those that were named before it.
         conditions_of: motion -> its condition.
         notes: what must be said.
-        settings: bootstrap draws, level, seed.
-        provenance: versions, data hash, cards.
+        settings: bootstrap draws, seed, bins of the reliability.
+        provenance: versions, data hash, hashes of the cards.
     """
 
     run: str

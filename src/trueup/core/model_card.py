@@ -96,6 +96,12 @@ class Output(Channel):
     far_correction: tuple[float, ...] = ()
     far_probability: tuple[float, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Refuse numbers that a file cannot hold."""
+        numbers = (self.gate, *(self.interval or ()), self.far or 0.0, *self.far_correction, *self.far_probability)
+        if not all(math.isfinite(number) for number in numbers):
+            raise ConfigError(f"output {self.name}", got=numbers, expected="finite numbers, or None for no interval")
+
 
 @dataclass(frozen=True)
 class State:
@@ -205,13 +211,13 @@ class ModelCard:
                 hint="Export the model again, or fetch it again.",
             )
         del content["schema"]
-        for item in content.get("inputs", ()):
-            item["low"] = -math.inf if item.get("low") is None else item["low"]
-            item["high"] = math.inf if item.get("high") is None else item["high"]
         try:
+            content["inputs"] = [_with_open_ends(item) for item in content.get("inputs", ())]
             return build(ModelCard, content, where)
         except ConfigError as error:
             raise DataError(f"{where} is broken", got=error.summary) from error
+        except TypeError as error:
+            raise DataError(f"{where} is broken", got=f"inputs: {error}") from error
 
     def save(self, folder: Path) -> ModelCard:
         """Write model.json, last of all files: with the hashes of the others; returns the card as written."""
@@ -256,6 +262,12 @@ def file_hash(path: Path) -> str:
     """SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _with_open_ends(item: Mapping[str, Any]) -> dict[str, Any]:
+    """The input with infinity for null, which stands for it in JSON."""
+    ends = {"low": -math.inf, "high": math.inf}
+    return {**item, **{key: end for key, end in ends.items() if item.get(key) is None}}
 
 
 def _digest(content: Mapping[str, Any]) -> str:

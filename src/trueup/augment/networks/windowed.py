@@ -198,7 +198,7 @@ class MovingAverage(Windowed):
     Args:
         inputs: I.
         base: for each output the input that is averaged, (K,).
-        history: samples of the window.
+        history: samples of the window; one more if it is centered and the number even, which would have no middle.
         centered: around the current sample, which needs the future, instead of before it.
     """
 
@@ -207,8 +207,8 @@ class MovingAverage(Windowed):
     def __init__(self, inputs: int, base: Sequence[int], *, history: int, centered: bool) -> None:
         super().__init__(inputs, len(base), past=0 if centered else history - 1)
         self.causal = not centered
-        self.history = history
-        self.now = (history - 1) // 2 if centered else self.past
+        self.history = history | 1 if centered else history
+        self.now = history // 2 if centered else self.past
         self.register_buffer("base", torch.tensor(list(base)))
 
     def run(self, x: Tensor, states: States, lengths: Tensor | None) -> tuple[Tensor, States]:
