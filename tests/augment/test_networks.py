@@ -226,7 +226,7 @@ def test_what_a_kind_of_network_cannot_use_is_refused(options):
 
 def test_tanh_needs_a_bound_that_holds():
     network = NetworkConfig("lstm", (5,), output_activation="tanh")
-    with pytest.raises(ConfigError, match="cut the peaks.*expected data: normalization: limits"):
+    with pytest.raises(ConfigError, match=r"cut the peaks.*expected data: normalization: limits"):
         AugmentConfig(network=network)
     AugmentConfig(network=network, data=DataConfig(normalization="limits"))
 

@@ -180,7 +180,7 @@ def test_a_checkpoint_of_another_version_is_said(data, tmp_path):
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  # it has no __iter__
     tensors["network.dense.weight"] = tensors["network.dense.weight"][1:]
     save_file(tensors, path, metadata)
-    with pytest.raises(DataError, match="written by another version of trueup or torch.*\nGive --overwrite"):
+    with pytest.raises(DataError, match=r"written by another version of trueup or torch.*\nGive --overwrite"):
         augment([data], tmp_path, run=RUN, config=SMALL, resume=True)
 
 

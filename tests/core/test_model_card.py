@@ -26,5 +26,5 @@ def test_reading_a_card_leaves_what_was_read_alone():
     ids=str,
 )
 def test_outputs_hold_numbers_that_a_file_can_hold(numbers):
-    with pytest.raises(ConfigError, match="output simulated.torque.joint1.*expected finite numbers"):
+    with pytest.raises(ConfigError, match=r"output simulated.torque.joint1.*expected finite numbers"):
         Output("torque", "joint1", "Nm", **numbers)
