@@ -26,7 +26,7 @@ from trueup.measure import COMMAND_RUN, AnalysisBuilder, Comparison, PlaneBuilde
 from trueup.robots import RobotSpec
 from trueup.stages.comparing import comparison_of, frame_of
 from trueup.stages.progress import Track, silent
-from trueup.stages.suspicions import Signs, far_motions, incomplete, quality_of, unapplied
+from trueup.stages.suspicions import Signs, far_motions, incomplete, outdated, quality_of, unapplied
 
 # Motions whose curves are kept for the report, those with the largest errors; memory must not grow with the dataset.
 _MOST_TRACED = 300
@@ -198,6 +198,7 @@ def gap(
     warnings = {
         "warnings": [
             *incomplete(dataset, covered, kept),
+            *outdated(dataset, labels),
             *unapplied(frame.joint_map, dataset[kept[0]].measured.joints),
             *told,
             *signs.warnings(),

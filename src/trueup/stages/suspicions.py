@@ -59,6 +59,22 @@ def incomplete(dataset: Dataset, covered: Mapping[str, Set[str]], kept: Sequence
     return sentences
 
 
+def outdated(dataset: Dataset, labels: Sequence[str]) -> list[str]:
+    """Sentences about corrected runs whose base has been simulated again since."""
+    sentences = []
+    for label in labels:
+        corrects = dataset.run_info(label).get("inputs", {}).get("corrects")
+        if not corrects or corrects["run"] not in dataset.runs:
+            continue
+        base = corrects["run"]
+        if dataset.run_info(base).get("provenance", {}).get("created") != corrects.get("created"):
+            sentences.append(
+                f"The run {label} corrects an earlier {base}, which was made again since: what it says is out of date "
+                "until trueup augment eval corrects it again."
+            )
+    return sentences
+
+
 def unapplied(joint_map: JointMap | None, log_joints: Sequence[str]) -> list[str]:
     """A sentence if signs, scales or offsets stay unused because the log is in the robot's names already."""
     if joint_map is None or set(joint_map.log_joints) == set(log_joints) or set(joint_map.joints) != set(log_joints):
