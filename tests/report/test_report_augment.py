@@ -214,10 +214,12 @@ def test_reliability_is_drawn_in_percent():
 
 
 def test_times_are_drawn_as_shares_of_all_steps(run, result):
-    times = StepTimes(4, 10.0, 30.0, 30.0, 31.0, ((8.0, 12.5, 3), (25.0, 36.0, 1)), 1000.0, 0, "a machine")
+    times = StepTimes(
+        4, 10.0, 30.0, 30.0, 31.0, ((8.0, 12.5, 2), (12.5, 18.0, 1), (25.0, 36.0, 1)), 1000.0, 0, "a machine"
+    )
     figure = latency_figure({"net": times}, run_styles(["net"]))
-    assert figure["data"][0]["x"] == pytest.approx([10.0, 30.0])
-    assert figure["data"][0]["y"] == pytest.approx([75.0, 25.0])
+    assert figure["data"][0]["x"] == [10.0, 15.0, None, 30.0]
+    assert figure["data"][0]["y"] == [50.0, 25.0, None, 25.0]
     assert figure["layout"]["shapes"][0]["x0"] == 1000.0
     timed = replace(run, augment=replace(result, models=(replace(result.models[0], latency=times),)))
     chooser = augmentation_section(timed).context["latency"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -187,14 +188,21 @@ def latency_figure(latencies: Mapping[str, StepTimes], styles: Mapping[str, Styl
     for name, item in latencies.items():
         style = styles[name]
         steps = max(sum(count for *_, count in item.bins), 1)
-        middle = [math.sqrt(max(low, 1e-3) * max(high, 1e-3)) for low, high, _ in item.bins]
+        middle: list[float | None] = []
+        share: list[float | None] = []
+        for (low, high, count), above in itertools.zip_longest(item.bins, item.bins[1:]):
+            middle.append(rounded(math.sqrt(max(low, 1e-3) * max(high, 1e-3))))
+            share.append(rounded(100.0 * count / steps))
+            if above is not None and above[0] > high:  # no line over times that no step took
+                middle.append(None)
+                share.append(None)
         data.append(
             {
                 "type": "scatter",
                 "mode": "lines+markers",
                 "name": plot_text(name),
-                "x": [rounded(value) for value in middle],
-                "y": [rounded(100.0 * count / steps) for *_, count in item.bins],
+                "x": middle,
+                "y": share,
                 "line": {"color": style.color, "width": 1.5, "shape": "hvh"},
                 "marker": {"color": style.color, "symbol": style.symbol, "size": 5},
                 "hovertemplate": "%{x:.3g} µs: %{y:.3g} % of the steps",
