@@ -55,8 +55,8 @@ python -m benchmarks augment    # everything on this page
 ```
 
 850 motions of several joints and 870 of one joint are split 80/15/5 into train, val and test; 50 straight lines are
-for test only. Test motions here: {motions}. Epochs, switched-off outputs and intervals come from val; test was looked
-at once.
+for test only. Test motions here: {motions}. Epochs, switched-off outputs and intervals come from val; nothing was
+chosen by test.
 
 Errors are pooled over samples, as in the papers. All intervals are 95 % over whole motions, and those of comparisons
 are paired: the same motions are drawn for both ([how to read them](augmentation.md#reading-the-tables)). Every
