@@ -217,9 +217,19 @@ def test_times_of_a_step_beside_a_network_come_with_it(data, make, tmp_path):
         },
     }
     folder = make()
-    StepTimes.of_loop(loop, machine="here").save(folder / "latency.json")
-    (model,) = evaluate(data, [folder], tmp_path / "out", draws=50).result.models
+    own = ModelCard.load(folder).files["model.onnx"]
+    StepTimes.of_loop(loop, machine="here", network=own).save(folder / "latency.json")
+    found = evaluate(data, [folder], tmp_path / "out", draws=50)
+    (model,) = found.result.models
     assert (model.latency.period_us, model.latency.missed, model.latency.machine) == (1000.0, 1, "here")
+    assert not any("latency" in line for line in found.notes)
+    for other in ("", "0" * 64):
+        StepTimes.of_loop(loop, machine="here", network=other).save(folder / "latency.json")
+        found = evaluate(data, [folder], tmp_path / "out", draws=50, overwrite=True)
+        assert found.result.models[0].latency is None
+        (line,) = [line for line in found.result.notes if "latency.json is not about this network" in line]
+        assert line in found.notes
+        assert line.endswith(f"trueup augment time {folder}")
     (folder / "latency.json").write_text(json.dumps({"schema": "trueup.latency/1", "count": "three"}))
     with pytest.raises(DataError, match=r"latency.json is broken"):
         evaluate(data, [folder], tmp_path / "other")
