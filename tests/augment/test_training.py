@@ -570,6 +570,7 @@ def test_the_folder_holds_a_card_that_can_be_loaded(data, tmp_path):
     card = ModelCard.load(tmp_path)
     assert card == made.augmentation.card
     assert (card.name, card.run, card.rate_hz, card.joints) == ("arm-rt", RUN, 100.0, JOINTS)
+    assert card.provenance["training"]["val_conditions"] == ["fast", "slow"]
     assert card.causal
     assert [state.name for state in card.states] == ["h0", "c0", "h1", "c1"]
     for name in ("model.onnx", "weights.safetensors"):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from augment.augment_cases import JOINTS, RATE_HZ, make_dataset
 from augment.evaluation_cases import card_of, shift_folder
 from trueup.cli.main import main
 from trueup.core.augment_result import ALL_JOINTS, ANY_CONDITION, AugmentResult
@@ -137,6 +138,35 @@ def test_numbers_that_say_something_else_than_the_training_are_warned_of(data, m
     assert here == "trained to correct mujoco/stock of panda, used here on mujoco/other of demo_arm: shift"
     assert seen.startswith("'val' may hold motions that a network was trained or chosen on")
     assert found.ladder.rungs[-1].name == "other+shift"
+
+
+def test_intervals_that_promise_nothing_are_noted(make, tmp_path):
+    """Few val motions, or none of the kind that is evaluated; cards that do not say are not accused."""
+    data = make_dataset(tmp_path / "arm")
+    assert {data.meta(name).condition for name in data.select(split="test")} == {"fast", "slow"}
+
+    def network(name, conditions=None, half=(0.1, 0.1), **changes):
+        said = {} if conditions is None else {"provenance": {"training": {"val_conditions": conditions}}}
+        outputs = {("position", joint): {"interval": half} for joint in JOINTS}
+        shift = {"joints": JOINTS, "rate_hz": RATE_HZ, "robot": "arm", "shift": (0.0, 0.0)}
+        return make(name, outputs=outputs, **shift, **said, **changes)
+
+    folders = [
+        network("few", coverage_note="2 val motions; 9 are needed to promise 90 % coverage"),
+        network("same", ["fast", "other", "slow"]),
+        network("foreign", ["other", "slow"]),
+        network("stranger", ["other"]),
+        network("old"),
+        network("unnamed", ["", "other"]),
+        network("bare", ["other"], half=None),
+    ]
+    found = evaluate(data, folders, tmp_path / "out", draws=50)
+    assert [line for line in found.result.notes if "intervals" in line] == [
+        "few: its intervals promise nothing: 2 val motions; 9 are needed to promise 90 % coverage",
+        "fast motions: no such motions chose the intervals of foreign, stranger; they may cover less",
+        "slow motions: no such motions chose the intervals of stranger; they may cover less",
+    ]
+    assert set(found.result.notes) <= set(found.notes)
 
 
 def test_which_run_is_corrected_must_be_clear(data, make, tmp_path):

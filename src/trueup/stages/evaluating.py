@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from trueup.augment.channels import Grid
 from trueup.core.atomic import make_folder
-from trueup.core.augment_result import AUGMENT_NAME, AugmentResult
+from trueup.core.augment_result import ANY_CONDITION, AUGMENT_NAME, AugmentResult
 from trueup.core.model_card import ONNX_NAME, ModelCard
 from trueup.core.provenance import provenance
 from trueup.core.results import Ladder
@@ -114,6 +114,7 @@ def evaluate(
     notes = [line for item in corrections for line in _failed(item)]
     notes += [line for card in cards for line in _resampled(dataset, run, ids, card)]
     notes += [line for folder, card in zip(models, cards, strict=True) for line in _mistimed(Path(folder), card)]
+    notes += _unpromised(dataset, ids, cards)
     builder, left_out = _reduced(dataset, labels, cards, latencies, ids, track)
     notes += left_out
     config = {
@@ -238,6 +239,28 @@ def _foreign(dataset: Dataset, run: str, split: str, cards: Sequence[ModelCard])
     if split != _TEST:
         lines.append(f"{split!r} may hold motions that a network was trained or chosen on, which would flatter it")
     return lines
+
+
+def _unpromised(dataset: Dataset, ids: Sequence[str], cards: Sequence[ModelCard]) -> list[str]:
+    """Where the intervals of a network promise nothing: too few val motions, or none of the kind that is evaluated."""
+    chosen = set(ids)
+    conditions = {meta.condition for meta in dataset.metas if meta.id in chosen} - {ANY_CONDITION}
+    lines: list[str] = []
+    unseen: dict[str, list[str]] = {}
+    for card in cards:
+        if all(output.interval is None for output in card.outputs):
+            continue
+        if card.coverage_note:
+            lines.append(f"{card.name}: its intervals promise nothing: {card.coverage_note}")
+            continue
+        chose = set(card.provenance.get("training", {}).get("val_conditions", ()))
+        if chose and ANY_CONDITION not in chose:  # older cards do not say, and motions without a condition may be any
+            for condition in sorted(conditions - chose):
+                unseen.setdefault(condition, []).append(card.name)
+    return lines + [
+        f"{condition} motions: no such motions chose the intervals of {', '.join(names)}; they may cover less"
+        for condition, names in unseen.items()
+    ]
 
 
 def _failed(summary: CorrectionSummary) -> list[str]:
