@@ -232,6 +232,27 @@ def test_an_output_that_is_switched_off_is_named_and_gives_no_warnings():
     assert model.reliability[ANY_CONDITION]["torque"] != both.reliability[ANY_CONDITION]["torque"]
 
 
+def test_all_joints_are_off_if_those_that_stand_for_all_are():
+    motions = random_motions(np.random.default_rng(10), count=3)
+    off = {"gate": 0.0, "reason": "no better on val"}
+    one, two = (torque_card(outputs={("torque", joint): off for joint in joints}) for joints in ("a", "ab"))
+    for card, scored, expected in ((one, None, False), (two, None, True), (one, ("a",), True), (one, ("b",), False)):
+        result = evaluated(motions, card, scored=scored)
+        assert result.is_off(result.models[0], "torque", ALL_JOINTS) == expected
+        assert result.is_off(result.models[0], "torque", "a")
+        assert result.is_off(result.models[0], "torque", "b") == (card is two)
+
+
+def test_joints_and_unit_of_a_group():
+    result = evaluated(random_motions(np.random.default_rng(10), count=3), torque_card())
+    assert result.joints_of(ANY_CONDITION, "torque") == ["a", "b", ALL_JOINTS]
+    assert result.joints_of(ANY_CONDITION, "position") == []
+    assert result.unit_of(ANY_CONDITION, "torque", "mse") == "(Nm)^2"
+    assert result.unit_of(ANY_CONDITION, "torque", "rmse") == "Nm"
+    mixed = evaluated(random_motions(np.random.default_rng(10), count=3), torque_card(), units=("Nm", "N"))
+    assert mixed.unit_of(ANY_CONDITION, "torque", "rmse") == ""
+
+
 def test_the_file_gives_back_what_was_written(tmp_path):
     says = {("torque", "a"): {**FAR, "interval": (0.1, 0.2)}, ("torque", "b"): {"gate": 0.0, "reason": "why"}}
     motions = [(m, s, m) for m, s, _ in random_motions(np.random.default_rng(11), count=3)]

@@ -1,5 +1,6 @@
 """Training: the same result however it is interrupted, and no result where there can be none."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -19,11 +20,21 @@ from trueup.augment.windows import Windows, whole_motions
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.model_card import Channel, ModelCard
 from trueup.core.protocols import Augmenter
+from trueup.core.step_times import LATENCY_NAME
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
 from trueup.deploy import Status
-from trueup.errors import ConfigError, DataError, MissingDependency, MissingSignal, NameMismatch, OutputExists
+from trueup.errors import (
+    ConfigError,
+    DataError,
+    MissingDependency,
+    MissingSignal,
+    NameMismatch,
+    OutputExists,
+    TrueupError,
+)
 from trueup.stages import augment as augment_stage
+from trueup.stages.model_folder import SCRATCH_NAME
 
 SMALL = AugmentConfig(
     network=NetworkConfig("lstm", (12, 8)),
@@ -147,6 +158,154 @@ def test_a_model_that_is_replaced_can_be_resumed(data, tmp_path):
     assert len(made.augmentation.training.history) == SMALL.epochs
 
 
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+WILD = OptimizerConfig("rmsprop", 1e30, "plateau", clip=0.0)
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        replace(SMALL, data=DataConfig(rate_hz=400.0)),
+        replace(SMALL, optimizer=WILD),
+        replace(SMALL, epochs=0),
+        replace(SMALL, data=DataConfig(command=("torque",))),
+    ],
+    ids=["rate", "diverges", "no epoch", "no such command"],
+)
+def test_what_is_refused_costs_no_model(data, tmp_path, config):
+    augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=1))
+    before = contents(tmp_path)
+    with pytest.raises(TrueupError):
+        augment([data], tmp_path, run=RUN, config=config, overwrite=True)
+    assert contents(tmp_path) == before
+    assert (
+        "was finished already" in augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=1), resume=True).notes
+    )
+
+
+@pytest.mark.parametrize("epoch", [1, 2])
+def test_an_interruption_costs_no_model(data, tmp_path, epoch):
+    """Also where the new training asks for the same as the old one: it goes on, and is not taken for finished."""
+    augment([data], tmp_path, run=RUN, config=SMALL)
+    before = contents(tmp_path)
+
+    def stop(progress):
+        if progress.number == epoch and progress.batch == 1:
+            raise Stop
+
+    with pytest.raises(Stop):
+        augment([data], tmp_path, run=RUN, config=SMALL, overwrite=True, on_progress=stop)
+    assert before.items() <= contents(tmp_path).items()
+    assert (tmp_path / CHECKPOINT_NAME).is_file() == (epoch > 1)
+    with pytest.raises(OutputExists, match="training of another"):
+        augment([data], tmp_path, run=RUN, config=SMALL, seed=3, resume=True)
+    seen = []
+    made = augment([data], tmp_path, run=RUN, config=SMALL, resume=True, on_progress=lambda p: seen.append(p.number))
+    assert min(seen) == epoch
+    assert "was finished already" not in made.notes
+    assert contents(tmp_path).keys() == before.keys()
+    assert "was finished already" in augment([data], tmp_path, run=RUN, config=SMALL, resume=True).notes
+
+
+def test_a_folder_that_only_looks_like_ours_is_left_alone(data, tmp_path):
+    mine = tmp_path / "pairs" / "socks.txt"
+    mine.parent.mkdir()
+    mine.write_text("two")
+    augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=1), overwrite=True)
+    assert mine.read_text() == "two"
+
+
+def test_what_a_killed_training_left_behind_is_in_nobodys_way(data, tmp_path):
+    """Whether it was killed before its first checkpoint, or when all was written."""
+
+    def litter():
+        (tmp_path / SCRATCH_NAME).mkdir()
+        (tmp_path / SCRATCH_NAME / "train.f32").write_bytes(b"half")
+
+    litter()
+    augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=1))
+    before = contents(tmp_path)
+    litter()
+    (tmp_path / CHECKPOINT_NAME).write_bytes(b"old")
+    assert (
+        "was finished already" in augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=1), resume=True).notes
+    )
+    assert contents(tmp_path) == before
+
+
+def test_a_refused_first_try_does_not_block_the_second(data, tmp_path):
+    with pytest.raises(DataError, match="fewer samples per second"):
+        augment([data], tmp_path, run=RUN, config=replace(SMALL, data=DataConfig(rate_hz=400.0)))
+    assert not list(tmp_path.iterdir())
+    augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=1))
+
+
+def test_times_of_the_network_that_is_replaced_go_with_it(data, tmp_path):
+    augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=1))
+    (tmp_path / LATENCY_NAME).write_text("{}")
+    augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=2), overwrite=True)
+    assert not (tmp_path / LATENCY_NAME).exists()
+
+
+def test_a_dataset_counts_once(data, tmp_path):
+    """Under another name, too."""
+    copy = Dataset(shutil.copytree(data.path, tmp_path / "copy"))
+    (tmp_path / "link").symlink_to(data.path)
+    for twin in (Dataset(data.path), Dataset(tmp_path / "link"), copy):
+        with pytest.raises(ConfigError, match="a dataset is given twice"):
+            augment([data, twin], tmp_path / "out", run=RUN, config=SMALL)
+
+
+def test_no_epoch_is_no_training(data, tmp_path):
+    with pytest.raises(ConfigError, match="epochs: 0 leaves the network untrained"):
+        augment([data], tmp_path / "a", run=RUN, config=replace(SMALL, epochs=0))
+    made = augment([data], tmp_path / "b", run=RUN, config=replace(preset("moving-average"), epochs=0))
+    assert made.augmentation.card.provenance["training"]["history"] == []
+
+
+@pytest.mark.parametrize("kind", ["mjcf", "urdf"])
+def test_speeds_are_those_of_the_model_that_replay_reads(tmp_path, kind):
+    """Also where meshes are missing, and where the model is a URDF."""
+    made = make_dataset(tmp_path / "data")
+    folder = made.path / "model"
+    folder.mkdir()
+    if kind == "mjcf":
+        bodies = "".join(
+            f"<body><inertial pos='0 0 0' mass='1' diaginertia='1 1 1'/><joint name='{name}'/>"
+            "<geom type='mesh' mesh='gone'/></body>"
+            for name in JOINTS
+        )
+        text = (
+            "<mujoco><asset><mesh name='gone' file='gone.stl'/></asset>"
+            f"<custom><numeric name='velocity_limit' data='2 3'/></custom><worldbody>{bodies}</worldbody></mujoco>"
+        )
+    else:
+        inertial = (
+            "<inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/></inertial>"
+            "<visual><geometry><mesh filename='package://gone/gone.stl'/></geometry></visual>"
+        )
+        links = "".join(f"<link name='{name}'>{inertial}</link>" for name in ("base", "one", "two"))
+        joints = "".join(
+            f"<joint name='{name}' type='revolute'><parent link='{up}'/><child link='{down}'/><axis xyz='0 0 1'/>"
+            f"<limit lower='-3' upper='3' effort='9' velocity='{speed}'/></joint>"
+            for name, up, down, speed in zip(JOINTS, ("base", "one"), ("one", "two"), (2, 3), strict=True)
+        )
+        text = f"<robot name='arm'>{links}{joints}</robot>"
+    arm = replace(robot(), model="arm.urdf" if kind == "urdf" else "arm.xml")
+    (folder / arm.model).write_text(text)
+    config = replace(SMALL, data=DataConfig(normalization="limits"), loss=LossConfig(scale="normalized"), epochs=1)
+    made = augment([made], tmp_path / "out", run=RUN, config=config, robot=arm)
+    corrector = made.augmentation.corrector
+    names = [channel.name for channel in made.augmentation.card.inputs]
+    for joint, speed in zip(JOINTS, (2.0, 3.0), strict=True):
+        at = names.index(f"simulated.velocity.{joint}")
+        assert (corrector.center[at].item(), corrector.scale[at].item()) == (-speed, 2 * speed)
+    assert not any("no limits are known" in note for note in made.notes)
+
+
 def test_motions_that_could_not_be_replayed_are_left_out(tmp_path):
     rng = np.random.default_rng(0)
     episodes = [labelled(k, split, *motion(rng, 60)) for k, split in enumerate(["train", "train", "train", "val"])]
@@ -209,9 +368,8 @@ def test_a_loss_that_runs_away_stops_training_and_keeps_the_best(data, tmp_path,
 
 
 def test_a_loss_that_runs_away_at_once_is_an_error(data, tmp_path):
-    wild = replace(SMALL, optimizer=OptimizerConfig("rmsprop", 1e30, "plateau", clip=0.0))
     with pytest.raises(ConfigError, match="diverged in its first epoch"):
-        augment([data], tmp_path, run=RUN, config=wild)
+        augment([data], tmp_path, run=RUN, config=replace(SMALL, optimizer=WILD))
 
 
 def test_training_stops_when_val_no_longer_improves(data, tmp_path):
@@ -492,6 +650,7 @@ def test_the_folder_holds_a_card_that_can_be_loaded(data, tmp_path):
     card = ModelCard.load(tmp_path)
     assert card == made.augmentation.card
     assert (card.name, card.run, card.rate_hz, card.joints) == ("arm-rt", RUN, 100.0, JOINTS)
+    assert card.provenance["training"]["val_conditions"] == ["fast", "slow"]
     assert card.causal
     assert [state.name for state in card.states] == ["h0", "c0", "h1", "c1"]
     for name in ("model.onnx", "weights.safetensors"):

@@ -1,5 +1,6 @@
 """`trueup augment time` as its user sees it."""
 
+import hashlib
 import re
 from dataclasses import replace
 
@@ -39,15 +40,41 @@ def test_times_stand_beside_the_network(run, tmp_path):
     assert 0 < times.p50_us <= times.p99_us <= times.p999_us <= times.max_us
     assert sum(count for *_, count in times.bins) == times.count
     assert times.machine in " ".join(out.split())
+    assert times.network == hashlib.sha256((folder / "model.onnx").read_bytes()).hexdigest()
 
 
 def test_times_go_where_one_wants_them(run, tmp_path):
     folder = real_time(tmp_path / "rt", hidden=(8, 5)).folder
-    code, out, _ = run(folder, "--seconds", 0.05, "--out", tmp_path / "elsewhere.json")
+    code, out, _ = run(folder, "--seconds", 0.05, "--out", tmp_path / "else" / "where")
     assert code == 0
-    assert str(tmp_path / "elsewhere.json") in out.replace("\n", "")
+    assert str(tmp_path / "else" / "where" / "latency.json") in out.replace("\n", "")
     assert not (folder / "latency.json").exists()
-    assert StepTimes.load(tmp_path / "elsewhere.json").period_us == pytest.approx(1000.0)
+    assert StepTimes.load(tmp_path / "else" / "where" / "latency.json").period_us == pytest.approx(1000.0)
+
+
+def test_a_place_that_takes_no_file_is_found_out_before_the_loop(run, tmp_path):
+    folder = real_time(tmp_path / "rt", hidden=(8, 5)).folder
+    (tmp_path / "file").write_text("mine")
+    code, out, err = run(folder, "--seconds", 3600, "--out", tmp_path / "file")
+    assert (code, out) == (2, "")
+    assert "cannot make the folder" in err
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_mistyped_model_is_not_made(run, tmp_path):
+    code, _, err = run(tmp_path / "tr", "--seconds", 0.05)
+    assert code == 2
+    assert "model.json does not exist" in err
+    assert not (tmp_path / "tr").exists()
+
+
+def test_one_cycle_is_enough(run, tmp_path):
+    """Also where the period times the rate is a little less than 1."""
+    assert (1 / 49) * 49 < 1
+    folder = real_time(tmp_path / "rt", hidden=(8, 5)).folder
+    code, _, _ = run(folder, "--rate", 49, "--seconds", 1 / 49)
+    assert code == 0
+    assert StepTimes.load(folder / "latency.json").count == 1
 
 
 @pytest.mark.parametrize(
@@ -56,6 +83,8 @@ def test_times_go_where_one_wants_them(run, tmp_path):
         (("--rate", 0), "positive rate"),
         (("--seconds", "nan"), "positive number"),
         (("--seconds", "inf"), "positive number"),
+        (("--seconds", 0.0007), "no cycle in so short a time: got 0.0007 s at 1000 Hz; expected at least 0.001 s"),
+        (("--seconds", 0.0003), "no cycle in so short a time"),
     ],
     ids=str,
 )
@@ -63,7 +92,7 @@ def test_senseless_loops_are_refused(run, tmp_path, options, words):
     folder = real_time(tmp_path / "rt", hidden=(8, 5)).folder
     code, _, err = run(folder, *options)
     assert code == 2
-    assert words in err
+    assert words in " ".join(err.split())
     assert not (folder / "latency.json").exists()
 
 

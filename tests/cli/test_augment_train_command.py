@@ -74,6 +74,7 @@ def test_a_moving_average_needs_no_training(run, data, tmp_path):
         (["--signal", "current"], "data: signals: got current; available: position, velocity, torque"),
         (["--command", "velocity"], "there is no commanded velocity: available: position"),
         (["--device", "cuda"], "torch finds no GPU"),
+        (["--epochs", "0"], "epochs: 0 leaves the network untrained"),
     ],
 )
 def test_what_cannot_be_is_said_in_one_line(run, data, tmp_path, arguments, message):
@@ -113,7 +114,7 @@ def test_method_and_file_exclude_one_another(run, data, tmp_path):
 def test_papers_numbers_come_with_the_word_paper(run, data, tmp_path):
     code, _, _ = run(
         *("augment", "train", data, "--out", tmp_path / "m", "--method", "realeasy", "--config", "paper"),
-        *("--epochs", 0, "--jobs", 1),
+        *("--epochs", 1, "--jobs", 1),
     )
     assert code == 0
     config = json.loads((tmp_path / "m" / "model.json").read_text())["provenance"]["config"]

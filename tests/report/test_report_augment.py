@@ -238,6 +238,30 @@ def test_too_little_coverage_is_marked(run, result):
     assert "reliability" in chooser.shown.figures
 
 
+def test_a_network_with_too_few_val_motions_promises_nothing(run, result):
+    heads = []
+    for note in ("", "2 val motions; 9 are needed to promise 90 % coverage"):
+        noted = replace(result, models=(replace(result.models[0], coverage_note=note),))
+        chooser = augmentation_section(replace(run, augment=noted)).context["coverage"]
+        heads.append(chooser.shown.tables["coverage"].columns[1])
+    assert heads == [
+        "good-net, promised 90\N{NO-BREAK SPACE}%",
+        "good-net, meant to be 90\N{NO-BREAK SPACE}%, nothing promised",
+    ]
+
+
+def test_all_joints_are_off_where_all_scored_ones_are(run, result):
+    model = result.models[0]
+    gated = tuple(replace(model.gated[0], joint=joint) for joint in result.scored_joints)
+    off = replace(result, models=(replace(model, gated=gated),))
+    notes = []
+    for shown in (result, off):
+        table = augmentation_section(replace(run, augment=shown)).context["cuts"].shown.tables["cuts"]
+        (row,) = [row for row in table.rows if row.head == "all joints"]
+        notes.append(row.cells[-1].note)
+    assert notes[0] != notes[1] == "switched off"
+
+
 def test_a_file_of_another_measurement_is_refused(folder, result, tmp_path):
     path = shutil.copytree(folder, tmp_path / "run")
     replace(result, run="dart/stock").save(path / "augment.json")

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from augment.augment_cases import JOINTS, RATE_HZ, make_dataset
 from augment.evaluation_cases import card_of, shift_folder
 from trueup.cli.main import main
 from trueup.core.augment_result import ALL_JOINTS, ANY_CONDITION, AugmentResult
@@ -139,6 +140,35 @@ def test_numbers_that_say_something_else_than_the_training_are_warned_of(data, m
     assert found.ladder.rungs[-1].name == "other+shift"
 
 
+def test_intervals_that_promise_nothing_are_noted(make, tmp_path):
+    """Few val motions, or none of the kind that is evaluated; cards that do not say are not accused."""
+    data = make_dataset(tmp_path / "arm")
+    assert {data.meta(name).condition for name in data.select(split="test")} == {"fast", "slow"}
+
+    def network(name, conditions=None, half=(0.1, 0.1), **changes):
+        said = {} if conditions is None else {"provenance": {"training": {"val_conditions": conditions}}}
+        outputs = {("position", joint): {"interval": half} for joint in JOINTS}
+        shift = {"joints": JOINTS, "rate_hz": RATE_HZ, "robot": "arm", "shift": (0.0, 0.0)}
+        return make(name, outputs=outputs, **shift, **said, **changes)
+
+    folders = [
+        network("few", coverage_note="2 val motions; 9 are needed to promise 90 % coverage"),
+        network("same", ["fast", "other", "slow"]),
+        network("foreign", ["other", "slow"]),
+        network("stranger", ["other"]),
+        network("old"),
+        network("unnamed", ["", "other"]),
+        network("bare", ["other"], half=None),
+    ]
+    found = evaluate(data, folders, tmp_path / "out", draws=50)
+    assert [line for line in found.result.notes if "intervals" in line] == [
+        "few: its intervals promise nothing: 2 val motions; 9 are needed to promise 90 % coverage",
+        "fast motions: no such motions chose the intervals of foreign, stranger; they may cover less",
+        "slow motions: no such motions chose the intervals of stranger; they may cover less",
+    ]
+    assert set(found.result.notes) <= set(found.notes)
+
+
 def test_which_run_is_corrected_must_be_clear(data, make, tmp_path):
     stranger = make("stranger", run="dart/stock")
     with pytest.raises(ConfigError, match=r"trained for dart/stock; available: mujoco/stock"):
@@ -217,9 +247,19 @@ def test_times_of_a_step_beside_a_network_come_with_it(data, make, tmp_path):
         },
     }
     folder = make()
-    StepTimes.of_loop(loop, machine="here").save(folder / "latency.json")
-    (model,) = evaluate(data, [folder], tmp_path / "out", draws=50).result.models
+    own = ModelCard.load(folder).files["model.onnx"]
+    StepTimes.of_loop(loop, machine="here", network=own).save(folder / "latency.json")
+    found = evaluate(data, [folder], tmp_path / "out", draws=50)
+    (model,) = found.result.models
     assert (model.latency.period_us, model.latency.missed, model.latency.machine) == (1000.0, 1, "here")
+    assert not any("latency" in line for line in found.notes)
+    for other in ("", "0" * 64):
+        StepTimes.of_loop(loop, machine="here", network=other).save(folder / "latency.json")
+        found = evaluate(data, [folder], tmp_path / "out", draws=50, overwrite=True)
+        assert found.result.models[0].latency is None
+        (line,) = [line for line in found.result.notes if "latency.json is not about this network" in line]
+        assert line in found.notes
+        assert line.endswith(f"trueup augment time {folder}")
     (folder / "latency.json").write_text(json.dumps({"schema": "trueup.latency/1", "count": "three"}))
     with pytest.raises(DataError, match=r"latency.json is broken"):
         evaluate(data, [folder], tmp_path / "other")

@@ -30,8 +30,9 @@ from trueup.augment.training import OnProgress, Outcome, train
 from trueup.core.atomic import make_folder, write_bytes
 from trueup.core.config import build
 from trueup.core.episode import Episode
-from trueup.core.model_card import ONNX_NAME, WEIGHTS_NAME, Channel, Input, ModelCard, Output
+from trueup.core.model_card import CARD_NAME, ONNX_NAME, WEIGHTS_NAME, Channel, Input, ModelCard, Output
 from trueup.core.provenance import provenance
+from trueup.core.step_times import LATENCY_NAME
 from trueup.core.timeseries import TimeSeries
 from trueup.deploy import Stream, StreamSettings
 from trueup.errors import DataError
@@ -184,12 +185,18 @@ class Augmentation:
             return Stream.load(folder, rate_hz=rate_hz, joints=joints, settings=settings)
 
     def save(self, folder: Path) -> ModelCard:
-        """Write `model.onnx`, `weights.safetensors` and, last, `model.json`; returns the card as written."""
+        """Write `model.onnx`, `weights.safetensors` and, last, `model.json`; returns the card as written.
+
+        What belongs to a model that was there goes: half of it must not be taken for one, nor the times of its steps
+        for those of this one.
+        """
         make_folder(folder)
-        (folder / "model.json").unlink(missing_ok=True)  # half of another model must not be taken for one
         state = {name: value.contiguous() for name, value in self.corrector.state_dict().items()}
-        write_bytes(folder / WEIGHTS_NAME, save_tensors(state))
-        write_bytes(folder / ONNX_NAME, self.export())
+        weights, graph = save_tensors(state), self.export()
+        for name in (CARD_NAME, LATENCY_NAME):
+            (folder / name).unlink(missing_ok=True)
+        write_bytes(folder / WEIGHTS_NAME, weights)
+        write_bytes(folder / ONNX_NAME, graph)
         self.card = self.card.save(folder)
         return self.card
 
@@ -306,6 +313,7 @@ def _card(
         "seconds": trained.seconds,
         "history": losses(trained.history),
         "motions": {"train": len(task.train.motions), "val": len(task.val.motions)},
+        "val_conditions": sorted({motion.condition for motion in task.val.motions}),
         "rows": {"train": task.train.rows, "val": task.val.rows},
     }
     return ModelCard(

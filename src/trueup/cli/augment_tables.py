@@ -8,7 +8,15 @@ from collections.abc import Sequence
 from rich.table import Table
 from rich.text import Text
 
-from trueup.core.augment_result import ALL_JOINTS, ANY_CONDITION, AugmentResult, Cut, ModelEvaluation
+from trueup.core.augment_result import (
+    ALL_JOINTS,
+    ANY_CONDITION,
+    AugmentResult,
+    Cut,
+    ModelEvaluation,
+    group_title,
+    joint_title,
+)
 from trueup.core.results import Estimate
 
 # More joints than this do not fit beside each other.
@@ -24,24 +32,16 @@ def shown_groups(result: AugmentResult) -> list[str]:
     return named if named and complete else list(result.conditions)
 
 
-def group_title(result: AugmentResult, condition: str) -> str:
-    """E.g. `multi-joint, test, 42 motions`."""
-    count = result.motions[condition]
-    split = () if result.split == "all" else (result.split,)
-    return ", ".join((condition or "all conditions", *split, f"{count} motion{'' if count == 1 else 's'}"))
-
-
 def cut_table(result: AugmentResult, condition: str, signal: str) -> Table:
     """MSE of one signal joint by joint, and how many times smaller a correction makes it (Realeasy, Table II)."""
-    joints = _joints(result, condition, signal)
-    stock = result.simulated[condition][signal]
-    unit = _common_unit([stock[joint].mse for joint in joints])
+    joints = result.joints_of(condition, signal)
+    stock, unit = result.simulated[condition][signal], result.unit_of(condition, signal, "mse")
     rows = [[_SIMULATION, *(_value(stock[joint].mse, unit) for joint in joints)]]
     for model in result.models:
         cuts = model.cuts[condition].get(signal, {})
-        rows.append([model.name, *(_cut_cell(cuts.get(j), unit, off=model.is_off(signal, j)) for j in joints)])
+        rows.append([model.name, *(_cut_cell(cuts.get(j), unit, off=result.is_off(model, signal, j)) for j in joints)])
     title = (
-        f"{signal} MSE{_bracketed(unit)}, {group_title(result, condition)}; "
+        f"{signal} MSE{_bracketed(unit)}, {_group_line(result, condition)}; "
         "x: times smaller than the simulation [95 % interval]"
     )
     return _laid_out(title, [""], joints, rows)
@@ -49,19 +49,18 @@ def cut_table(result: AugmentResult, condition: str, signal: str) -> Table:
 
 def error_table(result: AugmentResult, condition: str, signals: Sequence[str]) -> Table:
     """RMSE of other signals, with a word where a correction does not make it smaller for sure."""
-    joints = list(dict.fromkeys(joint for signal in signals for joint in _joints(result, condition, signal)))
+    joints = list(dict.fromkeys(joint for signal in signals for joint in result.joints_of(condition, signal)))
     rows = []
     for signal in signals:
-        stock = result.simulated[condition][signal]
-        unit = _common_unit([item.rmse for item in stock.values()])
+        stock, unit = result.simulated[condition][signal], result.unit_of(condition, signal, "rmse")
         about = f"{signal}{_bracketed(unit)}"
         known = [stock.get(joint) for joint in joints]
         rows.append([about, _SIMULATION, *(_NOTHING if item is None else _value(item.rmse, unit) for item in known)])
         for model in result.models:
             cuts = model.cuts[condition].get(signal, {})
-            cells = [_error_cell(cuts.get(j), unit, off=model.is_off(signal, j)) for j in joints]
+            cells = [_error_cell(cuts.get(j), unit, off=result.is_off(model, signal, j)) for j in joints]
             rows.append(["", model.name, *cells])
-    title = f"RMSE, {group_title(result, condition)}; ~ undecided, off: switched off by its training"
+    title = f"RMSE, {_group_line(result, condition)}; ~ undecided, off: switched off by its training"
     return _laid_out(title, ["", ""], joints, rows)
 
 
@@ -76,7 +75,7 @@ def confidence_table(result: AugmentResult, signal: str) -> Table:
         for condition in shown_groups(result):
             cells = _confidence_cells(model, condition, signal)
             if any(cells):
-                about = [model.name, condition or "all"]
+                about = [model.name, group_title(condition)]
                 table.add_row(*map(_text, about), *(_text(cell or _NOTHING) for cell in cells))
     return table
 
@@ -99,7 +98,7 @@ def _confidence_cells(model: ModelEvaluation, condition: str, signal: str) -> li
     if coverage is not None:
         cells[:3] = [
             f"{_percent(coverage.share)}",
-            f"{100 * model.coverage_target:.0f} %",
+            _NOTHING if model.coverage_note else f"{100 * model.coverage_target:.0f} %",
             f"{coverage.half_width.value:.3g} {coverage.half_width.unit}",
         ]
     if reliability is not None:
@@ -114,15 +113,11 @@ def _percent(share: Estimate) -> str:
     return f"{100 * share.value:.1f} % [{100 * share.low:.1f}, {100 * share.high:.1f}]"
 
 
-def _joints(result: AugmentResult, condition: str, signal: str) -> list[str]:
-    """In the robot's order, all together last."""
-    known = result.simulated[condition].get(signal, {})
-    return [joint for joint in (*result.joints, ALL_JOINTS) if joint in known]
-
-
-def _common_unit(items: Sequence[Estimate]) -> str:
-    units = {item.unit for item in items}
-    return units.pop() if len(units) == 1 else ""
+def _group_line(result: AugmentResult, condition: str) -> str:
+    """E.g. `multi-joint, test, 42 motions`."""
+    count = result.motions[condition]
+    split = () if result.split == "all" else (result.split,)
+    return ", ".join((group_title(condition), *split, f"{count} motion{'' if count == 1 else 's'}"))
 
 
 def _value(estimate: Estimate, unit: str) -> str:
@@ -166,7 +161,7 @@ def _text(text: str) -> Text:
 def _laid_out(title: str, corners: Sequence[str], joints: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     """One row per network and one column per joint, or the other way round where there are too many joints."""
     table = Table(title=_text(title), title_justify="left")
-    names = [joint or "all joints" for joint in joints]
+    names = [joint_title(joint) for joint in joints]
     if len(joints) <= _MOST_COLUMNS:
         for corner in corners:
             table.add_column(corner, no_wrap=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +10,7 @@ import typer
 from rich.table import Table
 
 from trueup.cli.console import note, out
-from trueup.errors import ConfigError
+from trueup.errors import ConfigError, DataError
 
 
 def register(app: typer.Typer) -> None:
@@ -21,20 +22,25 @@ def measure(
     model: Annotated[Path, typer.Argument(help="Folder of a trained real-time network.")],
     rate_hz: Annotated[float, typer.Option("--rate", help="Of the control loop [Hz].")] = 1000.0,
     seconds: Annotated[float, typer.Option("--seconds", help="How long the loop runs.")] = 10.0,
-    out_file: Annotated[
-        Path | None, typer.Option("--out", help="Where the times go; latency.json in the model's folder if not given.")
+    out_dir: Annotated[
+        Path | None, typer.Option("--out", help="Folder for latency.json; the model's if not given.")
     ] = None,
 ) -> int:
     """Say how long a step takes on this machine, in a loop at a fixed rate; write latency.json.
 
     The report of `trueup augment eval` shows its histogram.
     """
+    from trueup.core.atomic import make_folder
     from trueup.core.step_times import LATENCY_NAME
     from trueup.stages.timing import time_steps
 
     if not (0 < seconds < float("inf")):
         raise ConfigError("--seconds", got=f"{seconds:g}", expected="a positive number")
-    target = out_file or model / LATENCY_NAME
+    target = out_dir or model
+    if out_dir is not None:
+        make_folder(out_dir)
+    if target.is_dir() and not os.access(target, os.W_OK):  # not found out after the loop
+        raise DataError(f"cannot write into {target}", hint="Give another --out.")
     note(f"{seconds:g} s without a word: a display would take part in the loop")
     times, report = time_steps(model, rate_hz=rate_hz, seconds=seconds)
     table = Table(title=f"one step of {model.name}, in a loop at {rate_hz:g} Hz on {times.machine}")
@@ -46,6 +52,6 @@ def measure(
     late = (report.overran_by_step, report.overran_by_waiting, report.overran_by_wakeup, report.skipped)
     causes = ("by the step", "because it was interrupted", "because the loop was woken late", "cycles left out")
     out.print("deadlines missed: " + ", ".join(f"{count} {cause}" for count, cause in zip(late, causes, strict=True)))
-    times.save(target)
-    out.print(f"times: {target}", markup=False)
+    times.save(target / LATENCY_NAME)
+    out.print(f"times: {target / LATENCY_NAME}", markup=False)
     return 0

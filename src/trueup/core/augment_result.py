@@ -24,6 +24,17 @@ ANY_CONDITION = ""
 ALL_JOINTS = ""
 
 Verdict = Literal["better", "worse", "undecided"]
+ErrorKind = Literal["mse", "rmse"]
+
+
+def group_title(condition: str) -> str:
+    """A group of motions as people call it."""
+    return condition or "all motions"
+
+
+def joint_title(joint: str) -> str:
+    """A joint, or all that are scored together."""
+    return joint or "all joints"
 
 
 @dataclass(frozen=True)
@@ -150,7 +161,7 @@ class ModelEvaluation:
         return list(dict.fromkeys(item.reason for item in self.gated if item.reason))
 
     def is_off(self, signal: str, joint: str) -> bool:
-        """Whether the training switched this output off."""
+        """Whether the training switched this output off; see `AugmentResult.is_off` for all joints together."""
         return any((item.signal, item.joint) == (signal, joint) for item in self.gated)
 
 
@@ -231,6 +242,21 @@ class AugmentResult:
     def model(self, name: str) -> ModelEvaluation:
         """The network of this name."""
         return next(item for item in self.models if item.name == name)
+
+    def joints_of(self, condition: str, signal: str) -> list[str]:
+        """Those whose errors are known, in the robot's order; all together last."""
+        known = self.simulated[condition].get(signal, {})
+        return [joint for joint in (*self.joints, ALL_JOINTS) if joint in known]
+
+    def unit_of(self, condition: str, signal: str, error: ErrorKind) -> str:
+        """The unit of all errors of a signal; empty if its joints have different ones."""
+        units = {getattr(pooled, error).unit for pooled in self.simulated[condition][signal].values()}
+        return units.pop() if len(units) == 1 else ""
+
+    def is_off(self, model: ModelEvaluation, signal: str, joint: str) -> bool:
+        """Whether the training of a network switched an output off; all together if all scored joints are."""
+        joints = self.scored_joints if joint == ALL_JOINTS else (joint,)
+        return all(model.is_off(signal, name) for name in joints)
 
     def off_outputs(self, model: ModelEvaluation) -> list[str]:
         """What the training of a network switched off, signal by signal, e.g. `torque of joint1, joint2`."""

@@ -28,6 +28,7 @@ class StepTimes:
         period_us: period of the loop [us]; None where steps were timed without one.
         missed: deadlines that were missed because of a step; None without a loop.
         machine: what it ran on, for people.
+        network: SHA-256 of the `model.onnx` that was timed; empty where nobody has said.
     """
 
     count: int
@@ -39,17 +40,20 @@ class StepTimes:
     period_us: float | None = None
     missed: int | None = None
     machine: str = ""
+    network: str = ""
 
     @staticmethod
-    def of_loop(report: Mapping[str, Any], *, machine: str = "") -> StepTimes:
+    def of_loop(report: Mapping[str, Any], *, machine: str = "", network: str = "") -> StepTimes:
         """From the report of a real-time loop (`deploy.LoopReport.to_json`).
 
         Args:
             report: what it says.
             machine: what it ran on, for people.
+            network: SHA-256 of the `model.onnx` that was timed.
         """
         step = {**report["step"], "bins": tuple(tuple(item) for item in report["step"]["bins"])}
-        return StepTimes(**step, period_us=1e6 / report["rate_hz"], missed=report["overran_by_step"], machine=machine)
+        period_us, missed = 1e6 / report["rate_hz"], report["overran_by_step"]
+        return StepTimes(**step, period_us=period_us, missed=missed, machine=machine, network=network)
 
     def to_json(self) -> dict[str, Any]:
         """The content of latency.json."""

@@ -7,10 +7,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from trueup.core.augment_result import Cut, Reliability
+from trueup.core.augment_result import Cut, Reliability, joint_title
 from trueup.core.step_times import StepTimes
 from trueup.core.traces import MEASURED, Trace
-from trueup.report.augment_words import factor_interval, factor_words, joint_title
+from trueup.report.augment_words import factor_interval, factor_words
 from trueup.report.chooser import Figure
 from trueup.report.figures import reference_line, rounded, whiskers
 from trueup.report.labels import plot_text

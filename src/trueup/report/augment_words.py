@@ -4,27 +4,18 @@ from __future__ import annotations
 
 import math
 
-from trueup.core.augment_result import ALL_JOINTS, ANY_CONDITION, AugmentResult, ModelEvaluation
+from trueup.core.augment_result import (
+    ALL_JOINTS,
+    ANY_CONDITION,
+    AugmentResult,
+    ModelEvaluation,
+    group_title,
+    joint_title,
+)
 from trueup.core.results import Estimate
 from trueup.report.numbers import plural, quantity, significant
 
 TIMES = "\N{MULTIPLICATION SIGN}"
-
-
-def group_title(condition: str) -> str:
-    """A group of motions as people call it."""
-    return condition or "all motions"
-
-
-def joint_title(joint: str) -> str:
-    """A joint, or all that are scored together."""
-    return joint or "all joints"
-
-
-def joints_of(result: AugmentResult, condition: str, signal: str) -> list[str]:
-    """In the robot's order, all together last."""
-    known = result.simulated[condition].get(signal, {})
-    return [joint for joint in (*result.joints, ALL_JOINTS) if joint in known]
 
 
 def factor_words(factor: Estimate) -> str:

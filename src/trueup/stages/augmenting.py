@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
-import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,15 +14,17 @@ import numpy as np
 
 from trueup.align import JointMap
 from trueup.augment.channels import RATE_TOLERANCE
-from trueup.augment.config import CHECKPOINT_NAME, FEWEST_FOR_CHANCE, SIGNALS, AugmentConfig
+from trueup.augment.config import FEWEST_FOR_CHANCE, SIGNALS, AugmentConfig
 from trueup.core.atomic import make_folder
 from trueup.core.episode import Episode
-from trueup.core.model_card import CARD_NAME, ONNX_NAME, WEIGHTS_NAME, Channel, ModelCard
+from trueup.core.model_card import Channel
 from trueup.dataset import Dataset
 from trueup.dataset.writer import is_label_part
-from trueup.errors import ConfigError, DataError, MissingDependency, MissingSignal, NameMismatch, OutputExists
+from trueup.errors import ConfigError, DataError, MissingDependency, MissingSignal, NameMismatch
 from trueup.record.limits import stated_rates
+from trueup.record.urdf import urdf_velocity_limits
 from trueup.robots import RobotSpec, find_model
+from trueup.stages.model_folder import ModelFolder
 from trueup.stages.progress import Track, silent
 from trueup.stages.replaying import in_robot_names
 
@@ -30,8 +32,6 @@ if TYPE_CHECKING:
     from trueup.augment import Augmentation, Progress
     from trueup.augment.pairs import Pairs
 
-# Pairs of motions for training; gone when everything is written.
-_PAIRS = "pairs"
 _LONGEST_NAME = 100
 
 
@@ -87,7 +87,7 @@ def augment(
         seed: of all draws.
         jobs: threads; torch's own choice if None.
         device: `cpu` or `cuda`.
-        overwrite: replace the model that is in `out`.
+        overwrite: replace the model that is in `out`; it stays until the new one is trained.
         resume: go on where an earlier call was interrupted; a finished model of the same inputs is loaded.
         track: shows progress of reading.
         on_progress: called after every batch and epoch.
@@ -96,7 +96,8 @@ def augment(
         OutputExists: `out` holds a model, or the training of another one.
         MissingSignal: there is no such run, or no motion in train or val.
         DataError: a sample is not finite, val overlaps train, or motions have different rates.
-        ConfigError: the name makes no label, there is nothing to choose from, or training diverges in its first epoch.
+        ConfigError: the name makes no label, a dataset comes twice, there is nothing to choose from or no epoch to
+            train, or training diverges in its first epoch.
         NameMismatch: the robot has other joints than the run.
         MissingDependency: torch is not installed, or finds no GPU.
     """
@@ -112,9 +113,10 @@ def augment(
     find_device(device)
     name = name or config.method
     _refuse_bad_name(name)
+    _refuse_no_training(config)
     make_folder(out)
-    if any(out.iterdir()) and not (overwrite or resume):
-        raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
+    if not (overwrite or resume):
+        ModelFolder.refuse_full(out)
     sources = _sources(datasets, run)
     origin = _Origin.of(sources, run)
     data_hash = _joint_hash(sources, run)
@@ -131,10 +133,11 @@ def augment(
             "seed": seed,
         }
     )
-    if overwrite:
-        _forget(out)
-    elif (out / CARD_NAME).is_file():
-        return _finished(out, asked)
+    folder = ModelFolder(out, asked)
+    if not overwrite and folder.is_finished():
+        folder.clean()
+        finished = Augmentation.load(out)
+        return Augmented(finished, out, ("was finished already", *_notes(finished)))
     ids = {split: _ids(sources, run, split, drop_flagged=drop_flagged) for split in ("train", "val")}
     if train_motions is not None:
         ids["train"] = _drawn(ids["train"], train_motions, seed)
@@ -145,37 +148,37 @@ def augment(
     )
     outputs = tuple(channel for channel in outputs if channel.joint in origin.scored)
     rate_hz = config.data.rate_hz or _rate(first, run)
-    pairs_folder = out / _PAIRS
-    shutil.rmtree(pairs_folder, ignore_errors=True)
-    make_folder(pairs_folder)
-    made: dict[str, Pairs] = {}
-    for split, chosen in ids.items():
-        episodes = _at_rate(
-            _episodes(sources, chosen, run, origin.joint_map), run, rate_hz, given=config.data.rate_hz is not None
-        )
-        made[split] = write_pairs(
-            track(episodes, split, len(chosen)),
-            pairs_folder / f"{split}.f32",
-            run=run,
-            inputs=inputs,
-            outputs=outputs,
-            rate_hz=rate_hz,
-        )
-    with made["train"] as train, made["val"] as val:
-        refuse_overlap(train, val)
+    with folder.scratch() as scratch, contextlib.ExitStack() as stack:
+        made: dict[str, Pairs] = {}
+        for split, chosen in ids.items():
+            episodes = _at_rate(
+                _episodes(sources, chosen, run, origin.joint_map), run, rate_hz, given=config.data.rate_hz is not None
+            )
+            pairs = write_pairs(
+                track(episodes, split, len(chosen)),
+                scratch / f"{split}.f32",
+                run=run,
+                inputs=inputs,
+                outputs=outputs,
+                rate_hz=rate_hz,
+            )
+            made[split] = stack.enter_context(pairs)
+        refuse_overlap(made["train"], made["val"])
         task = Task(
             name=name,
             robot=origin.robot,
             joints=origin.joints,
             run=run,
             rate_hz=rate_hz,
-            train=train,
-            val=val,
+            train=made["train"],
+            val=made["val"],
             limits=limits,
             data_hash=data_hash,
             asked=asked,
             description=description,
         )
+        if overwrite:
+            folder.begin_anew()
         augmentation = Augmentation.fit(
             task,
             config,
@@ -186,10 +189,9 @@ def augment(
             threads=jobs,
             on_progress=on_progress,
         )
-    augmentation.save(out)
+        augmentation.save(out)
     # Only here is nothing left that an interruption could cost.
-    (out / CHECKPOINT_NAME).unlink(missing_ok=True)
-    shutil.rmtree(pairs_folder, ignore_errors=True)
+    folder.clean()
     return Augmented(augmentation, out, (*_unknown_limits(limits, inputs, config), *_notes(augmentation)))
 
 
@@ -199,10 +201,9 @@ def _refuse_bad_name(name: str) -> None:
         raise ConfigError("--name", got=repr(name), expected=f"letters, digits, _ . + = -, at most {_LONGEST_NAME}")
 
 
-def _forget(out: Path) -> None:
-    """Remove a model that is to be replaced: an interrupted training must not find it beside its checkpoint."""
-    for file in (CARD_NAME, ONNX_NAME, WEIGHTS_NAME, CHECKPOINT_NAME):
-        (out / file).unlink(missing_ok=True)
+def _refuse_no_training(config: AugmentConfig) -> None:
+    if config.epochs == 0 and config.network.kind != "moving-average":
+        raise ConfigError("epochs: 0 leaves the network untrained", expected="at least 1")
 
 
 @dataclass(frozen=True)
@@ -257,7 +258,20 @@ def _sources(datasets: Sequence[Dataset], run: str) -> list[Dataset]:
                 available=dataset.runs,
                 hint="Make one with trueup replay, or name one with --run.",
             )
+    _refuse_twins(datasets)
     return list(datasets)
+
+
+def _refuse_twins(datasets: Sequence[Dataset]) -> None:
+    """A motion that comes twice counts twice in all that is asked about chance."""
+    for number, dataset in enumerate(datasets):
+        for other in datasets[:number]:
+            if dataset.path.resolve() == other.path.resolve() or dataset.hash == other.hash:
+                raise ConfigError(
+                    "a dataset is given twice",
+                    got=f"{other.path} and {dataset.path} hold the same motions",
+                    hint="Give each unit's dataset once.",
+                )
 
 
 def _joint_hash(sources: Sequence[Dataset], run: str) -> str:
@@ -370,26 +384,15 @@ def _unknown_limits(limits: Limits, inputs: Sequence[Channel], config: AugmentCo
 
 def _speeds(robot: RobotSpec, source: Dataset) -> dict[str, float]:
     """Velocity limits that the model states; none where there is no model."""
-    import mujoco
+    from trueup.sim.model import compile_spec, load_spec
 
     try:
         path = find_model(robot, folder=source.info.model_path(source.path) or source.path / "model")
     except ConfigError:
         return {}
-    model = mujoco.MjModel.from_xml_path(str(path))
-    return stated_rates(model, [model.joint(row).name for row in range(model.njnt)], "velocity")
-
-
-def _finished(out: Path, asked: str) -> Augmented:
-    from trueup.augment import Augmentation
-
-    if ModelCard.load(out).provenance.get("asked") != asked:
-        raise OutputExists(
-            f"{out} holds a model of other data, or of another run, name, configuration or seed",
-            hint="Give --overwrite to replace it, or choose another --out.",
-        )
-    augmentation = Augmentation.load(out)
-    return Augmented(augmentation, out, ("was finished already", *_notes(augmentation)))
+    model = compile_spec(load_spec(path), path)
+    names = [model.joint(row).name for row in range(model.njnt)]
+    return urdf_velocity_limits(path) | stated_rates(model, names, "velocity")
 
 
 def _notes(augmentation: Augmentation) -> Iterator[str]:

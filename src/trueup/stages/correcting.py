@@ -35,7 +35,7 @@ class CorrectionSummary:
         corrected: number of motions that were corrected now.
         kept: number of motions that the run had already.
         failed: motion -> why it could not be corrected.
-        seconds: wall-clock time that it took to make the run, earlier calls included [s].
+        seconds: wall-clock time that it took to make the run, with earlier calls unless they were interrupted [s].
     """
 
     label: str

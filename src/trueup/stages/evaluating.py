@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from trueup.augment.channels import Grid
 from trueup.core.atomic import make_folder
-from trueup.core.augment_result import AUGMENT_NAME, AugmentResult
-from trueup.core.model_card import ModelCard
+from trueup.core.augment_result import ANY_CONDITION, AUGMENT_NAME, AugmentResult
+from trueup.core.model_card import ONNX_NAME, ModelCard
 from trueup.core.provenance import provenance
 from trueup.core.results import Ladder
 from trueup.core.step_times import LATENCY_NAME, StepTimes
@@ -98,7 +98,7 @@ def evaluate(
     refuse_other_fit(out, dataset.hash)
     predictors = [Predictor.load(Path(folder)) for folder in models]
     cards = [predictor.card for predictor in predictors]
-    latencies = [_latency(Path(folder)) for folder in models]
+    latencies = [_latency(Path(folder), card) for folder, card in zip(models, cards, strict=True)]
     _refuse_same_names(cards, models)
     run = _run_of(dataset, cards) if run is None else run
     ids = _motions(dataset, run, split, drop_flagged=drop_flagged)
@@ -113,6 +113,8 @@ def evaluate(
     warnings = _foreign(dataset, run, split, cards)
     notes = [line for item in corrections for line in _failed(item)]
     notes += [line for card in cards for line in _resampled(dataset, run, ids, card)]
+    notes += [line for folder, card in zip(models, cards, strict=True) for line in _mistimed(Path(folder), card)]
+    notes += _unpromised(dataset, ids, cards)
     builder, left_out = _reduced(dataset, labels, cards, latencies, ids, track)
     notes += left_out
     config = {
@@ -239,6 +241,28 @@ def _foreign(dataset: Dataset, run: str, split: str, cards: Sequence[ModelCard])
     return lines
 
 
+def _unpromised(dataset: Dataset, ids: Sequence[str], cards: Sequence[ModelCard]) -> list[str]:
+    """Where the intervals of a network promise nothing: too few val motions, or none of the kind that is evaluated."""
+    chosen = set(ids)
+    conditions = {meta.condition for meta in dataset.metas if meta.id in chosen} - {ANY_CONDITION}
+    lines: list[str] = []
+    unseen: dict[str, list[str]] = {}
+    for card in cards:
+        if all(output.interval is None for output in card.outputs):
+            continue
+        if card.coverage_note:
+            lines.append(f"{card.name}: its intervals promise nothing: {card.coverage_note}")
+            continue
+        chose = set(card.provenance.get("training", {}).get("val_conditions", ()))
+        if chose and ANY_CONDITION not in chose:  # older cards do not say, and motions without a condition may be any
+            for condition in sorted(conditions - chose):
+                unseen.setdefault(condition, []).append(card.name)
+    return lines + [
+        f"{condition} motions: no such motions chose the intervals of {', '.join(names)}; they may cover less"
+        for condition, names in unseen.items()
+    ]
+
+
 def _failed(summary: CorrectionSummary) -> list[str]:
     if not summary.failed:
         return []
@@ -257,6 +281,20 @@ def _resampled(dataset: Dataset, run: str, ids: Sequence[str], card: ModelCard) 
     return [line]
 
 
-def _latency(folder: Path) -> StepTimes | None:
+def _latency(folder: Path, card: ModelCard) -> StepTimes | None:
+    """What `latency.json` says, if it is about this network."""
+    times = _times(folder)
+    return times if times is not None and times.network == card.files[ONNX_NAME] else None
+
+
+def _mistimed(folder: Path, card: ModelCard) -> list[str]:
+    if _times(folder) is None or _latency(folder, card) is not None:
+        return []
+    return [
+        f"{card.name}: its {LATENCY_NAME} is not about this network; take the time again: trueup augment time {folder}"
+    ]
+
+
+def _times(folder: Path) -> StepTimes | None:
     path = folder / LATENCY_NAME
     return StepTimes.load(path) if path.is_file() else None

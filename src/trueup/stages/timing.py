@@ -10,15 +10,18 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from trueup.core.model_card import ModelCard
+from trueup.core.model_card import ONNX_NAME, ModelCard
 from trueup.core.step_times import StepTimes
 from trueup.deploy import LoopReport, Stream, run_loop
 from trueup.deploy.network import Network
+from trueup.errors import ConfigError
 
 # Samples of the motion that goes round and round.
 _SAMPLES = 5000
 # The part of a channel's range that the motion uses, and where a channel that has no range goes to.
 _SHARE, _NO_RANGE = 0.9, 1.0
+# A period times its rate is not always 1.
+_ROUNDING = 1e-9
 
 
 def time_steps(folder: Path | str, *, rate_hz: float = 1000.0, seconds: float = 10.0) -> tuple[StepTimes, LoopReport]:
@@ -30,15 +33,21 @@ def time_steps(folder: Path | str, *, rate_hz: float = 1000.0, seconds: float = 
     Args:
         folder: a model folder with a causal network.
         rate_hz: of the loop [Hz]; any, whatever rate the network was trained at.
-        seconds: how long.
+        seconds: how long; at least one cycle.
 
     Returns:
         What `latency.json` holds, and the whole report of the loop.
 
     Raises:
-        ConfigError: the network looks into the future, or rate or duration is not positive.
+        ConfigError: the network looks into the future, rate or duration is not positive, or there would be no cycle.
         DataError: a file is missing, truncated or changed.
     """
+    if 0 < seconds * rate_hz < 1 - _ROUNDING:
+        raise ConfigError(
+            "there is no cycle in so short a time",
+            got=f"{seconds:g} s at {rate_hz:g} Hz",
+            expected=f"at least {1 / rate_hz:g} s",
+        )
     network = Network.load(folder)
     card = network.card
     stream = Stream(network, rate_hz=card.rate_hz, joints=card.joints)
@@ -50,7 +59,7 @@ def time_steps(folder: Path | str, *, rate_hz: float = 1000.0, seconds: float = 
         stream.step_vector(motion[number % _SAMPLES], time_s=number / card.rate_hz)
 
     report = run_loop(step, rate_hz=rate_hz, duration_s=seconds)
-    return StepTimes.of_loop(report.to_json(), machine=_machine()), report
+    return StepTimes.of_loop(report.to_json(), machine=_machine(), network=card.files[ONNX_NAME]), report
 
 
 def _motion(card: ModelCard) -> Float64[np.ndarray, "T I"]:

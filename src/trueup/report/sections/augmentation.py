@@ -5,7 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from trueup.core.augment_result import ALL_JOINTS, AugmentResult, Coverage, Cut, ModelEvaluation
+from trueup.core.augment_result import (
+    ALL_JOINTS,
+    AugmentResult,
+    Coverage,
+    Cut,
+    ErrorKind,
+    ModelEvaluation,
+    group_title,
+    joint_title,
+)
 from trueup.core.results import Estimate
 from trueup.core.traces import EpisodeTraces, Trace
 from trueup.report.augment_figures import factor_figure, latency_figure, motion_figure, reliability_figure
@@ -13,9 +22,6 @@ from trueup.report.augment_words import (
     against,
     factor_interval,
     factor_words,
-    group_title,
-    joint_title,
-    joints_of,
     lead,
     off_sentences,
     sentences,
@@ -27,7 +33,7 @@ from trueup.report.numbers import NOTHING, percent, plural, pretty_unit, quantit
 from trueup.report.palette import Style
 from trueup.report.sections.base import Section
 
-_ERRORS = {"mse": "mean square error", "rmse": "root mean square error"}
+_ERRORS: dict[ErrorKind, str] = {"mse": "mean square error", "rmse": "root mean square error"}
 # Curves of one motion: joints, and points each, so that the page stays small.
 _MOST_JOINTS = 8
 _POINTS = 220
@@ -80,10 +86,10 @@ def cuts_chooser(run: RunFolder, result: AugmentResult) -> Chooser | None:
     ]
     styles = _styles(run, result)
 
-    def make(condition: str, signal: str, error: str) -> Variant | None:
+    def make(condition: str, signal: str, error: ErrorKind) -> Variant | None:
         if signal not in result.simulated[condition]:
             return None
-        joints = joints_of(result, condition, signal)
+        joints = result.joints_of(condition, signal)
         tables = {"cuts": _cuts_table(result, condition, signal, error, joints)}
         pairs = _pairs_table(result, condition, signal)
         if pairs.rows:
@@ -95,16 +101,15 @@ def cuts_chooser(run: RunFolder, result: AugmentResult) -> Chooser | None:
     return make_chooser("cuts-chooser", menus, make, preferred=preferred)
 
 
-def _cuts_table(result: AugmentResult, condition: str, signal: str, error: str, joints: list[str]) -> Table:
+def _cuts_table(result: AugmentResult, condition: str, signal: str, error: ErrorKind, joints: list[str]) -> Table:
     stock = {joint: getattr(result.simulated[condition][signal][joint], error) for joint in joints}
-    units = {item.unit for item in stock.values()}
-    unit = units.pop() if len(units) == 1 else ""
+    unit = result.unit_of(condition, signal, error)
     rows = []
     for joint in joints:
         cells = [Cell(_number(stock[joint], unit))]
         for model in result.models:
             cut = model.cuts[condition].get(signal, {}).get(joint)
-            cells.append(_cut_cell(cut, error, unit, off=model.is_off(signal, joint)))
+            cells.append(_cut_cell(cut, error, unit, off=result.is_off(model, signal, joint)))
         rows.append(TableRow(joint_title(joint), cells, strong=joint == ALL_JOINTS))
     count = plural(result.motions[condition], "motion")
     split = "" if result.split == "all" else f", {split_title(result.split)}"
@@ -229,7 +234,7 @@ def confidence_chooser(run: RunFolder, result: AugmentResult) -> Chooser | None:
 
     def make(condition: str, signal: str) -> Variant | None:
         tables, figures = {}, {}
-        joints = joints_of(result, condition, signal)
+        joints = result.joints_of(condition, signal)
         covered = [
             (model, items) for model in result.models if (items := model.coverage.get(condition, {}).get(signal, {}))
         ]
@@ -242,7 +247,7 @@ def confidence_chooser(run: RunFolder, result: AugmentResult) -> Chooser | None:
                 )
                 for joint in joints
             ]
-            heads = (f"{model.name}, promised {percent(model.coverage_target, sign=False)}" for model, _ in covered)
+            heads = (_coverage_head(model) for model, _ in covered)
             tables["coverage"] = Table(["Joint", *heads], rows, _COVERAGE_CAPTION)
         curves = {
             model.name: model.reliability[condition][signal]
@@ -278,6 +283,12 @@ _RELIABILITY_CAPTION = (
     "Calibration error: mean distance between predicted and seen. Skill: 1 if it knew every sample, 0 if it always "
     "said the mean."
 )
+
+
+def _coverage_head(model: ModelEvaluation) -> str:
+    target = percent(model.coverage_target, sign=False)
+    what = f"meant to be {target}, nothing promised" if model.coverage_note else f"promised {target}"
+    return f"{model.name}, {what}"
 
 
 def _coverage_cell(item: Coverage | None, target: float) -> Cell:

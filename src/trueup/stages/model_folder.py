@@ -1,0 +1,97 @@
+"""A model's folder while a network is trained into it: what may be there, what is under way, what is left behind."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from trueup.augment.config import CHECKPOINT_NAME
+from trueup.core.atomic import make_folder, read_json, write_json
+from trueup.core.model_card import CARD_NAME, ModelCard, file_hash
+from trueup.errors import OutputExists, TrueupError
+
+# Names that nobody else gives: what is called so is deleted.
+SCRATCH_NAME = ".trueup-pairs"
+_REPLACING = ".trueup-replacing.json"
+
+
+class ModelFolder:
+    """A folder that gets a model, once; one that is there already stays until the new one takes its place.
+
+    Args:
+        path: the folder.
+        asked: hash of what the caller asks for.
+    """
+
+    def __init__(self, path: Path, asked: str) -> None:
+        self.path = path
+        self._asked = asked
+        self._card = path / CARD_NAME
+        self._checkpoint = path / CHECKPOINT_NAME
+        self._replacing = path / _REPLACING
+
+    @staticmethod
+    def refuse_full(path: Path) -> None:
+        """Refuse a folder with something in it; what a training that was killed has left behind is nothing.
+
+        Raises:
+            OutputExists: it is not empty.
+        """
+        if any(file.name != SCRATCH_NAME for file in path.iterdir()):
+            raise OutputExists(f"{path} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
+
+    def is_finished(self) -> bool:
+        """Whether the model that was asked for is there; not so where it is an old one that is being replaced.
+
+        Raises:
+            OutputExists: there is another model, or the training of one.
+        """
+        if not self._card.is_file():
+            return False
+        if self._replacing.is_file():
+            under_way = read_json(self._replacing)
+            if under_way["card"] == file_hash(self._card):
+                if under_way["asked"] != self._asked:
+                    raise OutputExists(
+                        f"{self.path} holds the training of another configuration, seed or data",
+                        hint="Give --overwrite to begin anew, or choose another --out.",
+                    )
+                return False
+        if ModelCard.load(self.path).provenance.get("asked") != self._asked:
+            raise OutputExists(
+                f"{self.path} holds a model of other data, or of another run, name, configuration or seed",
+                hint="Give --overwrite to replace it, or choose another --out.",
+            )
+        return True
+
+    @contextmanager
+    def scratch(self) -> Iterator[Path]:
+        """An empty folder for what only training needs; gone when training ends, however it ends."""
+        scratch = self.path / SCRATCH_NAME
+        shutil.rmtree(scratch, ignore_errors=True)
+        make_folder(scratch)
+        try:
+            yield scratch
+        except TrueupError:
+            if not self._checkpoint.is_file():  # nothing is there that one could go on with
+                self._replacing.unlink(missing_ok=True)
+            raise
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+
+    def begin_anew(self) -> None:
+        """Forget an earlier training that did not end, and note which model is about to be replaced.
+
+        Without that note `resume` would take the old model for the new one.
+        """
+        self._checkpoint.unlink(missing_ok=True)
+        if self._card.is_file():
+            write_json(self._replacing, {"asked": self._asked, "card": file_hash(self._card)})
+
+    def clean(self) -> None:
+        """Leave nothing but the model."""
+        self._replacing.unlink(missing_ok=True)
+        self._checkpoint.unlink(missing_ok=True)
+        shutil.rmtree(self.path / SCRATCH_NAME, ignore_errors=True)
