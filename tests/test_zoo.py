@@ -1,11 +1,15 @@
 """The networks that come with the package: small, whole, and as good as their card says on a robot never seen."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import trueup.zoo
+from trueup.cli.main import main
+from trueup.core.augment_result import AugmentResult
+from trueup.core.step_times import StepTimes
 from trueup.dataset import Dataset
 from trueup.deploy import Status
 from trueup.errors import MissingSignal, NameMismatch
@@ -41,6 +45,71 @@ def test_a_network_is_small_and_has_a_card(name):
 def test_unknown_names_list_the_known_ones():
     with pytest.raises(MissingSignal, match="panda-realeasy-rt"):
         trueup.zoo.load("no-such-network")
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_a_network_of_the_zoo_is_named_where_a_folder_is(kind):
+    home = trueup.zoo.folder("panda-realeasy-rt")
+    assert trueup.zoo.folder_of(kind("zoo:panda-realeasy-rt")) == home
+    for path in ("models/panda-rt", "panda-realeasy-rt", "./zoo:panda-realeasy-rt", str(home)):
+        assert str(trueup.zoo.folder_of(path)) == str(Path(path))
+    for unknown in ("zoo:panda", "zoo:", "zoo:../zoo/panda-realeasy-rt"):
+        with pytest.raises(MissingSignal, match="available: panda-realeasy-rt"):
+            trueup.zoo.folder_of(kind(unknown))
+
+
+@pytest.fixture
+def run(capsys):
+    def call(*arguments):
+        with pytest.raises(SystemExit) as end:
+            main(["augment", *(str(argument) for argument in arguments)])
+        printed = capsys.readouterr()
+        return end.value.code, " ".join(printed.out.split()), " ".join(printed.err.split())
+
+    return call
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_its_steps_are_timed_and_the_package_is_left_as_it_is(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    home = trueup.zoo.folder("panda-realeasy-rt")
+    before = contents(home)
+    code, out, err = run("time", "zoo:panda-realeasy-rt", "--seconds", 0.05)
+    assert code == 0
+    assert "one step of panda-realeasy-rt, in a loop at 1000 Hz" in out
+    assert "are not saved" in err
+    assert "--out" in err
+    assert "times:" not in out
+    assert contents(home) == before
+    assert list(tmp_path.iterdir()) == []
+    code, out, err = run("time", "zoo:panda-realeasy-rt", "--seconds", 0.05, "--out", "times")
+    assert code == 0
+    assert "are not saved" not in err
+    assert StepTimes.load(tmp_path / "times" / "latency.json").period_us == pytest.approx(1000.0)
+    assert contents(home) == before
+
+
+@pytest.mark.parametrize("command", [("time",), ("eval", "data", "--out", "out", "--model")])
+def test_an_unknown_name_is_refused_by_the_commands(run, command, tmp_path, monkeypatch, panda):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data").symlink_to(panda.path)
+    code, _, err = run(*command, "zoo:panda-realtime")
+    assert code == 2
+    assert "no network 'panda-realtime': available: panda-realeasy-rt" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+
+
+def test_it_is_evaluated_like_a_network_of_ones_own(run, panda, tmp_path):
+    code, out, _ = run(
+        *("eval", panda.path, "--model", "zoo:panda-realeasy-rt", "--split", "all", "--out", tmp_path / "out")
+    )
+    assert code == 0
+    assert "panda-realeasy-rt" in out
+    result = AugmentResult.load(tmp_path / "out" / "augment.json")
+    assert [model.name for model in result.models] == ["panda-realeasy-rt"]
 
 
 def test_plug_and_play_on_a_new_unit(panda):

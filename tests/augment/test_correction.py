@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from augment.evaluation_cases import JOINTS, RUN, card_of, episode_of, series_of
-from trueup.augment.correction import corrected
+from trueup.augment.channels import Grid
+from trueup.augment.correction import corrected, refuse_slower
 from trueup.core.model_card import Input, Output
-from trueup.errors import DataError, MissingSignal, NameMismatch, UnitError
+from trueup.deploy.agreement import check_rate
+from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, UnitError
 
 
 @pytest.fixture
@@ -63,6 +65,21 @@ def test_a_faster_run_is_corrected_between_the_samples_of_the_network(rng):
 def test_a_slower_run_is_refused(rng):
     with pytest.raises(DataError, match=r"too few samples per second.*50 Hz.*at least 100 Hz"):
         corrected(episode_of(rng, rate_hz=50.0), RUN, card_of(), adding(np.zeros(4)))
+
+
+@pytest.mark.parametrize("rate_hz", [98.5, 98.99, 99.01, 100.0, 100.99, 101.01, 101.5])
+def test_what_is_taken_as_the_networks_rate_is_so_in_a_control_loop_too(rng, rate_hz):
+    episode, card = episode_of(rng, rate_hz=rate_hz), card_of()
+    own = Grid.of(episode.run(RUN).time_s, card.rate_hz).own
+    if own:
+        check_rate(card, rate_hz)
+        refuse_slower(episode.run(RUN), card, "it")
+        return
+    with pytest.raises(ConfigError, match=f"{rate_hz:g} Hz"):
+        check_rate(card, rate_hz)
+    if rate_hz < card.rate_hz:
+        with pytest.raises(DataError, match="too few samples"):
+            refuse_slower(episode.run(RUN), card, "it")
 
 
 def test_a_network_for_other_joints_is_refused_with_both_lists(rng):

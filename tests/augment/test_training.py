@@ -627,6 +627,20 @@ def test_other_rates_are_refused_unless_a_rate_is_given(tmp_path):
     assert made.augmentation.card.rate_hz == 50.0
 
 
+def test_a_rate_that_a_control_loop_refuses_is_not_trained_as_the_networks(tmp_path):
+    """98.5 Hz is not 100 Hz."""
+    rng = np.random.default_rng(0)
+    episodes = [labelled(k, split, *motion(rng, 80)) for k, split in enumerate(["train", "train", "val"])]
+    slow = [
+        TimeSeries(s.time_s / 0.985, s.joints, s.signals, s.units) for s in (episodes[1][1], episodes[1][0].measured)
+    ]
+    episodes[1] = labelled(1, "train", *slow)
+    data = with_episodes(tmp_path / "data", episodes)
+    for config, words in ((SMALL, "another rate"), (replace(SMALL, data=DataConfig(rate_hz=100.0)), "fewer samples")):
+        with pytest.raises(DataError, match=words):
+            augment([data], tmp_path / words, run=RUN, config=config)
+
+
 def test_paper_normalization_maps_limits_to_the_unit_interval(data, tmp_path):
     config = replace(SMALL, data=DataConfig(normalization="limits"), loss=LossConfig(scale="normalized"), epochs=1)
     made = augment([data], tmp_path, run=RUN, config=config)

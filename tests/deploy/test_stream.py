@@ -1,5 +1,6 @@
 """Streams that run undisturbed: equal to the whole motion, and what a step says. The rules are in test_stream_rules."""
 
+import inspect
 import subprocess
 import sys
 import tempfile
@@ -245,6 +246,8 @@ def test_a_network_that_needs_the_future_is_refused_with_what_to_use(tmp_path):
         ({"torque": np.zeros(6)}, DataError, r"simulated.torque.*\(6,\).*7 joints"),
         ({"torque": np.zeros((7, 1))}, DataError, r"\(7, 1\)"),
         ({"velocity": np.zeros(1)}, DataError, r"simulated.velocity.*\(1,\)"),
+        ({"velocity": np.array(["1 rad/s"] * 7)}, DataError, r"simulated.velocity: got .*1 rad/s.*7 joints"),
+        ({"torque": [0.0, [1.0, 2.0], *[0.0] * 5]}, DataError, r"simulated.torque: got .*7 joints"),
     ],
 )
 def test_samples_of_another_shape_are_programming_errors(tmp_path, changes, error, words):
@@ -256,6 +259,16 @@ def test_samples_of_another_shape_are_programming_errors(tmp_path, changes, erro
         stream.step(sample)
     with pytest.raises(DataError, match="20 channels; expected 21"):
         stream.step_vector(np.zeros(20))
+
+
+@pytest.mark.parametrize("x", [np.array(["north"] * 21), [{}] * 21, np.zeros((21, 1))], ids=["str", "dict", "2-D"])
+def test_a_vector_that_holds_no_numbers_is_a_programming_error(tmp_path, x):
+    made = real_time(tmp_path, hidden=(8, 5))
+    stream = stream_of(made)
+    with pytest.raises(DataError, match=r"input of model 'random-rt': got .*; expected 21 numbers"):
+        inspect.unwrap(Stream.step_vector)(stream, x)  # as outside of the tests: types are not checked
+    outputs(stream, motion(made.card, 12))
+    assert (stream.latest.status, stream.latest.why) == (Status.OK, Why.NONE)
 
 
 def test_a_network_that_reads_commands_needs_them(tmp_path):

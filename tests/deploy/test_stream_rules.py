@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.networks import JOINTS, changed, motion, real_time, window
+from benchmarks.networks import JOINTS, changed, inputs_of, motion, real_time, window
 from hypothesis import given
 from hypothesis import strategies as st
 from onnx import helper, numpy_helper
 
+from trueup.core.model_card import Output
 from trueup.deploy import Network, Predictor, Status, Stream, StreamSettings, Why
 
 WARMUP = 5  # of the networks
@@ -171,6 +172,104 @@ def test_a_robot_at_rest_has_not_stalled(stream, x):
         assert (step.status, step.why) == (Status.OK, Why.NONE)
 
 
+def reading(signals, *, command, mixed=False):
+    """What a card says of a network that reads these simulated signals, perhaps the commanded position between them."""
+    inputs = [c for c in inputs_of(command=command) if c.series == "command" or c.signal in signals]
+    if mixed:
+        inputs.sort(key=lambda channel: channel.joint)
+    outputs = [Output(c.signal, c.joint, c.unit, base=k) for k, c in enumerate(inputs) if c.series == "simulated"]
+    return {"inputs": tuple(inputs), "outputs": tuple(outputs)}
+
+
+ALL, NO_SPEED = ("position", "velocity", "torque"), ("position", "torque")
+CARDS = {
+    "plain": reading(ALL, command=False),
+    "command": reading(ALL, command=True),
+    "command between": reading(ALL, command=True, mixed=True),
+    "no speed, command": reading(NO_SPEED, command=True),
+    "no speed, command between": reading(NO_SPEED, command=True, mixed=True),
+    "no speed": reading(NO_SPEED, command=False),
+}
+
+
+@cache
+def opened(make, card):
+    folder = Path(tempfile.mkdtemp(prefix="trueup-rules-"))
+    return Network.load(make(folder, hidden=(6,), **CARDS[card]).folder)
+
+
+def frozen(network, *, resting=False, commanded=True):
+    """Answers of a stream whose simulator stops at sample 20 while the command goes on; or both stop."""
+    channels = network.card.inputs
+    x = motion(network.card, 320)[:, 0].astype(np.float64)
+    simulated = [number for number, channel in enumerate(channels) if channel.series == "simulated"]
+    x[20:, simulated] = x[19, simulated]
+    if resting:
+        x[20:, [number for number in simulated if channels[number].signal == "velocity"]] = 0.0
+    if not commanded:
+        x[20:] = x[20]
+    stream = Stream(network, rate_hz=1000.0, joints=JOINTS)
+    steps = [stream.step_vector(row, time_s=t * PERIOD_S) for t, row in enumerate(x[:20])]
+    assert steps[-1].status is Status.OK
+    return [
+        (step.status, step.why)
+        for t in range(20, 320)
+        for step in [stream.step_vector(x[t], time_s=t * PERIOD_S)]
+    ]  # fmt: skip
+
+
+HELD, OK = (Status.HELD, Why.STALLED), (Status.OK, Why.NONE)
+
+
+@pytest.mark.parametrize("make", [real_time, window])
+@pytest.mark.parametrize("card", ["command", "command between"])
+def test_a_command_that_goes_on_does_not_hide_a_simulator_that_does_not(make, card):
+    assert frozen(opened(make, card)) == [OK] * 3 + [HELD] * 297
+    # At rest, the first sample has another velocity than the one before.
+    assert frozen(opened(make, card), resting=True) == [OK] * 300
+
+
+@pytest.mark.parametrize("card", ["no speed, command", "no speed, command between"])
+def test_without_a_velocity_a_command_that_changes_says_that_it_moves(card):
+    assert frozen(opened(real_time, card)) == [OK] * 3 + [HELD] * 297
+    # The command changes with the first sample that repeats, and then no more: one step of it.
+    assert frozen(opened(real_time, card), commanded=False) == [OK] * 3 + [HELD] * 297
+
+
+@pytest.mark.parametrize("card", ["no speed, command", "no speed, command between"])
+def test_without_a_velocity_a_command_that_stays_is_rest(card):
+    network = opened(real_time, card)
+    x = motion(network.card, 60)[:, 0].astype(np.float64)
+    x[20:] = x[19]
+    stream = Stream(network, rate_hz=1000.0, joints=JOINTS)
+    for t in range(60):
+        step = stream.step_vector(x[t], time_s=t * PERIOD_S)
+    assert (step.status, step.why) == OK
+
+
+@pytest.mark.parametrize("card", ["no speed, command", "no speed, command between"])
+def test_what_a_command_did_before_the_simulator_rested_is_no_stall(card):
+    """A repeat with a new command, a sample that moves, and then rest: the repeat is forgotten."""
+    network = opened(real_time, card)
+    x = motion(network.card, 22)[:, 0].astype(np.float64)
+    simulated = [number for number, channel in enumerate(network.card.inputs) if channel.series == "simulated"]
+    x[20, simulated] = x[19, simulated]
+    stream = Stream(network, rate_hz=1000.0, joints=JOINTS)
+    warm(stream, x)
+    for t in range(20, 60):
+        step = stream.step_vector(x[min(t, 21)], time_s=t * PERIOD_S)
+        assert (step.status, step.why) == OK
+
+
+def test_without_velocity_and_command_nothing_tells_a_stall_from_rest():
+    assert frozen(opened(real_time, "no speed")) == [OK] * 300
+
+
+def test_a_stream_has_no_more_attributes_than_python_finds_quickly(stream):
+    """CPython up to 3.13 shares the keys of thirty (SHARED_KEYS_MAX_SIZE)."""
+    assert len(vars(stream)) <= 30
+
+
 def test_polling_says_when_the_input_died(stream, x):
     assert stream.poll(3.0).status is Status.HELD
     last = warm(stream, x).values.copy()  # the last sample came at 19 ms
@@ -192,6 +291,18 @@ def test_polling_does_not_disturb(made, stream, x):
     step = stream.step_vector(x[20], time_s=0.0211)
     assert (step.status, step.why) == (Status.OK, Why.MISSED)
     np.testing.assert_allclose(step.values, offline(made, x[:21])[-1], atol=1e-5 * 50)
+
+
+@pytest.mark.parametrize("time_s", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("timed", [True, False])
+def test_polling_at_a_time_that_is_not_a_number_is_held(stream, x, time_s, timed):
+    last = warm(stream, x, timed=timed).values.copy()
+    step = stream.poll(float(time_s))
+    assert (step.status, step.why) == (Status.HELD, Why.NAN)
+    assert step.age_s == pytest.approx(PERIOD_S)
+    np.testing.assert_array_equal(step.values, last)
+    after = stream.step_vector(x[20], time_s=20 * PERIOD_S if timed else None)
+    assert (after.status, after.why) == (Status.OK, Why.NONE)
 
 
 def test_polling_without_times_knows_nothing(stream, x):
@@ -307,23 +418,19 @@ def test_a_network_that_loses_itself_is_left_and_started_anew(tmp_path, x):
     np.testing.assert_allclose(stream.latest.values, offline(made, calm[11:16])[-1], atol=1e-4)
 
 
-@cache
-def opened(kind):
-    folder = Path(tempfile.mkdtemp(prefix="trueup-rules-"))
-    return Network.load({"rt": real_time, "window": window}[kind](folder, hidden=(6,)).folder)
-
-
 EVENTS = st.lists(
     st.sampled_from(["go", "go", "go", "go", "nan", "inf", "far", "repeat", "miss", "gap", "same time", "back",
-                     "set back", "nan time", "no time", "fast", "poll", "reset"]),
+                     "set back", "nan time", "no time", "fast", "frozen", "frozen", "poll", "poll at nan", "reset"]),
     max_size=80,
 )  # fmt: skip
 
 
-@given(EVENTS, st.sampled_from(["rt", "window"]), st.integers(0, 1000))
-def test_the_short_way_of_an_ordinary_sample_is_the_careful_way(events, kind, seed):
+@given(EVENTS, st.sampled_from([real_time, window]), st.sampled_from(sorted(CARDS)), st.integers(0, 1000))
+def test_the_short_way_of_an_ordinary_sample_is_the_careful_way(events, make, card, seed):
     """Whatever happens in whatever order: a stream that never takes the short way says the same."""
-    network = opened(kind)
+    network = opened(make, card)
+    simulated = [number for number, channel in enumerate(network.card.inputs) if channel.series == "simulated"]
+    width = len(network.card.inputs)
     short, careful = (Stream(network, rate_hz=1000.0, joints=JOINTS) for _ in range(2))
     x = motion(network.card, len(events) + 1, seed=seed)[:, 0].astype(np.float64)
     sample, time_s = x[0].copy(), 0.0
@@ -332,19 +439,23 @@ def test_the_short_way_of_an_ordinary_sample_is_the_careful_way(events, kind, se
             short.reset()
             careful.reset()
             continue
+        before = sample
         if event != "repeat":
             sample = row.copy()
+        if event == "frozen":
+            sample[simulated] = before[simulated]
         if event in ("nan", "inf"):
-            sample[seed % 21] = float(event)
+            sample[seed % width] = float(event)
         if event == "far":
-            sample[seed % 21] = 1e4
+            sample[seed % width] = 1e4
         time_s += PERIOD_S * {"miss": 2, "gap": 9, "same time": 0, "back": -2, "set back": -50, "fast": 0.3}.get(
             event, 1
         )
         stamp = {"nan time": np.nan, "no time": None}.get(event, time_s)
         careful._calm = False
-        if event == "poll":
-            a, b = short.poll(time_s + PERIOD_S), careful.poll(time_s + PERIOD_S)
+        if event.startswith("poll"):
+            now_s = np.nan if event == "poll at nan" else time_s + PERIOD_S
+            a, b = short.poll(now_s), careful.poll(now_s)
         else:
             a, b = (stream.step_vector(sample, time_s=stamp) for stream in (short, careful))
         assert (a.status, a.why, a.age_s, a.channels()) == (b.status, b.why, b.age_s, b.channels())

@@ -1,12 +1,17 @@
-"""The Python of docs/augmentation.md runs."""
+"""docs/augmentation.md: its Python runs, and what a command reads was made by one above it."""
 
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
-from benchmarks.networks import real_time
+from benchmarks.networks import JOINTS, real_time
 
+import trueup.zoo
+from augment.augment_cases import make_dataset
+from trueup.augment.config import FEWEST_FOR_CHANCE
 from trueup.core.protocols import Simulator
+from trueup.deploy.agreement import RATE_TOLERANCE
 
 TEXT = (Path(__file__).parent.parent.parent / "docs" / "augmentation.md").read_text()
 
@@ -14,10 +19,42 @@ TEXT = (Path(__file__).parent.parent.parent / "docs" / "augmentation.md").read_t
 def test_the_python_of_the_page_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     real_time(Path("models/panda-rt"), hidden=(8, 5), rate_hz=100.0)
-    (block,) = re.findall(r"^```python\n(.*?)^```$", TEXT, re.M | re.S)
+    make_dataset(Path("data/unit2"), joints=JOINTS)
+    zoo, simulator = re.findall(r"^```python\n(.*?)^```$", TEXT, re.M | re.S)
     names = {}
-    exec(compile(block, "augmentation.md", "exec"), names)
+    exec(compile(zoo, "augmentation.md", "exec"), names)
+    assert np.abs(names["corrected"]["torque"] - names["run"]["torque"]).max() > 0.01
+    assert names["row"] == len(names["run"]) - 1
+    assert names["answer"]["torque"].shape == (7,)
+    exec(compile(simulator, "augmentation.md", "exec"), names)
     assert isinstance(names["corrected"], Simulator)
     assert names["reading"]["torque"].shape == (64, 7)
     inside = names["simulator"].step({"position": names["pose"]})  # one step on, at rest
     assert np.abs(names["reading"]["position"] - inside["position"]).max() > 0.01
+
+
+def test_what_a_command_reads_was_made_by_one_above_it():
+    """Followed from top to bottom, no command misses a dataset or a model."""
+    made, read = set(), []
+    shell = "".join(re.findall(r"^```sh\n(.*?)^```$", TEXT, re.M | re.S))
+    for line in shell.splitlines():
+        words = shlex.split(line)
+        if words[:2] == ["trueup", "record"]:
+            made.add(words[words.index("--out") + 1])
+            continue
+        for word in words:
+            if word.startswith(("data/", "models/")) and words[words.index(word) - 1] != "--out":
+                read.append(word)
+                assert word in made, line
+            if word.startswith("zoo:"):
+                assert trueup.zoo.folder_of(word).is_dir()
+        if "--out" in words:
+            made.add(words[words.index("--out") + 1])
+    assert {"data/panda", "models/panda-rt", "models/panda-average"} <= set(read)
+
+
+def test_the_numbers_of_the_page_are_those_of_the_code():
+    assert FEWEST_FOR_CHANCE == 10
+    assert "With fewer than ten\nval motions" in TEXT
+    assert f"than the network was trained at, by more than {100 * RATE_TOLERANCE:g} %" in TEXT
+    assert all(f'load("{name}")' in TEXT for name in trueup.zoo.names())

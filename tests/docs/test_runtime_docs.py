@@ -9,8 +9,13 @@ import pytest
 from benchmarks.networks import JOINTS, bidirectional, by_signal, motion, real_time
 
 from trueup.deploy import Status, StreamSettings, Why, run_loop
+from trueup.deploy.agreement import RATE_TOLERANCE
+from trueup.record import RecordSettings
 
 TEXT = (Path(__file__).parent.parent.parent / "docs" / "runtime.md").read_text()
+
+# Of the recordings that `models/panda-rt` is trained on.
+RATE_HZ = RecordSettings().record_hz
 
 
 class Rig:
@@ -32,18 +37,26 @@ class Rig:
 
 
 def test_the_python_of_the_page_runs(tmp_path, monkeypatch, capsys):
+    """On a network of the rate at which the page on learned correction has it recorded and trained."""
     monkeypatch.chdir(tmp_path)
-    made = real_time(Path("models/panda-rt"), hidden=(8, 5))
-    bidirectional(Path("models/panda-precise"), hidden=(8, 5))
+    made = real_time(Path("models/panda-rt"), hidden=(8, 5), rate_hz=RATE_HZ)
+    bidirectional(Path("models/panda-precise"), hidden=(8, 5), rate_hz=RATE_HZ)
     x = motion(made.card, 400)
     rig = Rig(by_signal(made.card, x[k % 400, 0]) for k in range(10**9))
     names = {"robot": rig, "simulator": rig, "controller": lambda p, v, t: t - p - v, "x": x}
     # A short loop, at the page's rate.
-    monkeypatch.setattr("trueup.deploy.run_loop", lambda step, **given: run_loop(step, **{**given, "duration_s": 0.05}))
+    rates = []
+
+    def loop(step, *, rate_hz, duration_s):
+        rates.append((rate_hz, duration_s))
+        return run_loop(step, rate_hz=rate_hz, duration_s=0.2)
+
+    monkeypatch.setattr("trueup.deploy.run_loop", loop)
     blocks = re.findall(r"^```python\n(.*?)^```$", TEXT, re.M | re.S)
     assert len(blocks) == 4
     for block in blocks:
         exec(compile(block, "runtime.md", "exec"), names)
+    assert rates == [(RATE_HZ, 60.0)]
     assert len(rig.written) > 0
     assert rig.stopped == 0
     assert names["corrected"].shape == (400, 1, 21)
@@ -60,6 +73,10 @@ def rows(head):
 def test_every_status_and_flag_is_explained():
     assert set(rows("`status`")) == {status.name for status in Status}
     assert set(rows("`why`")) == {flag.name for flag in Why if flag}
+
+
+def test_the_bound_of_the_rate_is_the_one_that_the_page_says():
+    assert f"another rate than the network's (by more than {100 * RATE_TOLERANCE:g} %" in TEXT
 
 
 def test_every_setting_is_explained_with_its_default():

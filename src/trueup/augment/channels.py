@@ -12,11 +12,11 @@ from trueup.core.episode import Episode
 from trueup.core.hold import held_rows
 from trueup.core.model_card import Channel
 from trueup.core.timeseries import TimeSeries
+from trueup.deploy.agreement import RATE_TOLERANCE as RATE_TOLERANCE
 from trueup.errors import DataError, MissingSignal, NameMismatch, UnitError
 
 # A clock whose steps are this near to the network's is taken as it is: robots' clocks jitter.
 _STEP_TOLERANCE = 0.2
-RATE_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Grid:
         """
         step = 1.0 / rate_hz
         steps = np.diff(stamps_s)
-        at_rate = bool(steps.size) and abs(steps.mean() / step - 1) <= RATE_TOLERANCE
+        at_rate = bool(steps.size) and abs(step / steps.mean() - 1) <= RATE_TOLERANCE
         if at_rate and np.all(np.abs(steps / step - 1) <= _STEP_TOLERANCE):
             return Grid(stamps_s, own=True)
         count = int(np.floor((stamps_s[-1] - stamps_s[0]) / step + 1e-6)) + 1

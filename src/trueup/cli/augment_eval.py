@@ -24,7 +24,8 @@ def register(app: typer.Typer) -> None:
 def evaluate(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset with a simulated run.")],
     models: Annotated[
-        list[Path], typer.Option("--model", help="Folder of a trained network; repeat it to compare networks.")
+        list[Path],
+        typer.Option("--model", help="Folder of a trained network, or zoo:NAME; repeat it to compare networks."),
     ],
     out_dir: Annotated[Path, typer.Option("--out", help="Folder for augment.json, gap.json and report.html.")],
     run: Annotated[
@@ -47,11 +48,12 @@ def evaluate(
     from trueup.measure import parse_bar
     from trueup.report import write_report
     from trueup.stages import evaluate as measure
+    from trueup.zoo import folder_of
 
     bars = [parse_bar(text) for text in fail_above or []]
     evaluated = measure(
         Dataset(dataset),
-        models,
+        [folder_of(model) for model in models],
         out_dir,
         run=run,
         split=split,

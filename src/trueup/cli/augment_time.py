@@ -19,11 +19,11 @@ def register(app: typer.Typer) -> None:
 
 
 def measure(
-    model: Annotated[Path, typer.Argument(help="Folder of a trained real-time network.")],
+    model: Annotated[Path, typer.Argument(help="Folder of a trained real-time network, or zoo:NAME.")],
     rate_hz: Annotated[float, typer.Option("--rate", help="Of the control loop [Hz].")] = 1000.0,
     seconds: Annotated[float, typer.Option("--seconds", help="How long the loop runs.")] = 10.0,
     out_dir: Annotated[
-        Path | None, typer.Option("--out", help="Folder for latency.json; the model's if not given.")
+        Path | None, typer.Option("--out", help="Folder for latency.json; the model's if not given, none for zoo:NAME.")
     ] = None,
 ) -> int:
     """Say how long a step takes on this machine, in a loop at a fixed rate; write latency.json.
@@ -33,17 +33,22 @@ def measure(
     from trueup.core.atomic import make_folder
     from trueup.core.step_times import LATENCY_NAME
     from trueup.stages.timing import time_steps
+    from trueup.zoo import folder_of
 
     if not (0 < seconds < float("inf")):
         raise ConfigError("--seconds", got=f"{seconds:g}", expected="a positive number")
-    target = out_dir or model
+    folder = folder_of(model)
+    # What came with the package is not written to: it may belong to somebody else.
+    target = out_dir or (folder if folder == model else None)
     if out_dir is not None:
         make_folder(out_dir)
-    if target.is_dir() and not os.access(target, os.W_OK):  # not found out after the loop
+    if target is None:
+        note("the times of a network of the zoo are not saved without --out")
+    elif target.is_dir() and not os.access(target, os.W_OK):  # not found out after the loop
         raise DataError(f"cannot write into {target}", hint="Give another --out.")
     note(f"{seconds:g} s without a word: a display would take part in the loop")
-    times, report = time_steps(model, rate_hz=rate_hz, seconds=seconds)
-    table = Table(title=f"one step of {model.name}, in a loop at {rate_hz:g} Hz on {times.machine}")
+    times, report = time_steps(folder, rate_hz=rate_hz, seconds=seconds)
+    table = Table(title=f"one step of {folder.name}, in a loop at {rate_hz:g} Hz on {times.machine}")
     for column in ("median", "99 %", "99.9 %", "longest", "steps"):
         table.add_column(column, justify="right")
     shown = (times.p50_us, times.p99_us, times.p999_us, times.max_us)
@@ -52,6 +57,7 @@ def measure(
     late = (report.overran_by_step, report.overran_by_waiting, report.overran_by_wakeup, report.skipped)
     causes = ("by the step", "because it was interrupted", "because the loop was woken late", "cycles left out")
     out.print("deadlines missed: " + ", ".join(f"{count} {cause}" for count, cause in zip(late, causes, strict=True)))
-    times.save(target / LATENCY_NAME)
-    out.print(f"times: {target / LATENCY_NAME}", markup=False)
+    if target is not None:
+        times.save(target / LATENCY_NAME)
+        out.print(f"times: {target / LATENCY_NAME}", markup=False)
     return 0

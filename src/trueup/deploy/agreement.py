@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from trueup.core.model_card import ModelCard
 from trueup.errors import ConfigError, NameMismatch, UnitError
 
-# Rates that differ by less are the same: 1000 Hz and a clock that is a little off.
+# Rates that differ by no more are the same: 1000 Hz and a clock that is a little off. It is one number for training,
+# evaluation and control loops: what one takes as the network's rate must not be refused by the next.
 RATE_TOLERANCE = 0.01
 
 

@@ -49,7 +49,7 @@ class Intake:
 
         Raises:
             MissingSignal: a signal that the network reads is not there.
-            DataError: an array has another shape than (J,).
+            DataError: an array has another shape than (J,), or holds no numbers.
         """
         count = self._joints
         try:
@@ -77,6 +77,10 @@ class Intake:
             what = f"model {self._card.name!r} reads {series}.{signal}"
             if signal not in given:
                 raise MissingSignal(f"{what}, which was not given", available=given)
-            shape = np.shape(given[signal])
+            expected = f"one number for each of {self._joints} joints"
+            try:
+                shape = np.asarray(given[signal], np.float64).shape
+            except (TypeError, ValueError) as error:
+                raise DataError(what, got=error, expected=expected) from error
             if shape != (self._joints,):
-                raise DataError(what, got=f"shape {shape}", expected=f"one value for each of {self._joints} joints")
+                raise DataError(what, got=f"shape {shape}", expected=expected)

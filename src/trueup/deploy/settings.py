@@ -19,7 +19,9 @@ class StreamSettings:
         missed_periods: a time between two samples of more periods than this counts as a missed sample.
         gap_periods: when no sample could be used for longer than this many periods, the state is started anew: what it
             remembers is no longer what came just before.
-        stalled_steps: an input that repeats more often than this although it says that it moves has stalled.
+        stalled_steps: a simulator that repeats itself more often than this although it must be moving has stalled: its
+            velocities say so, or, where the network reads none, a command that has changed meanwhile. A network that
+            reads neither cannot tell. Larger: for a dead time between command and motion.
         moving_speed: speed from which on a joint moves [rad/s or m/s]; above the noise of the simulator at rest.
         rate_tolerance: share by which the rate at which samples really come may be wrong, averaged over a hundred of
             them; needs `time_s`.

@@ -31,11 +31,11 @@ class Why(IntFlag):
 
     NONE = 0
     NAN = 1
-    """An input, or its time, is not a finite number."""
+    """An input, or its time or that of a poll, is not a finite number."""
     MISSED = 2
     """More time than a period has passed since the sample before."""
     STALLED = 4
-    """Time or input do not go on."""
+    """Time or simulator do not go on."""
     OUT_OF_RANGE = 8
     """An input is outside of what training covered, margin included; `Step.channels` names it."""
     OFF_RATE = 16

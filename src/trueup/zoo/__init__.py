@@ -5,6 +5,8 @@
     model = trueup.zoo.load("panda-realeasy-rt")
     stream = model.stream(rate_hz=100, joints=model.card.joints)
 
+Where a command takes the folder of a model, it takes `zoo:panda-realeasy-rt`, too.
+
 Each is a model folder with a card for people, `CARD.md`, beside it: what it was trained on, what it is good for and
 what not. `python -m benchmarks.zoo` makes them again.
 """
@@ -18,6 +20,7 @@ from trueup.core.model_card import CARD_NAME
 from trueup.errors import MissingSignal
 
 _HERE = Path(__file__).parent
+_PREFIX = "zoo:"
 
 
 def names() -> tuple[str, ...]:
@@ -34,6 +37,16 @@ def folder(name: str) -> Path:
     if name not in names():
         raise MissingSignal(f"the zoo has no network {name!r}", available=names())
     return _HERE / name
+
+
+def folder_of(text: str | Path) -> Path:
+    """The model folder that a user means: `zoo:NAME` is one of the zoo, all else is a path.
+
+    Raises:
+        MissingSignal: the zoo has no network of this name.
+    """
+    name = str(text)
+    return folder(name.removeprefix(_PREFIX)) if name.startswith(_PREFIX) else Path(text)
 
 
 def load(name: str) -> Trained:
