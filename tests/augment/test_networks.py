@@ -231,6 +231,18 @@ def test_tanh_needs_a_bound_that_holds():
     AugmentConfig(network=network, data=DataConfig(normalization="limits"))
 
 
+@pytest.mark.parametrize("far", [0.0, 10.0, 1000.0])
+def test_inputs_far_from_zero_are_exported_without_loss(far):
+    """A joint that hardly moved in training: its mean is a thousand deviations away from zero."""
+    rng = np.random.default_rng(12)
+    corrector = corrector_of(NetworkConfig("lstm", (9, 4)), rng)
+    corrector.center.copy_(far * corrector.scale)
+    x = (far + rng.normal(size=(40, 2, 6))).astype(np.float32) * corrector.scale.numpy()
+    expected = corrector(torch.from_numpy(x)).detach().numpy()
+    scale = np.abs(expected - x[..., [0, 1, 2, 4]]).max(axis=(0, 1))
+    np.testing.assert_allclose(whole(corrector, session_of(corrector), x) / scale, expected / scale, atol=2e-5)
+
+
 def test_a_gate_of_zero_leaves_the_simulator_as_it_is():
     rng = np.random.default_rng(10)
     for target in ("residual", "plain"):

@@ -17,6 +17,8 @@ from trueup.core.model_card import State
 
 # How deep a joint can lean into its stop, in widths beyond the one before it.
 _BEYOND = 2.0
+# How many scales the origin of an input may be away from zero, so that float32 keeps five digits of their difference.
+_NEAR = 64.0
 
 
 class Corrector(nn.Module):
@@ -117,27 +119,34 @@ class Corrector(nn.Module):
             bounds = (graph.integers([bound]) for bound in (-network.past, np.iinfo(np.int64).max, 0))
             after_buffer = [graph.add("Slice", seen, *bounds)]
         scale = torch.cat([1.0 / self.scale, self.stop_slope])
-        shifted = self._shifted(graph, seen)
-        out, after = network.draw_scaled(graph, shifted, given, scale, self.gate * self.out_scale)
+        origin = torch.cat([self.center, self.stop_edge])
+        # x scale - origin scale is (x - origin) scale as long as both are not much larger than their difference.
+        near = bool((origin * scale).abs().max() <= _NEAR)
+        left = origin if near else torch.zeros_like(origin)
+        read = self._bounded(graph, seen, origin - left)
+        out, after = network.draw_scaled(graph, read, given, scale, -left * scale, self.gate * self.out_scale)
         graph.output(self._summed(graph, x, out), "y", ["T", "B", network.outputs])
         for state, name, shape in zip(self.states, (*after, *after_buffer), shapes, strict=True):
             graph.output(name, f"{state.name}_out", shape)
         return graph.serialized(metadata)
 
-    def _shifted(self, graph: Graph, x: str) -> str:
-        """`read` as nodes, but for the factor of each input."""
+    def _bounded(self, graph: Graph, x: str, origin: Tensor) -> str:
+        """`read` as nodes, without the factor of each input, and with no more of its origin than is said, (I + N,)."""
         if self._any_relative:
             other = graph.add("Gather", x, graph.integers(self.other.numpy()), axis=2)
             x = graph.add("Sub", x, graph.add("Mul", other, graph.floats(self.has_other.numpy())))
         count = len(self.stop_edge)
+        if count:
+            # What may be near a stop is a simulated position, and from those nothing was subtracted.
+            rows = np.concatenate([np.arange(len(self.center)), self.stop_index.numpy()])
+            x = graph.add("Gather", x, graph.integers(rows), axis=2)
+        if origin.any():
+            x = graph.add("Sub", x, graph.floats(origin.numpy()))
         if not count:
-            return graph.add("Sub", x, graph.floats(self.center.numpy()))
-        rows = np.concatenate([np.arange(len(self.center)), self.stop_index.numpy()])
-        bounds = np.full((2, rows.size), np.inf) * [[-1], [1]]
-        bounds[:, -count:] = np.sort([np.zeros(count), _BEYOND / self.stop_slope.numpy()], axis=0)
-        # What may be near a stop is a simulated position, and from those nothing was subtracted.
-        x = graph.add("Gather", x, graph.integers(rows), axis=2)
-        x = graph.add("Sub", x, graph.floats(torch.cat([self.center, self.stop_edge]).numpy()))
+            return x
+        bounds = np.full((2, len(origin)), np.inf) * [[-1], [1]]
+        edge = self.stop_edge.numpy() - origin[-count:].numpy()
+        bounds[:, -count:] = np.sort([edge, edge + _BEYOND / self.stop_slope.numpy()], axis=0)
         return graph.add("Min", graph.add("Max", x, graph.floats(bounds[0])), graph.floats(bounds[1]))
 
     def _summed(self, graph: Graph, x: str, out: str) -> str:

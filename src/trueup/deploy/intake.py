@@ -57,12 +57,12 @@ class Intake:
                 values = simulated[signal]
                 if len(values) != count:  # a single number would be spread over all joints
                     self._refuse("simulated", simulated)
-                place[:] = values
+                place[...] = values
             for signal, place in self._command:
                 values = command[signal]  # type: ignore[index]  # None is refused below
                 if len(values) != count:
                     self._refuse("command", command)
-                place[:] = values
+                place[...] = values
         except (LookupError, TypeError, ValueError):
             self._refuse("simulated", simulated)
             self._refuse("command", command)

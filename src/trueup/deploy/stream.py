@@ -169,7 +169,7 @@ class Stream:
                 f"the input of model {self._card.name!r}", got=f"{len(x)} channels", expected=f"{self._raw.size}"
             )
         try:
-            self._raw[:] = x
+            self._raw[...] = x
         except (TypeError, ValueError) as error:
             raise DataError(
                 f"the input of model {self._card.name!r}", got=error, expected=f"{self._raw.size} numbers"
@@ -211,10 +211,10 @@ class Stream:
         self._image, self._repeats, self._mean_s = image, 0, mean_s
         self._seen_s = self._good_s = seen_s
         cell = self._cell
-        cell.x[:] = raw
+        cell.x[...] = raw
         if not cell.run():
             return self._judged(_DIVERGED)
-        self._values[:] = cell.y
+        self._values[...] = cell.y
         return self._step
 
     def _careful(self, image: bytes, time_s: float | None) -> Step:

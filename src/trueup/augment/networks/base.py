@@ -54,13 +54,16 @@ class Network(nn.Module, ABC):
         """The same as nodes of an ONNX graph; returns the names of the output and of the new states."""
 
     def draw_scaled(
-        self, graph: Graph, x: str, states: Sequence[str], inputs: Tensor, outputs: Tensor
+        self, graph: Graph, x: str, states: Sequence[str], inputs: Tensor, shift: Tensor, outputs: Tensor
     ) -> tuple[str, tuple[str, ...]]:
-        """`draw`, with the inputs multiplied by (I,) before and the outputs by (K,) after.
+        """`draw` of `x * inputs + shift`, both (I,), with its output multiplied by `outputs`, (K,).
 
-        Networks that are run in a control loop have both in their weights: there, every node counts.
+        Networks that are run in a control loop have all of it in their weights: there, every node counts.
         """
-        out, after = self.draw(graph, graph.add("Mul", x, graph.floats(inputs.numpy())), states)
+        x = graph.add("Mul", x, graph.floats(inputs.numpy()))
+        if shift.any():
+            x = graph.add("Add", x, graph.floats(shift.numpy()))
+        out, after = self.draw(graph, x, states)
         return graph.add("Mul", out, graph.floats(outputs.numpy())), after
 
     def initial(self, first: Tensor) -> States:

@@ -131,13 +131,15 @@ class Recurrent(Network):
         return graph.add("Tanh", x) if self.tanh else x, tuple(after) if self.causal else ()
 
     def draw_scaled(
-        self, graph: Graph, x: str, states: Sequence[str], inputs: Tensor, outputs: Tensor
+        self, graph: Graph, x: str, states: Sequence[str], inputs: Tensor, shift: Tensor, outputs: Tensor
     ) -> tuple[str, tuple[str, ...]]:
         """See `Network.draw_scaled`."""
         scaled = copy.deepcopy(self)
         with torch.no_grad():
             for layer in (*scaled.forwards[:1], *scaled.backwards[:1]):
-                layer.get_parameter("weight_ih_l0").mul_(inputs)
+                weight = layer.get_parameter("weight_ih_l0")
+                layer.get_parameter("bias_ih_l0").add_(weight @ shift)
+                weight.mul_(inputs)
             if not self.tanh:
                 scaled.dense.weight.mul_(outputs[:, None])
                 scaled.dense.bias.mul_(outputs)
