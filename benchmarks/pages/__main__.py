@@ -12,6 +12,7 @@ NAMES = {
     "real_robots": "real-robots.md",
     "panda": "panda.md",
     "augment": "learned-corrections.md",
+    "streaming": "step-times.md",
 }
 
 
