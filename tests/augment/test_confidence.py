@@ -138,6 +138,7 @@ def test_an_output_that_helps_is_used():
     ("simulated", "corrected", "conditions", "reason"),
     [
         ([1.0] * 12, [4.0] * 12, None, "error on val larger than the simulator's, by 100 %"),
+        ([1.0] * 12, [1.004] * 12, None, "error on val larger than the simulator's, by less than 1 %"),
         (
             [1.0] * 12,
             [11.9 if k == 0 else 0.0 for k in range(12)],

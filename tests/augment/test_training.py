@@ -548,6 +548,20 @@ def test_a_signal_without_weight_is_left_as_simulated(data, tmp_path):
             augment([data], tmp_path / f"b{len(unknown)}", run=RUN, config=config)
 
 
+def test_many_reasons_are_one_line(data, tmp_path, monkeypatch):
+    """What one epoch at no learning rate leaves."""
+    monkeypatch.setattr("trueup.stages.augmenting._MOST_REASONS", 1)
+    still = replace(SMALL, epochs=1, optimizer=OptimizerConfig(rate=1e-30))
+    made = augment([data], tmp_path, run=RUN, config=still)
+    off = [output for output in made.augmentation.card.outputs if output.gate == 0]
+    count = len({output.reason for output in off})
+    assert count > 1
+    (line,) = [note for note in made.notes if "switched off" in note]
+    for signal in {output.signal for output in off}:
+        assert f"{signal} of {', '.join(output.joint for output in off if output.signal == signal)}" in line
+    assert f"{count - 1} other reasons are in model.json" in line
+
+
 def test_the_random_numbers_of_the_caller_are_left_alone(data, tmp_path):
     torch.manual_seed(3)
     expected = torch.rand(4)

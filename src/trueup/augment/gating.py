@@ -86,8 +86,8 @@ def gates_of(
         elif errors.simulated[:, output].sum() == 0:
             reason = "the simulator is exact on val"
         elif difference[:, output].sum() >= 0:
-            worse = np.sqrt(errors.corrected[:, output].sum() / errors.simulated[:, output].sum()) - 1
-            reason = f"error on val larger than the simulator's, by {100 * worse:.0f} %"
+            worse = 100 * (np.sqrt(errors.corrected[:, output].sum() / errors.simulated[:, output].sum()) - 1)
+            reason = f"error on val larger than the simulator's, by {f'{worse:.0f}' if worse >= 1 else 'less than 1'} %"
         elif upper[output] >= 0:
             reason = "no better than the simulator on val beyond chance"
         else:

@@ -17,7 +17,7 @@ from trueup.augment.channels import RATE_TOLERANCE
 from trueup.augment.config import FEWEST_FOR_CHANCE, SIGNALS, AugmentConfig
 from trueup.core.atomic import make_folder
 from trueup.core.episode import Episode
-from trueup.core.model_card import Channel
+from trueup.core.model_card import CARD_NAME, Channel
 from trueup.dataset import Dataset
 from trueup.dataset.writer import is_label_part
 from trueup.errors import ConfigError, DataError, MissingDependency, MissingSignal, NameMismatch
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from trueup.augment.pairs import Pairs
 
 _LONGEST_NAME = 100
+# Why outputs are switched off, line by line, unless there are more reasons than this.
+_MOST_REASONS = 4
 
 
 @dataclass(frozen=True)
@@ -401,12 +403,17 @@ def _notes(augmentation: Augmentation) -> Iterator[str]:
     if training["status"] == "diverged":
         done, best = len(training["history"]), training["best_epoch"]
         yield f"training diverged after epoch {done}; the weights of epoch {best} are kept"
-    off: dict[str, list[str]] = {}
+    reasons: dict[str, list[str]] = {}
+    signals: dict[str, list[str]] = {}
     for output in card.outputs:
         if output.gate == 0:
-            off.setdefault(output.reason, []).append(f"{output.signal} of {output.joint}")
-    for reason, names in off.items():
-        yield f"switched off, so that the simulator's value stays: {', '.join(names)} ({reason})"
+            reasons.setdefault(output.reason, []).append(f"{output.signal} of {output.joint}")
+            signals.setdefault(output.signal, []).append(output.joint)
+    if len(reasons) > _MOST_REASONS:
+        names = "; ".join(f"{signal} of {', '.join(joints)}" for signal, joints in signals.items())
+        reasons = {f"{next(iter(reasons))}; {len(reasons) - 1} other reasons are in {CARD_NAME}": [names]}
+    for reason, names_of in reasons.items():
+        yield f"switched off, so that the simulator's value stays: {', '.join(names_of)} ({reason})"
     if 0 < training["motions"]["val"] < FEWEST_FOR_CHANCE:
         count = training["motions"]["val"]
         yield f"{count} val motions cannot tell help from chance: outputs are used if they help there"
