@@ -15,7 +15,6 @@ from typing import Any
 from benchmarks.augment_models import (
     AMOUNTS,
     ARM_MODELS,
-    FITTED,
     FOLDER,
     GOOD,
     JOBS,
@@ -26,6 +25,7 @@ from benchmarks.augment_models import (
     so101,
     train_all,
 )
+from benchmarks.pages.augment_bars import ARM, LINES, OTHER_UNIT, TORQUE
 from benchmarks.table import Row, at_least, at_most, shown
 from trueup.core.atomic import make_folder, write_text
 from trueup.core.augment_result import AugmentResult
@@ -33,7 +33,7 @@ from trueup.core.model_card import ModelCard
 from trueup.core.provenance import provenance
 from trueup.core.results import Ladder
 from trueup.dataset import Dataset
-from trueup.stages import evaluate
+from trueup.stages import FITTED, evaluate
 
 RESULT = Path(__file__).parent / "results" / "augment.json"
 SIGNALS = ("position", "velocity", "torque")
@@ -42,7 +42,6 @@ METHODS = (
     *("moving-average", "moving-average-rt"),
 )
 REALEASY = ("realeasy", "realeasy-rt", "panda-realeasy-rt")
-SO101 = ("so101-rt", "so101-precise")
 
 
 def run() -> list[Row]:
@@ -55,7 +54,7 @@ def run() -> list[Row]:
     by_amount = _evaluated(known, amounts, "amounts", GOOD)
     others = {unit: _evaluated(data_of(unit, 0.1), REALEASY, f"unit{unit}", GOOD, split="all") for unit in OTHER_UNITS}
     arm = so101()
-    real = None if arm is None else _evaluated(arm, SO101, "so101", FITTED)
+    real = None if arm is None else _evaluated(arm, tuple(ARM), "so101", FITTED)
     result = {
         "schema": "trueup.learned/1",
         "lab": _stored(lab),
@@ -118,11 +117,11 @@ def _factors(result: AugmentResult, model: str, condition: str, signal: str) -> 
 
 def _lab_rows(lab: AugmentResult) -> list[Row]:
     rows = []
-    for model, bar in (("realeasy", 10.0), ("realeasy-rt", 7.0)):
+    for model, bar in TORQUE.items():
         torque = _factors(lab, model, "multi-joint", "torque")
         rows.append(at_least(f"{model}: multi-joint torque MSE cut, worst joint", min(torque.values()), bar, "x"))
         lines = _factors(lab, model, "cartesian", "torque")
-        rows.append(at_least(f"{model}: cartesian torque MSE cut, worst joint", min(lines.values()), 5.0, "x"))
+        rows.append(at_least(f"{model}: cartesian torque MSE cut, worst joint", min(lines.values()), LINES, "x"))
         for signal in ("position", "velocity"):
             worst = min(min(_factors(lab, model, condition, signal).values()) for condition in lab.conditions)
             rows.append(at_least(f"{model}: {signal} MSE cut, worst joint of any test", worst, 1.0, "x"))
@@ -134,7 +133,7 @@ def _other_rows(others: dict[int, AugmentResult]) -> list[Row]:
     for unit, result in others.items():
         for model in REALEASY:
             worst = min(_factors(result, model, "", "torque").values())
-            rows.append(at_least(f"unit {unit}, {model}: torque MSE cut, worst joint", worst, 2.2, "x"))
+            rows.append(at_least(f"unit {unit}, {model}: torque MSE cut, worst joint", worst, OTHER_UNIT, "x"))
     return rows
 
 
@@ -146,7 +145,7 @@ def _so101_rows(real: AugmentResult | None) -> list[Row]:
 
     gap = GapResult.load(FOLDER / "evaluated" / "so101" / "gap.json")
     rows = [shown("SO-101: identified simulator, position RMSE", _rmse(gap, FITTED), "rad")]
-    for name, bar in zip(SO101, (0.0105, 0.0100), strict=True):
+    for name, bar in ARM.items():
         rows.append(at_most(f"SO-101: {name}, position RMSE", _rmse(gap, f"{FITTED}+{name}"), bar, "rad"))
     return rows
 

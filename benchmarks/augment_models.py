@@ -21,11 +21,11 @@ from trueup.dataset import Dataset, is_dataset
 from trueup.lab import LabSpec
 from trueup.record import load_plans
 from trueup.robots import load_robot
-from trueup.stages import LabRig, augment, fit, import_logs, record, replay
+from trueup.stages import FITTED, STOCK, LabRig, augment, fit, import_logs, record, replay
 
 FOLDER = Path("runs") / "augment"
 JOBS = os.cpu_count() or 1
-GOOD, ROUGH, FITTED = "mujoco/stock", "mujoco/rough", "mujoco/fitted"
+GOOD, ROUGH = STOCK, "mujoco/rough"
 TRAIN_UNIT = 1
 # Realeasy's "another robot": motions of other seeds, none of which is trained on.
 OTHER_UNITS = (2, 3)

@@ -21,6 +21,7 @@ import numpy as np
 import torch
 
 from benchmarks.networks import HIDDEN, JOINTS, Made, by_signal, motion, real_time
+from benchmarks.pages.streaming import BARS, OURS
 from benchmarks.table import Row, at_most, print_table, shown
 from trueup.core.atomic import make_folder, write_json
 from trueup.core.provenance import provenance
@@ -32,13 +33,11 @@ from trueup.stages.timing import time_steps
 RESULT = Path(__file__).parent / "results" / "streaming.json"
 RATE_HZ = 1000.0
 PAPER_US = 390.0  # Realeasy, Sec. V: one step of its real-time network
-_LIMITS_US = {"p50_us": 20.0, "p99_us": 40.0, "p999_us": 100.0}
 # The alternatives take turns, so that a change in the machine's speed meets all of them.
 _ROUNDS, _STEPS = 40, 4000
 # Of the motion that goes round and round: so few that they stay in the cache, where a simulator has just left them.
 _SAMPLES = 200
 _CHECKED = 50
-_OURS = ("Stream.step", "Stream.step_vector")
 
 Sample = dict[str, np.ndarray]
 # A step of an alternative: number of the sample, its signals, the same as one float32 vector; returns the outputs.
@@ -61,8 +60,8 @@ def run(*, loop_s: float = 60.0, rounds: int = _ROUNDS, write: bool = False) -> 
     for runner, turns in found.items():
         for key, share in PERCENTILES.items():
             value, title = _typical_us(turns, share), f"{runner}, p{share:g}"
-            rows.append(at_most(title, value, _LIMITS_US[key], "us") if runner in _OURS else shown(title, value, "us"))
-        if runner in _OURS:
+            rows.append(at_most(title, value, BARS[key], "us") if runner in OURS else shown(title, value, "us"))
+        if runner in OURS:
             rows += [
                 shown(f"{runner}, p{share:g} over all turns", _pooled(turns).percentile_us(share), "us")
                 for share in PERCENTILES.values()

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from benchmarks.pages.markdown import table
+from trueup.deploy.latency import PERCENTILES
 
 # The bars of a step of ours [us].
 BARS = {"p50_us": 20.0, "p99_us": 40.0, "p999_us": 100.0}
-PERCENT = {"p50_us": "50", "p99_us": "99", "p999_us": "99.9"}
 OURS = ("Stream.step", "Stream.step_vector")
 
 TEXT = """# What a step takes
@@ -79,7 +79,7 @@ def page(result: Mapping[str, Any]) -> str:
 def verdict(result: Mapping[str, Any]) -> str:
     """Which of the bars are missed, by typical turns and over all steps."""
     missed = [
-        f"{NAMES[name]} {PERCENT[key]} %"
+        f"{NAMES[name]} {PERCENTILES[key]:g} %"
         for name in OURS
         for key, bar in BARS.items()
         if result["step"][name]["typical"][key] > bar

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +25,7 @@ from trueup.augment.networks import build_network
 from trueup.augment.pairs import Pairs
 from trueup.augment.scaling import Scaling, Stops, Summary, counterparts, scaling_of, summarize
 from trueup.augment.training import OnProgress, Outcome, train
-from trueup.core.atomic import make_folder, write_bytes
+from trueup.core.atomic import json_hash, make_folder, write_bytes
 from trueup.core.config import build
 from trueup.core.episode import Episode
 from trueup.core.model_card import CARD_NAME, ONNX_NAME, WEIGHTS_NAME, Channel, Input, ModelCard, Output
@@ -268,7 +266,7 @@ def _digest(task: Task, config: AugmentConfig, seed: int) -> str:
         "inputs": [channel.name for channel in task.train.inputs],
         "outputs": [channel.name for channel in task.train.outputs],
     }
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    return json_hash(parts)
 
 
 def _card(

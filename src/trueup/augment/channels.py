@@ -12,7 +12,7 @@ from trueup.core.episode import Episode
 from trueup.core.hold import held_rows
 from trueup.core.model_card import Channel
 from trueup.core.timeseries import TimeSeries
-from trueup.deploy.agreement import RATE_TOLERANCE as RATE_TOLERANCE
+from trueup.deploy.agreement import RATE_TOLERANCE
 from trueup.errors import DataError, MissingSignal, NameMismatch, UnitError
 
 # A clock whose steps are this near to the network's is taken as it is: robots' clocks jitter.

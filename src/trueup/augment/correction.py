@@ -9,10 +9,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from trueup.augment.channels import RATE_TOLERANCE, Grid, gather
+from trueup.augment.channels import Grid, gather
 from trueup.core.episode import Episode
 from trueup.core.model_card import Channel, ModelCard
 from trueup.core.timeseries import TimeSeries
+from trueup.deploy.agreement import RATE_TOLERANCE
 from trueup.errors import DataError, NameMismatch
 
 

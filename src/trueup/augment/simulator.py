@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int
 
-from trueup.augment.channels import RATE_TOLERANCE
 from trueup.augment.correction import refuse_other_joints
 from trueup.core.model_card import Channel, ModelCard
 from trueup.core.protocols import RolloutRequest, RolloutResult, Simulator
 from trueup.deploy import Network, Predictor
+from trueup.deploy.agreement import RATE_TOLERANCE
 from trueup.errors import ConfigError, DataError, MissingSignal, UnitError
 
 # What a Simulator says of itself, and in which units: angles and torques, or lengths and forces of sliding joints.

@@ -17,7 +17,6 @@ A network that looks into the future (`causal: false`) has no states and takes w
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -27,7 +26,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from trueup.core.atomic import as_read_back, read_json, without_nan, write_json
+from trueup.core.atomic import as_read_back, json_hash, read_json, without_nan, write_json
 from trueup.core.config import build
 from trueup.errors import ConfigError, DataError, FormatError
 
@@ -191,7 +190,7 @@ class ModelCard:
     def to_json(self) -> dict[str, Any]:
         """The content of model.json, with a hash over all the rest."""
         content = as_read_back({"schema": CARD_SCHEMA, **without_nan(asdict(self))})
-        return {**content, _HASH: _digest(content)}
+        return {**content, _HASH: json_hash(content)}
 
     @staticmethod
     def from_json(data: Any, where: str = CARD_NAME) -> ModelCard:
@@ -205,7 +204,7 @@ class ModelCard:
         if found != CARD_SCHEMA:
             raise FormatError(f"{where} describes no network of this version", got=found, expected=CARD_SCHEMA)
         content = {key: value for key, value in data.items() if key != _HASH}
-        if data.get(_HASH) != _digest(content):
+        if data.get(_HASH) != json_hash(content):
             raise DataError(
                 f"{where} was changed after it was written (its hash differs)",
                 hint="Export the model again, or fetch it again.",
@@ -268,7 +267,3 @@ def _with_open_ends(item: Mapping[str, Any]) -> dict[str, Any]:
     """The input with infinity for null, which stands for it in JSON."""
     ends = {"low": -math.inf, "high": math.inf}
     return {**item, **{key: end for key, end in ends.items() if item.get(key) is None}}
-
-
-def _digest(content: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

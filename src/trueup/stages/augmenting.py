@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from trueup.align import JointMap
-from trueup.augment.channels import RATE_TOLERANCE
 from trueup.augment.config import FEWEST_FOR_CHANCE, SIGNALS, AugmentConfig
-from trueup.core.atomic import make_folder
+from trueup.core.atomic import json_hash, make_folder
 from trueup.core.episode import Episode
 from trueup.core.model_card import CARD_NAME, Channel
 from trueup.dataset import Dataset
 from trueup.dataset.writer import is_label_part
+from trueup.deploy.agreement import RATE_TOLERANCE
 from trueup.errors import ConfigError, DataError, MissingDependency, MissingSignal, NameMismatch
 from trueup.record.limits import stated_rates
 from trueup.record.urdf import urdf_velocity_limits
@@ -123,7 +121,7 @@ def augment(
     origin = _Origin.of(sources, run)
     data_hash = _joint_hash(sources, run)
     limits = _limits(robot, origin, sources[0], config)
-    asked = _digest(
+    asked = json_hash(
         {
             "data": data_hash,
             "run": run,
@@ -280,11 +278,7 @@ def _joint_hash(sources: Sequence[Dataset], run: str) -> str:
     parts = [
         [source.hash, source.run_info(run).get("inputs", {}), source.splits, source.run_ids(run)] for source in sources
     ]
-    return _digest(parts)
-
-
-def _digest(parts: Any) -> str:
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    return json_hash(parts)
 
 
 def _ids(sources: Sequence[Dataset], run: str, split: str, *, drop_flagged: bool) -> list[tuple[int, str]]:

@@ -98,7 +98,7 @@ def evaluate(
     refuse_other_fit(out, dataset.hash)
     predictors = [Predictor.load(Path(folder)) for folder in models]
     cards = [predictor.card for predictor in predictors]
-    latencies = [_latency(Path(folder), card) for folder, card in zip(models, cards, strict=True)]
+    timed = [_timed(Path(folder), card) for folder, card in zip(models, cards, strict=True)]
     _refuse_same_names(cards, models)
     run = _run_of(dataset, cards) if run is None else run
     ids = _motions(dataset, run, split, drop_flagged=drop_flagged)
@@ -113,9 +113,9 @@ def evaluate(
     warnings = _foreign(dataset, run, split, cards)
     notes = [line for item in corrections for line in _failed(item)]
     notes += [line for card in cards for line in _resampled(dataset, run, ids, card)]
-    notes += [line for folder, card in zip(models, cards, strict=True) for line in _mistimed(Path(folder), card)]
+    notes += [line for _, lines in timed for line in lines]
     notes += _unpromised(dataset, ids, cards)
-    builder, left_out = _reduced(dataset, labels, cards, latencies, ids, track)
+    builder, left_out = _reduced(dataset, labels, cards, [times for times, _ in timed], ids, track)
     notes += left_out
     config = {
         "run": run,
@@ -281,20 +281,13 @@ def _resampled(dataset: Dataset, run: str, ids: Sequence[str], card: ModelCard) 
     return [line]
 
 
-def _latency(folder: Path, card: ModelCard) -> StepTimes | None:
-    """What `latency.json` says, if it is about this network."""
-    times = _times(folder)
-    return times if times is not None and times.network == card.files[ONNX_NAME] else None
-
-
-def _mistimed(folder: Path, card: ModelCard) -> list[str]:
-    if _times(folder) is None or _latency(folder, card) is not None:
-        return []
-    return [
-        f"{card.name}: its {LATENCY_NAME} is not about this network; take the time again: trueup augment time {folder}"
-    ]
-
-
-def _times(folder: Path) -> StepTimes | None:
+def _timed(folder: Path, card: ModelCard) -> tuple[StepTimes | None, list[str]]:
+    """What `latency.json` says of this network; a note if it is about another."""
     path = folder / LATENCY_NAME
-    return StepTimes.load(path) if path.is_file() else None
+    times = StepTimes.load(path) if path.is_file() else None
+    if times is None or times.network == card.files[ONNX_NAME]:
+        return times, []
+    line = (
+        f"{card.name}: its {LATENCY_NAME} is not about this network; take the time again: trueup augment time {folder}"
+    )
+    return None, [line]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import shutil
 from collections.abc import Mapping
@@ -13,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trueup.core.atomic import make_folder
+from trueup.core.atomic import json_hash, make_folder
 from trueup.core.attribution import Attribution
 from trueup.core.fit_result import FitResult
 from trueup.core.results import Ladder
@@ -160,7 +158,7 @@ def _digest(dataset: Dataset, robot: RobotSpec, model: Path, config: IdentifyCon
         "config": (config or IdentifyConfig()).to_json(),
         "seed": seed,
     }
-    return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
+    return json_hash(inputs)
 
 
 def _finished(out: Path, inputs: str) -> FitResult | None:
