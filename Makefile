@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 TRUEUP := $(BIN)/trueup
 
-.PHONY: demo test test-all install lint bench pages docs lock clean
+.PHONY: demo test test-all install lint bench acceptance pages docs lock clean
 
 demo: $(VENV)/.base
 	$(TRUEUP) demo --out runs/demo --overwrite
@@ -27,6 +27,9 @@ install: $(VENV)/.dev
 
 bench: install
 	$(BIN)/python -m benchmarks
+
+acceptance: install
+	$(BIN)/python -m benchmarks.acceptance
 
 pages: install
 	$(BIN)/python -m benchmarks.pages

@@ -3,12 +3,11 @@
 The alternatives take turns on one core. A shared machine slows down now and then for some tenths of a second: what
 counts is the median over the turns of each percentile; the percentile over all steps stands beside it.
 
-`python -m benchmarks.streaming --write` also writes `benchmarks/results/streaming.json`.
+Writes `benchmarks/results/streaming.json`, from which docs/step-times.md is made.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -22,7 +21,7 @@ import torch
 
 from benchmarks.networks import HIDDEN, JOINTS, Made, by_signal, motion, real_time
 from benchmarks.pages.streaming import BARS, OURS
-from benchmarks.table import Row, at_most, print_table, shown
+from benchmarks.table import Row, at_most, shown
 from trueup.core.atomic import make_folder, write_json
 from trueup.core.provenance import provenance
 from trueup.core.step_times import StepTimes
@@ -35,6 +34,7 @@ RATE_HZ = 1000.0
 PAPER_US = 390.0  # Realeasy, Sec. V: one step of its real-time network
 # The alternatives take turns, so that a change in the machine's speed meets all of them.
 _ROUNDS, _STEPS = 40, 4000
+_LOOP_S = 60.0
 # Of the motion that goes round and round: so few that they stay in the cache, where a simulator has just left them.
 _SAMPLES = 200
 _CHECKED = 50
@@ -44,18 +44,17 @@ Sample = dict[str, np.ndarray]
 Runner = Callable[[int, Sample, np.ndarray], np.ndarray]
 
 
-def run(*, loop_s: float = 60.0, rounds: int = _ROUNDS, write: bool = False) -> list[Row]:
-    """Measure all alternatives in turns, then the loop."""
+def run() -> list[Row]:
+    """Measure all alternatives in turns, then the loop; write the result file."""
     torch.set_num_threads(1)
     if hasattr(os, "sched_setaffinity"):  # one core, as docs/runtime.md advises for control loops
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     with TemporaryDirectory() as name:
         made = real_time(Path(name))
-        found = _measured(made, rounds)
-        times, loop = time_steps(made.folder, rate_hz=RATE_HZ, seconds=loop_s)
-    if write:
-        make_folder(RESULT.parent)
-        write_json(RESULT, _result(found, times, loop, loop_s))
+        found = _measured(made)
+        times, loop = time_steps(made.folder, rate_hz=RATE_HZ, seconds=_LOOP_S)
+    make_folder(RESULT.parent)
+    write_json(RESULT, _result(found, times, loop))
     rows = []
     for runner, turns in found.items():
         for key, share in PERCENTILES.items():
@@ -67,7 +66,7 @@ def run(*, loop_s: float = 60.0, rounds: int = _ROUNDS, write: bool = False) -> 
                 for share in PERCENTILES.values()
             ]
     rows.append(shown("the paper's step", PAPER_US, "us"))
-    title = f"{RATE_HZ:g} Hz for {loop_s:g} s"
+    title = f"{RATE_HZ:g} Hz for {_LOOP_S:g} s"
     rows += [
         at_most(f"{title}: deadlines missed by the step", loop.overran_by_step, 0, ""),
         shown(f"{title}: missed because it was interrupted", loop.overran_by_waiting, ""),
@@ -91,7 +90,7 @@ def _pooled(turns: Sequence[Latency]) -> Latency:
     return pooled
 
 
-def _measured(made: Made, rounds: int) -> dict[str, list[Latency]]:
+def _measured(made: Made) -> dict[str, list[Latency]]:
     """Latency of each alternative in each of its turns; those that are networks must agree on the outputs first."""
     x = motion(made.card, _SAMPLES)
     vectors = x[:, 0].copy()
@@ -113,7 +112,7 @@ def _measured(made: Made, rounds: int) -> dict[str, list[Latency]]:
     found: dict[str, list[Latency]] = {name: [] for name in runners}
     clock = time.perf_counter_ns
     at = _CHECKED
-    for _ in range(rounds):
+    for _ in range(_ROUNDS):
         for name, runner in runners.items():
             turn = Latency()
             record = turn.record
@@ -211,7 +210,7 @@ def _products(made: Made) -> Runner:
     return runner
 
 
-def _result(found: dict[str, list[Latency]], times: StepTimes, loop: LoopReport, loop_s: float) -> dict[str, Any]:
+def _result(found: dict[str, list[Latency]], times: StepTimes, loop: LoopReport) -> dict[str, Any]:
     packages = {name: metadata.version(name) for name in ("onnxruntime", "torch")}
     machine = {"name": times.machine, "load": list(os.getloadavg())}
     return {
@@ -224,20 +223,6 @@ def _result(found: dict[str, list[Latency]], times: StepTimes, loop: LoopReport,
             for name, turns in found.items()
         },
         "paper_us": PAPER_US,
-        "loop": {"duration_s": loop_s, **loop.to_json()},
+        "loop": {"duration_s": _LOOP_S, **loop.to_json()},
         "provenance": provenance(config={"packages": packages, "machine": machine}, seed=0),
     }
-
-
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help=f"write {RESULT.name}")
-    parser.add_argument("--loop-s", type=float, default=60.0, help="how long the loop runs")
-    parser.add_argument("--rounds", type=int, default=_ROUNDS, help=f"of {_STEPS} steps for each alternative")
-    options = parser.parse_args()
-    print_table(run(loop_s=options.loop_s, rounds=options.rounds, write=options.write), "streaming")
-
-
-if __name__ == "__main__":
-    main()

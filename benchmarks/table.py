@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
+
+from trueup.core.atomic import write_json
 
 
 @dataclass(frozen=True)
@@ -56,3 +59,8 @@ def print_table(rows: Sequence[Row], title: str = "") -> None:
         verdict = "" if row.limit is None else "[green]ok[/]" if row.ok else "[bold red]MISSED[/]"
         table.add_row(row.name, f"{row.value:.4g}", limit, row.unit, verdict)
     Console().print(table)
+
+
+def write_rows(rows: Mapping[str, Sequence[Row]], path: Path) -> None:
+    """Store the rows of each benchmark by its name."""
+    write_json(path, {name: [asdict(row) for row in own] for name, own in rows.items()})

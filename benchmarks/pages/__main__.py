@@ -13,6 +13,7 @@ NAMES = {
     "panda": "panda.md",
     "augment": "learned-corrections.md",
     "streaming": "step-times.md",
+    "acceptance": "acceptance.md",
 }
 
 
@@ -50,7 +51,7 @@ def main() -> None:
             for path, content in {file: text(name), **figures(name)}.items():
                 (ROOT / "docs" / path).write_text(content)
         else:
-            print(f"docs/{file} is left as it is: python -m benchmarks {name} has no result yet")
+            print(f"docs/{file} is left as it is: benchmarks/results/{name}.json is not there yet")
 
 
 if __name__ == "__main__":

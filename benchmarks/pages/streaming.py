@@ -1,4 +1,4 @@
-"""docs/step-times.md, from what `python -m benchmarks.streaming --write` has measured."""
+"""docs/step-times.md, from what `python -m benchmarks streaming` has measured."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TEXT = """# What a step takes
 One step of Realeasy's real-time network (21 -> 100 -> 21 units, seven joints, three signals) by
 [`Stream`](runtime.md), with its state and all its checks, beside what it could run on instead. On one core of
 {machine}; onnxruntime {ort}, torch {torch}; {count} steps of each, the alternatives taking turns. This page is made
-from what `python -m benchmarks.streaming --write` measures (`make pages` writes it).
+from what `python -m benchmarks streaming` measures (`make pages` writes it).
 
 Microseconds; first the median over the turns of each percentile, then the percentile over all steps. A shared machine
 slows down now and then for some tenths of a second, which the second shows and the first does not.

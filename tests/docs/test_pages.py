@@ -17,7 +17,7 @@ def stored(name):
 @pytest.mark.parametrize(("name", "file"), NAMES.items())
 def test_a_page_and_its_figures_are_made_from_its_result(name, file):
     if not is_stored(name) and not (ROOT / "docs" / file).exists():
-        pytest.skip(f"python -m benchmarks {name} has no result yet, and there is no page")
+        pytest.skip(f"there is neither a result {name} nor its page yet")
     for path, content in {file: text(name), **figures(name)}.items():
         assert (ROOT / "docs" / path).read_text() == content
 

@@ -29,7 +29,7 @@ def provenance(*, config: Mapping[str, Any], seed: int | None = None, data_hash:
         "trueup": version(),
         "python": platform.python_version(),
         "packages": {name: _installed(name) for name in packages},
-        "git": _git_hash(Path(__file__).parent),
+        "git": _git_hash(Path(__file__).parent.parent),
         "seed": seed,
         "data_hash": data_hash,
         "config": dict(config),
@@ -45,17 +45,19 @@ def _installed(name: str) -> str | None:
 
 
 def _git_hash(folder: Path) -> str | None:
-    """Commit of the source tree that this code runs from; None for an installed wheel."""
+    """Commit that this code runs from, `-dirty` if the package differs from it; None for an installed wheel."""
     if not any((parent / "pyproject.toml").is_file() for parent in folder.parents):
         return None
     try:
-        done = subprocess.run(
-            ["git", "-C", str(folder), "describe", "--always", "--dirty", "--exclude=*"],
-            capture_output=True,
-            text=True,
-            timeout=5,
-            check=True,
+        commit, changed = (
+            _git(folder, "rev-parse", "--short=10", "HEAD"),
+            _git(folder, "status", "--porcelain", "--", "."),
         )
     except (OSError, subprocess.SubprocessError):
         return None
+    return f"{commit}-dirty" if changed else commit
+
+
+def _git(folder: Path, *command: str) -> str:
+    done = subprocess.run(["git", "-C", str(folder), *command], capture_output=True, text=True, timeout=5, check=True)
     return done.stdout.strip()

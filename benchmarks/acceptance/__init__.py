@@ -1,0 +1,1 @@
+"""What was asked of each part of trueup, and what it reaches: `python -m benchmarks.acceptance` measures all of it."""
