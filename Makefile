@@ -25,10 +25,10 @@ lint: install
 
 install: $(VENV)/.dev
 
-bench: install
+bench: $(VENV)/.rivals
 	$(BIN)/python -m benchmarks
 
-acceptance: install
+acceptance: $(VENV)/.rivals
 	$(BIN)/python -m benchmarks.acceptance
 
 pages: install
@@ -52,6 +52,10 @@ $(VENV)/.base: $(VENV)/.venv pyproject.toml requirements.lock
 $(VENV)/.dev: $(VENV)/.venv pyproject.toml requirements.lock
 	$(PIP) install --quiet -c requirements.lock -e '.[dev]'
 	touch $@ $(VENV)/.base
+
+$(VENV)/.rivals: $(VENV)/.dev
+	$(PIP) install --quiet -c requirements.lock -e '.[rivals]'
+	touch $@
 
 clean:
 	rm -rf $(VENV) build dist site .mypy_cache .ruff_cache .hypothesis

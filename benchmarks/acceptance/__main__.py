@@ -63,9 +63,11 @@ def _measured(source: Source, kept: Path) -> dict[str, Any]:
 
 
 def _line(line: Line, measured: dict[str, Any]) -> dict[str, Any]:
+    names = [row["name"] for row in measured["rows"]]
+    absent = [start for start in line.rows if not any(name.startswith(start) for name in names)]
+    if absent:
+        raise LookupError(f"{line.source.command} has no figure that begins with {', '.join(absent)}")
     rows = [row for row in measured["rows"] if not line.rows or row["name"].startswith(line.rows)]
-    if not rows:
-        raise LookupError(f"{line.source.command} has no figure that begins with {', '.join(line.rows)}")
     return {
         "part": line.part,
         "kind": line.kind,
