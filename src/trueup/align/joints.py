@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from trueup.align.joint_rule import JointRule, check_keys
+from trueup.core.episode import Episode
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.core.units import si_factor
 from trueup.errors import ConfigError, NameMismatch, UnitError
@@ -109,6 +110,20 @@ class JointMap:
             signals[name] = (values.astype(np.float64) * factor + offset).astype(values.dtype)
             units[name] = tuple(column[1] for column in columns)
         return replace(ordered, joints=self.joints, signals=signals, units=units)
+
+    def of_episode(self, episode: Episode) -> Episode:
+        """The episode in the robot's names, order and SI units: what was measured, and what was commanded.
+
+        Raises:
+            NameMismatch: the log's joints are not those of the map; both lists are printed.
+            UnitError: a unit is unknown, or does not fit its signal.
+        """
+        measured, command = episode.measured, episode.command
+        return replace(
+            episode,
+            measured=self.for_series(measured).apply(measured),
+            command=None if command is None else self.for_series(command).apply(command),
+        )
 
     def _refuse(self, series: TimeSeries) -> None:
         unknown = sorted(set(series.joints) - set(self.log_joints) - set(self.ignore))

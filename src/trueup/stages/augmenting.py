@@ -3,32 +3,28 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trueup.align import JointMap
 from trueup.augment.config import FEWEST_FOR_CHANCE, SIGNALS, AugmentConfig
 from trueup.core.atomic import json_hash, make_folder
-from trueup.core.episode import Episode
 from trueup.core.model_card import CARD_NAME, Channel
 from trueup.dataset import Dataset
 from trueup.dataset.writer import is_label_part
-from trueup.deploy.agreement import RATE_TOLERANCE
-from trueup.errors import ConfigError, DataError, MissingDependency, MissingSignal, NameMismatch
+from trueup.errors import ConfigError, MissingDependency, NameMismatch
 from trueup.record.limits import stated_rates
 from trueup.record.urdf import urdf_velocity_limits
 from trueup.robots import RobotSpec, find_model
 from trueup.stages.model_folder import ModelFolder
 from trueup.stages.progress import Track, silent
-from trueup.stages.replaying import in_robot_names
+from trueup.stages.training_data import TrainingData, rate_of
 
 if TYPE_CHECKING:
     from trueup.augment import Augmentation, Progress
-    from trueup.augment.pairs import Pairs
 
 _LONGEST_NAME = 100
 # Why outputs are switched off, line by line, unless there are more reasons than this.
@@ -117,13 +113,11 @@ def augment(
     make_folder(out)
     if not (overwrite or resume):
         ModelFolder.refuse_full(out)
-    sources = _sources(datasets, run)
-    origin = _Origin.of(sources, run)
-    data_hash = _joint_hash(sources, run)
-    limits = _limits(robot, origin, sources[0], config)
+    source = TrainingData.of(datasets, run)
+    limits = _limits(robot, source, config)
     asked = json_hash(
         {
-            "data": data_hash,
+            "data": source.hash,
             "run": run,
             "config": config.to_json(),
             "limits": sorted([*key, *value] for key, value in limits.items()),
@@ -138,42 +132,41 @@ def augment(
         folder.clean()
         finished = Augmentation.load(out)
         return Augmented(finished, out, ("was finished already", *_notes(finished)))
-    ids = {split: _ids(sources, run, split, drop_flagged=drop_flagged) for split in ("train", "val")}
+    ids = {split: source.ids(split, drop_flagged=drop_flagged) for split in ("train", "val")}
     if train_motions is not None:
         ids["train"] = _drawn(ids["train"], train_motions, seed)
-    first = next(_episodes(sources, ids["train"][:1], run, origin.joint_map))
+    first = next(source.episodes(ids["train"][:1]))
     data = config.data
     inputs, outputs = channels_of(
         first, run, signals=data.signals, reads=data.reads, command=data.command, known=SIGNALS
     )
-    outputs = tuple(channel for channel in outputs if channel.joint in origin.scored)
-    rate_hz = config.data.rate_hz or _rate(first, run)
+    outputs = tuple(channel for channel in outputs if channel.joint in source.scored)
+    rate_hz = data.rate_hz or rate_of(first, run)
     with folder.scratch() as scratch, contextlib.ExitStack() as stack:
-        made: dict[str, Pairs] = {}
-        for split, chosen in ids.items():
-            episodes = _at_rate(
-                _episodes(sources, chosen, run, origin.joint_map), run, rate_hz, given=config.data.rate_hz is not None
+        pairs = {
+            split: stack.enter_context(
+                write_pairs(
+                    track(source.at_rate(chosen, rate_hz, given=data.rate_hz is not None), split, len(chosen)),
+                    scratch / f"{split}.f32",
+                    run=run,
+                    inputs=inputs,
+                    outputs=outputs,
+                    rate_hz=rate_hz,
+                )
             )
-            pairs = write_pairs(
-                track(episodes, split, len(chosen)),
-                scratch / f"{split}.f32",
-                run=run,
-                inputs=inputs,
-                outputs=outputs,
-                rate_hz=rate_hz,
-            )
-            made[split] = stack.enter_context(pairs)
-        refuse_overlap(made["train"], made["val"])
+            for split, chosen in ids.items()
+        }
+        refuse_overlap(pairs["train"], pairs["val"])
         task = Task(
             name=name,
-            robot=origin.robot,
-            joints=origin.joints,
+            robot=source.robot,
+            joints=source.joints,
             run=run,
             rate_hz=rate_hz,
-            train=made["train"],
-            val=made["val"],
+            train=pairs["train"],
+            val=pairs["val"],
             limits=limits,
-            data_hash=data_hash,
+            data_hash=source.hash,
             asked=asked,
             description=description,
         )
@@ -206,98 +199,6 @@ def _refuse_no_training(config: AugmentConfig) -> None:
         raise ConfigError("epochs: 0 leaves the network untrained", expected="at least 1")
 
 
-@dataclass(frozen=True)
-class _Origin:
-    """What the runs of all datasets say of the robot."""
-
-    robot: str
-    joints: tuple[str, ...]
-    scored: tuple[str, ...]
-    joint_map: JointMap
-    info: Mapping[str, Any]
-
-    @staticmethod
-    def of(sources: Sequence[Dataset], run: str) -> _Origin:
-        infos = [source.run_info(run) for source in sources]
-        for source, info in zip(sources, infos, strict=True):
-            if "joint_map" not in info:
-                raise ConfigError(
-                    f"the run {run!r} of {source.path} came with the logs: it is on a clock of its own",
-                    hint="Replay the commands with trueup replay, and correct that run.",
-                )
-            if info["joints"] != infos[0]["joints"]:
-                raise NameMismatch(
-                    f"the run {run!r} has other joints in {source.path}",
-                    left=info["joints"],
-                    right=infos[0]["joints"],
-                )
-            if _physics(info) != _physics(infos[0]):
-                raise ConfigError(
-                    f"the run {run!r} of {source.path} was simulated with another model or other settings",
-                    hint="Replay all datasets with the same robot and model.",
-                )
-        info = infos[0]
-        robot = str(info.get("inputs", {}).get("robot", {}).get("name", ""))
-        joints = tuple(info["joints"])
-        return _Origin(
-            robot, joints, tuple(info.get("scored_joints", joints)), JointMap.from_dict(info["joint_map"]), info
-        )
-
-
-def _physics(info: Mapping[str, Any]) -> tuple[Any, ...]:
-    return info.get("inputs", {}).get("model_sha256"), info.get("settings")
-
-
-def _sources(datasets: Sequence[Dataset], run: str) -> list[Dataset]:
-    if not datasets:
-        raise ConfigError("there is no dataset to train on")
-    for dataset in datasets:
-        if run not in dataset.runs:
-            raise MissingSignal(
-                f"{dataset.path} has no run {run!r}",
-                available=dataset.runs,
-                hint="Make one with trueup replay, or name one with --run.",
-            )
-    _refuse_twins(datasets)
-    return list(datasets)
-
-
-def _refuse_twins(datasets: Sequence[Dataset]) -> None:
-    """A motion that comes twice counts twice in all that is asked about chance."""
-    for number, dataset in enumerate(datasets):
-        for other in datasets[:number]:
-            if dataset.path.resolve() == other.path.resolve() or dataset.hash == other.hash:
-                raise ConfigError(
-                    "a dataset is given twice",
-                    got=f"{other.path} and {dataset.path} hold the same motions",
-                    hint="Give each unit's dataset once.",
-                )
-
-
-def _joint_hash(sources: Sequence[Dataset], run: str) -> str:
-    parts = [
-        [source.hash, source.run_info(run).get("inputs", {}), source.splits, source.run_ids(run)] for source in sources
-    ]
-    return json_hash(parts)
-
-
-def _ids(sources: Sequence[Dataset], run: str, split: str, *, drop_flagged: bool) -> list[tuple[int, str]]:
-    """Number of the dataset and id of each motion of a split that the run has too."""
-    found = []
-    for number, source in enumerate(sources):
-        if split in source.splits.values():
-            there = set(source.run_ids(run))  # without those that could not be replayed
-            chosen = source.select(split=split, drop_flagged=drop_flagged)
-            found += [(number, name) for name in chosen if name in there]
-    if not found:
-        raise MissingSignal(
-            f"no motion of the run {run!r} is in the split {split!r}",
-            available=sorted({item for source in sources for item in source.splits.values()}),
-            hint="Training needs train and val: give --splits 80/15/5 when you import, or a split.json.",
-        )
-    return found
-
-
 def _drawn(ids: list[tuple[int, str]], count: int, seed: int) -> list[tuple[int, str]]:
     """So many of them, at random; a smaller draw is part of a larger one."""
     if count < 1:
@@ -306,68 +207,30 @@ def _drawn(ids: list[tuple[int, str]], count: int, seed: int) -> list[tuple[int,
     return [ids[number] for number in sorted(order)]
 
 
-def _episodes(
-    sources: Sequence[Dataset], chosen: Sequence[tuple[int, str]], run: str, joint_map: JointMap
-) -> Iterator[Episode]:
-    several = len(sources) > 1
-    for number, name in chosen:
-        source = sources[number]
-        episode = in_robot_names(source.episode(name, runs=[run]), joint_map)
-        if several:
-            episode = replace(episode, meta=replace(episode.meta, id=f"{number}/{name}"))
-        yield episode
-
-
-def _rate(episode: Episode, run: str) -> float:
-    rate = episode.run(run).rate_hz
-    whole = round(rate)
-    return float(whole) if whole and abs(rate / whole - 1) < 0.01 else rate
-
-
-def _at_rate(episodes: Iterable[Episode], run: str, rate_hz: float, *, given: bool) -> Iterator[Episode]:
-    """Refuse motions of another rate, or, where a rate is given, of a lower one: nobody simulated what is between."""
-    for episode in episodes:
-        rate = min(episode.run(run).rate_hz, episode.measured.rate_hz)
-        if given and rate < rate_hz * (1 - RATE_TOLERANCE):
-            raise DataError(
-                f"episode {episode.id!r} has fewer samples per second than data.rate_hz",
-                got=f"{rate:.4g} Hz",
-                expected=f"at least {rate_hz:.4g} Hz",
-            )
-        if not given and abs(rate / rate_hz - 1) > RATE_TOLERANCE:
-            raise DataError(
-                f"episode {episode.id!r} has another rate than the first one",
-                got=f"{rate:.4g} Hz",
-                expected=f"{rate_hz:.4g} Hz",
-                hint="Give data.rate_hz in the configuration to bring all motions to one rate.",
-            )
-        yield episode
-
-
 Limits = dict[tuple[str, str], tuple[float, float]]
 
 
-def _limits(robot: RobotSpec | None, origin: _Origin, source: Dataset, config: AugmentConfig) -> Limits:
+def _limits(robot: RobotSpec | None, source: TrainingData, config: AugmentConfig) -> Limits:
     """(signal, joint) -> limits of positions, velocities and torques, where robot, model or run say them."""
-    if robot is not None and set(robot.joint_names) != set(origin.joints):
+    if robot is not None and set(robot.joint_names) != set(source.joints):
         raise NameMismatch(
             f"--robot {robot.name} is not the robot of the run",
             left=robot.joint_names,
-            right=origin.joints,
+            right=source.joints,
             left_name="robot has",
             right_name="run has",
         )
     limits: Limits = {}
-    for joint in origin.info.get("inputs", {}).get("robot", {}).get("joints", []):
+    for joint in source.info.get("inputs", {}).get("robot", {}).get("joints", []):
         if joint.get("position_limits"):
             limits["position", joint["name"]] = tuple(joint["position_limits"])
     for spec in robot.joints if robot else ():
         if spec.position_limits:
             limits["position", spec.name] = spec.position_limits
-    for name, torque in (origin.info.get("torque_limits") or {}).items():
+    for name, torque in (source.info.get("torque_limits") or {}).items():
         limits["torque", name] = (-float(torque), float(torque))
     if robot is not None and config.data.normalization == "limits":
-        limits |= {("velocity", name): (-speed, speed) for name, speed in _speeds(robot, source).items()}
+        limits |= {("velocity", name): (-speed, speed) for name, speed in _speeds(robot, source.datasets[0]).items()}
     return limits
 
 
@@ -378,12 +241,12 @@ def _unknown_limits(limits: Limits, inputs: Sequence[Channel], config: AugmentCo
             yield f"no limits are known for {', '.join(missing)}: normalized by the range of the train split"
 
 
-def _speeds(robot: RobotSpec, source: Dataset) -> dict[str, float]:
+def _speeds(robot: RobotSpec, dataset: Dataset) -> dict[str, float]:
     """Velocity limits that the model states; none where there is no model."""
     from trueup.sim.model import compile_spec, load_spec
 
     try:
-        path = find_model(robot, folder=source.info.model_path(source.path) or source.path / "model")
+        path = find_model(robot, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")
     except ConfigError:
         return {}
     model = compile_spec(load_spec(path), path)

@@ -16,7 +16,6 @@ from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError
 from trueup.measure import Comparison
 from trueup.robots import RobotSpec
-from trueup.stages.replaying import in_robot_names
 
 # A motion of fewer samples starts where it was measured and ends before it can differ: it would count as perfect.
 _FEWEST_SAMPLES = 10
@@ -83,7 +82,7 @@ def comparison_of(episode: Episode, frame: Frame, *, align: bool) -> Comparison:
     foreign = {label: series for label, series in episode.simulated.items() if label in frame.foreign}
     own = {label: series for label, series in episode.simulated.items() if label not in foreign}
     if frame.joint_map is not None:
-        episode = in_robot_names(episode, frame.joint_map)
+        episode = frame.joint_map.of_episode(episode)
         foreign = {label: frame.joint_map.for_series(item).apply(item) for label, item in foreign.items()}
     command, measured = episode.command, episode.measured
     if align:

@@ -17,7 +17,6 @@ from trueup.core.provenance import provenance
 from trueup.dataset import Dataset, RunWriter
 from trueup.errors import TrueupError
 from trueup.stages.progress import Track, silent
-from trueup.stages.replaying import in_robot_names
 
 if TYPE_CHECKING:
     from trueup.deploy import Predictor
@@ -52,7 +51,7 @@ def corrected_label(run: str, card: ModelCard) -> str:
 
 def in_run_names(episode: Episode, info: Mapping[str, Any]) -> Episode:
     """The episode in the joint names of a run, given its run.json; the run's own series are in them already."""
-    return in_robot_names(episode, JointMap.from_dict(info["joint_map"])) if "joint_map" in info else episode
+    return JointMap.from_dict(info["joint_map"]).of_episode(episode) if "joint_map" in info else episode
 
 
 def correct_unless_same(

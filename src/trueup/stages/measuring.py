@@ -24,7 +24,7 @@ from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError, MissingSignal, TrueupError
 from trueup.measure import COMMAND_RUN, AnalysisBuilder, Comparison, PlaneBuilder, lags_of, measure_gap, trends_of
 from trueup.robots import RobotSpec
-from trueup.stages.comparing import comparison_of, frame_of
+from trueup.stages.comparing import Frame, comparison_of, frame_of
 from trueup.stages.progress import Track, silent
 from trueup.stages.suspicions import Signs, far_motions, incomplete, outdated, quality_of, unapplied
 
@@ -106,10 +106,10 @@ def gap(
         ConfigError: runs with different joint maps or windows cannot share one table.
         DataError: no episode is left.
     """
-    # The stock model is what the others are compared with, whatever their names.
-    known = sorted(dataset.runs, key=lambda label: (not label.endswith("/stock"), label))
     if not 0 < tau_rad < np.inf:
         raise ConfigError("tau_rad must be positive", got=tau_rad)
+    # The stock model is what the others are compared with, whatever their names.
+    known = sorted(dataset.runs, key=lambda label: (not label.endswith("/stock"), label))
     labels = tuple(known if runs is None else (label for label in runs if label != COMMAND_RUN))
     frame = frame_of(dataset, labels, robot)
     kept = dataset.select(split=split, drop_flagged=drop_flagged)
@@ -119,48 +119,7 @@ def gap(
             got=f"split {split!r}, {'without' if drop_flagged else 'with'} flagged ones",
             available=sorted(set(dataset.splits.values())),
         )
-    builder = AnalysisBuilder(window_s=frame.window_s)
-    traces = TraceSet()
-    plane = PlaneBuilder(frame.scored)
-    several_engines = len({label.partition("/")[0] for label in labels}) > 1
-    comparing = several_engines or _several({meta.id: meta.payload_kg for meta in dataset.metas}, kept)
-    payload_kg: dict[str, float | None] = {}
-    executed = {meta.id: meta.source for meta in dataset.metas}
-    errors: dict[str, float] = {}
-    left_out: dict[str, TrueupError] = {}
-    signs = Signs()
-    covered = {label: frozenset(dataset.run_ids(label)) for label in labels}
-    for label in labels:
-        if not covered[label] & set(kept):
-            raise MissingSignal(
-                f"the run {label!r} has none of the motions to measure",
-                available=sorted(covered[label]),
-                hint="Replay them: trueup replay DATASET --robot ROBOT --resume.",
-            )
-
-    def comparisons() -> Iterator[Comparison]:
-        for name in track(kept, "gap", len(kept)):
-            episode = dataset.episode(name, runs=[label for label in labels if name in covered[label]])
-            try:
-                comparison = comparison_of(cut_rest(episode) if cut_resting else episode, frame, align=align)
-            except TrueupError as error:  # one bad motion must not hide the others; a damaged file is another matter
-                left_out[name] = error
-                continue
-            traces.add(name, episode.meta.split, comparison.measured, comparison.command, dict(comparison.simulated))
-            # A robot that is driven by torque may log a wish for its position, but that is not what it was told.
-            scored = comparison if frame.follows_motion else replace(comparison, command=None)
-            builder.add(scored)
-            signs.add(comparison)
-            if comparing:
-                plane.add(comparison)
-            payload_kg[name] = comparison.meta.payload_kg
-            if len(traces.episodes) > _MOST_TRACED:
-                traces.episodes.pop(min(traces.episodes, key=lambda key: errors.get(key, np.inf)))
-            if labels and labels[0] in comparison.simulated and "position" in comparison.measured:
-                motion = Episode(comparison.meta, comparison.measured, simulated=comparison.simulated)
-                errors[name] = position_mse(motion, run=labels[0])
-            yield scored
-
+    motions = _Motions(dataset, labels, kept, frame)
     config: dict[str, Any] = {
         "runs": {label: _made(dataset, label) for label in labels},
         "split": split,
@@ -170,10 +129,10 @@ def gap(
         "cut_rest": cut_resting,
         "align_starts": align,
     }
-    items = comparisons()
+    items = motions.compared(track, cut_resting=cut_resting, align=align)
     first = next(items, None)
     if first is None:
-        raise next(iter(left_out.values()))
+        raise next(iter(motions.left_out.values()))
     result = measure_gap(
         itertools.chain([first], items),
         scored_joints=frame.scored,
@@ -194,25 +153,85 @@ def gap(
         )
     source = dataset.info.provenance.get("config", {}).get("source")
     names = {"robot": frame.robot or dataset.info.robot, "dataset": source or dataset.path.resolve().name}
-    told = [f"{name} was left out: {error.what}" for name, error in left_out.items()]
-    warnings = {
-        "warnings": [
-            *incomplete(dataset, covered, kept),
-            *outdated(dataset, labels),
-            *unapplied(frame.joint_map, dataset[kept[0]].measured.joints),
-            *told,
-            *signs.warnings(),
+    result = replace(result, settings={**result.settings, **names, "warnings": motions.warnings()})
+    return motions.measurement(result, split)
+
+
+class _Motions:
+    """The motions that are measured: what is kept of each besides its metrics, while they go by one by one."""
+
+    def __init__(self, dataset: Dataset, labels: Sequence[str], kept: Sequence[str], frame: Frame) -> None:
+        self.left_out: dict[str, TrueupError] = {}
+        self._dataset, self._labels, self._kept, self._frame = dataset, labels, kept, frame
+        self._covered = {label: frozenset(dataset.run_ids(label)) for label in labels}
+        for label, ids in self._covered.items():
+            if not ids & set(kept):
+                raise MissingSignal(
+                    f"the run {label!r} has none of the motions to measure",
+                    available=sorted(ids),
+                    hint="Replay them: trueup replay DATASET --robot ROBOT --resume.",
+                )
+        self._several_engines = len({label.partition("/")[0] for label in labels}) > 1
+        self._comparing = self._several_engines or _several({meta.id: meta.payload_kg for meta in dataset.metas}, kept)
+        self._analysis, self._plane = AnalysisBuilder(window_s=frame.window_s), PlaneBuilder(frame.scored)
+        self._traces, self._signs = TraceSet(), Signs()
+        self._errors: dict[str, float] = {}
+        self._payload_kg: dict[str, float | None] = {}
+
+    def compared(self, track: Track, *, cut_resting: bool, align: bool) -> Iterator[Comparison]:
+        """The motions one by one, on one clock; one that cannot be compared is left out."""
+        for name in track(self._kept, "gap", len(self._kept)):
+            episode = self._dataset.episode(
+                name, runs=[label for label in self._labels if name in self._covered[label]]
+            )
+            try:
+                comparison = comparison_of(cut_rest(episode) if cut_resting else episode, self._frame, align=align)
+            except TrueupError as error:  # one bad motion must not hide the others; a damaged file is another matter
+                self.left_out[name] = error
+                continue
+            # A robot that is driven by torque may log a wish for its position, but that is not what it was told.
+            scored = comparison if self._frame.follows_motion else replace(comparison, command=None)
+            self._analysis.add(scored)
+            self._keep(comparison)
+            yield scored
+
+    def _keep(self, comparison: Comparison) -> None:
+        name, meta = comparison.meta.id, comparison.meta
+        self._traces.add(name, meta.split, comparison.measured, comparison.command, dict(comparison.simulated))
+        self._signs.add(comparison)
+        self._payload_kg[name] = meta.payload_kg
+        if self._comparing:
+            self._plane.add(comparison)
+        if len(self._traces.episodes) > _MOST_TRACED:
+            self._traces.episodes.pop(min(self._traces.episodes, key=lambda key: self._errors.get(key, np.inf)))
+        if self._labels and self._labels[0] in comparison.simulated and "position" in comparison.measured:
+            motion = Episode(meta, comparison.measured, simulated=comparison.simulated)
+            self._errors[name] = position_mse(motion, run=self._labels[0])
+
+    def warnings(self) -> list[str]:
+        """What a reader of the numbers should know."""
+        logged = self._dataset[self._kept[0]].measured.joints
+        return [
+            *incomplete(self._dataset, self._covered, self._kept),
+            *outdated(self._dataset, self._labels),
+            *unapplied(self._frame.joint_map, logged),
+            *(f"{name} was left out: {error.what}" for name, error in self.left_out.items()),
+            *self._signs.warnings(),
         ]
-    }
-    result = replace(result, settings={**result.settings, **names, **warnings})
-    origin = result.provenance
-    traces.provenance = origin
-    analysis = replace(builder.result(lags_of(result)), provenance=origin)
-    quality = quality_of(dataset, set(kept), frame.joint_map, far_motions(errors), split=split)
-    engines = None
-    if several_engines or _several(payload_kg, payload_kg):
-        engines = EngineComparison(trends_of(result, payload_kg, motions=executed), plane.result(), origin)
-    return Measurement(result, analysis, traces, replace(quality, provenance=origin), engines)
+
+    def measurement(self, result: GapResult, split: str | None) -> Measurement:
+        """The numbers with all that was kept beside them."""
+        origin = result.provenance
+        self._traces.provenance = origin
+        analysis = replace(self._analysis.result(lags_of(result)), provenance=origin)
+        far = far_motions(self._errors)
+        quality = quality_of(self._dataset, set(self._kept), self._frame.joint_map, far, split=split)
+        engines = None
+        if self._several_engines or _several(self._payload_kg, self._payload_kg):
+            executed = {meta.id: meta.source for meta in self._dataset.metas}
+            trends = trends_of(result, self._payload_kg, motions=executed)
+            engines = EngineComparison(trends, self._plane.result(), origin)
+        return Measurement(result, analysis, self._traces, replace(quality, provenance=origin), engines)
 
 
 def _several(payload_kg: Mapping[str, float | None], motions: Iterable[str]) -> bool:

@@ -10,7 +10,6 @@ from trueup.core.episode import Episode
 from trueup.dataset import Dataset
 from trueup.errors import DataError, MissingSignal, TrueupError
 from trueup.robots import RobotSpec
-from trueup.stages.replaying import in_robot_names
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ def readable(
     found, refused = [], {}
     for name in ids:
         try:
-            episode = in_robot_names(dataset.episode(name), joint_map)
+            episode = joint_map.of_episode(dataset.episode(name))
             _ = episode.commanded()[signal]
         except TrueupError as error:
             refused[name] = error

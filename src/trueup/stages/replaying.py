@@ -44,19 +44,6 @@ class ReplaySummary:
     seconds: float = 0.0
 
 
-def in_robot_names(episode: Episode, joint_map: JointMap) -> Episode:
-    """The episode in the robot's joint names, order and SI units.
-
-    Raises:
-        NameMismatch: the log's joints are not those of the map; both lists are printed.
-    """
-    measured = joint_map.for_series(episode.measured).apply(episode.measured)
-    command = episode.command
-    if command is not None:
-        command = joint_map.for_series(command).apply(command)
-    return replace(episode, measured=measured, command=command)
-
-
 def replay(
     dataset: Dataset,
     robot: RobotSpec,
@@ -182,7 +169,7 @@ def _readable(
 ) -> Iterator[Episode]:
     for name in ids:
         try:
-            yield in_robot_names(dataset.episode(name), joint_map)
+            yield joint_map.of_episode(dataset.episode(name))
         except TrueupError as error:
             failed[name] = error
 
@@ -192,7 +179,7 @@ def _refuse_other_names(dataset: Dataset, ids: Sequence[str], joint_map: JointMa
     first: TrueupError | None = None
     for name in ids:
         try:
-            in_robot_names(dataset.episode(name), joint_map)
+            joint_map.of_episode(dataset.episode(name))
         except TrueupError as error:
             first = first or error
             continue
