@@ -27,7 +27,7 @@ from trueup.core.provenance import provenance
 from trueup.core.step_times import StepTimes
 from trueup.deploy import Latency, LoopReport, Network, Predictor, Stream
 from trueup.deploy.latency import PERCENTILES
-from trueup.stages.timing import time_steps
+from trueup.stages import time_steps
 
 RESULT = Path(__file__).parent / "results" / "streaming.json"
 RATE_HZ = 1000.0

@@ -32,7 +32,7 @@ def measure(
     """
     from trueup.core.atomic import make_folder
     from trueup.core.step_times import LATENCY_NAME
-    from trueup.stages.timing import time_steps
+    from trueup.stages import time_steps
     from trueup.zoo import folder_of
 
     if not (0 < seconds < float("inf")):

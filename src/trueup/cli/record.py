@@ -9,10 +9,8 @@ import typer
 
 from trueup.cli import options
 from trueup.cli.console import note, out, problem, track
-from trueup.errors import ConfigError, OutputExists
 
 if TYPE_CHECKING:
-    from trueup.record import PlanSetSpec
     from trueup.stages.recording import RecordSummary
 
 _SHOWN = 10
@@ -62,45 +60,28 @@ def record(
 ) -> int:
     """Plan motions, execute them on a robot and record them; the same command goes on after an interruption."""
     import os
-    from dataclasses import replace
 
     from trueup.lab import load_lab
-    from trueup.record import PLANS_NAME, PlanSet, RecordSettings, load_plans
+    from trueup.record import PlanSet, RecordSettings
     from trueup.robots import find_model, load_robot
+    from trueup.stages import plans_named
     from trueup.stages.recording import record as run
-    from trueup.stages.rigs import LabRig, make_rig
+    from trueup.stages.rigs import make_rig
 
     spec = load_robot(robot)
-    plans: PlanSet | PlanSetSpec
-    if (Path(plan) / PLANS_NAME).exists():
-        plans = PlanSet(plan)
-        if scale != 1.0:
-            raise ConfigError(
-                "a stored plan set is recorded as it is",
-                got=f"--scale {scale:g}",
-                hint="Leave --scale out, or describe a smaller set in a YAML file.",
-            )
-    else:
-        described = load_plans(plan)
-        plans = replace(described, seed=described.seed if seed is None else seed).scaled(scale)
-        seed = plans.seed
+    plans = plans_named(plan, scale=scale, seed=seed)
+    if seed is None:  # a stored plan set says nothing of the days on which it is executed
+        seed = 0 if isinstance(plans, PlanSet) else plans.seed
     rig = make_rig(
         hardware,
         spec,
         find_model(spec, given=model),
         unit=unit,
-        seed=seed or 0,
+        seed=seed,
         lab=load_lab(lab) if lab else None,
         fault_share=faults,
         control_hz=control_hz,
     )
-    if truth is not None:
-        if not isinstance(rig, LabRig):
-            raise ConfigError("only the lab's robots have a truth to write down", got=f"--hardware {hardware}")
-        if truth.resolve().is_relative_to(out_dir.resolve()):
-            raise ConfigError("the truth is kept apart from the data", got=truth, hint="Choose another folder for it.")
-        if truth.exists() and not (overwrite or resume):
-            raise OutputExists(f"{truth} exists", hint="Give --overwrite, or choose another --truth.")
     summary = run(
         out_dir,
         spec,
@@ -112,10 +93,9 @@ def record(
         jobs=jobs or os.cpu_count() or 1,
         overwrite=overwrite,
         resume=resume,
+        truth=truth,
         track=track,
     )
-    if truth is not None and isinstance(rig, LabRig):
-        rig.truth().save(truth)
     show(summary)
     return 2 if summary.failed else 0
 

@@ -23,6 +23,7 @@ from trueup.stages.importing import plan_import as plan_import
 from trueup.stages.measuring import Measurement as Measurement
 from trueup.stages.measuring import gap as gap
 from trueup.stages.recording import RecordSummary as RecordSummary
+from trueup.stages.recording import plans_named as plans_named
 from trueup.stages.recording import record as record
 from trueup.stages.replaying import STOCK as STOCK
 from trueup.stages.replaying import ReplaySummary as ReplaySummary
@@ -30,6 +31,7 @@ from trueup.stages.replaying import replay as replay
 from trueup.stages.rigs import EngineRig as EngineRig
 from trueup.stages.rigs import LabRig as LabRig
 from trueup.stages.rigs import make_rig as make_rig
+from trueup.stages.timing import time_steps as time_steps
 
 __all__ = [
     "FITTED",
@@ -60,6 +62,8 @@ __all__ = [
     "import_logs",
     "make_rig",
     "plan_import",
+    "plans_named",
     "record",
     "replay",
+    "time_steps",
 ]

@@ -21,9 +21,10 @@ from trueup.errors import ConfigError, DataError, NameMismatch, OutputExists, Tr
 from trueup.robots import RobotSpec, find_model
 from trueup.stages.importing import checked
 from trueup.stages.progress import Track, silent
-from trueup.stages.rigs import Rig
+from trueup.stages.rigs import LabRig, Rig
 
 if TYPE_CHECKING:
+    from trueup.lab import Truth
     from trueup.record import PlanSet, PlanSetSpec, RecordSettings, Scene
 
 PLANS = "plans"
@@ -65,6 +66,31 @@ class _Task:
     payload_kg: float
 
 
+def plans_named(name: str, *, scale: float = 1.0, seed: int | None = None) -> PlanSetSpec | PlanSet:
+    """The motions to record: those of a stored plan set as they are, or a description of motions to plan.
+
+    Args:
+        name: `paper`, a YAML file that describes motions, or the folder of a plan set.
+        scale: share of the motions of each group.
+        seed: of the planning; the description's own if None.
+
+    Raises:
+        ConfigError: there is no such description, or a stored plan set is to be scaled.
+    """
+    from trueup.record import PLANS_NAME, PlanSet, load_plans
+
+    if (Path(name) / PLANS_NAME).exists():
+        if scale != 1.0:
+            raise ConfigError(
+                "a stored plan set is recorded as it is",
+                got=f"--scale {scale:g}",
+                hint="Leave --scale out, or describe a smaller set in a YAML file.",
+            )
+        return PlanSet(name)
+    described = load_plans(name)
+    return replace(described, seed=described.seed if seed is None else seed).scaled(scale)
+
+
 def record(
     out: Path | str,
     robot: RobotSpec,
@@ -77,6 +103,7 @@ def record(
     jobs: int = 1,
     overwrite: bool = False,
     resume: bool = False,
+    truth: Path | None = None,
     track: Track = silent,
 ) -> RecordSummary:
     """Execute a set of plans on a robot and keep commands and measurements as a dataset.
@@ -97,6 +124,7 @@ def record(
         jobs: processes.
         overwrite: delete the dataset that is there first.
         resume: go on with a dataset that is there even if it is complete.
+        truth: file for what is true of the lab's robot; apart from the data.
         track: shows progress.
 
     Raises:
@@ -109,6 +137,7 @@ def record(
 
     started, out = time.perf_counter(), Path(out)
     settings = settings or RecordSettings()
+    known = None if truth is None else _truth(truth, rig, out, there=overwrite or resume)
     # They are part of ids, as they are written there.
     names = {_kilograms(load) for load in payloads_kg}
     if not payloads_kg or len(names) != len(payloads_kg) or not all(load >= 0 for load in payloads_kg):
@@ -159,7 +188,20 @@ def record(
     if not recorded and not kept:
         reasons = [*skipped.values(), *(error.summary for error in failed.values())]
         raise DataError("nothing was recorded, the first because", got=reasons[0] if reasons else "no motion")
+    if truth is not None and known is not None:
+        known.save(truth)
     return RecordSummary(out, recorded, kept, skipped, failed, flagged, time.perf_counter() - started)
+
+
+def _truth(path: Path, rig: Rig, out: Path, *, there: bool) -> Truth:
+    """What is to be written to `path` at the end; refused before anything is recorded."""
+    if not isinstance(rig, LabRig):
+        raise ConfigError("only the lab's robots have a truth to write down", got=rig.unit, hint="Leave --truth out.")
+    if path.resolve().is_relative_to(out.resolve()):
+        raise ConfigError("the truth is kept apart from the data", got=path, hint="Choose another folder for it.")
+    if path.exists() and not there:
+        raise OutputExists(f"{path} exists", hint="Give --overwrite, or choose another --truth.")
+    return rig.truth()
 
 
 def _refuse_unfit(
@@ -227,17 +269,6 @@ def _writer(out: Path, info: DatasetInfo, *, overwrite: bool, resume: bool) -> D
             f"{out} exists and is complete", hint="--resume tries again what failed, --overwrite deletes it first."
         )
     return DatasetWriter.resume(out, info)
-
-
-def _stored(folder: Path, robot: RobotSpec) -> PlanSet:
-    from trueup.record import PlanSet
-
-    found = PlanSet(folder)
-    if not found.complete:
-        raise DataError(f"the plan set {folder} is not complete", hint="Plan it again: what is there is kept.")
-    if sorted(found.joints) != sorted(robot.joint_names):
-        raise NameMismatch(f"the plans in {folder} are of another robot", left=found.joints, right=robot.joint_names)
-    return found
 
 
 def _planned(
