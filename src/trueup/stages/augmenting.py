@@ -202,7 +202,7 @@ def _refuse_bad_name(name: str) -> None:
 
 
 def _refuse_no_training(config: AugmentConfig) -> None:
-    if config.epochs == 0 and config.network.kind != "moving-average":
+    if config.epochs == 0 and config.network.trained:
         raise ConfigError("epochs: 0 leaves the network untrained", expected="at least 1")
 
 
@@ -372,7 +372,7 @@ def _limits(robot: RobotSpec | None, origin: _Origin, source: Dataset, config: A
 
 
 def _unknown_limits(limits: Limits, inputs: Sequence[Channel], config: AugmentConfig) -> Iterator[str]:
-    if config.data.normalization == "limits" and config.network.kind != "moving-average":
+    if config.data.normalization == "limits" and config.network.trained:
         missing = sorted({f"{c.signal} of {c.joint}" for c in inputs if (c.signal, c.joint) not in limits})
         if missing:
             yield f"no limits are known for {', '.join(missing)}: normalized by the range of the train split"
