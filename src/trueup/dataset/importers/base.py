@@ -38,11 +38,13 @@ class EpisodeSource:
             an import skips ids that are there.
         load: reads and checks the files; raises only errors of trueup.errors.
         bytes: size of its files, for the progress bar.
+        source: the file or folder that it stands in, below the plan's root.
     """
 
     id: str
     load: Callable[[], Episode]
     bytes: int = 0
+    source: str = ""
 
 
 @dataclass(frozen=True)
@@ -73,9 +75,19 @@ class ImportPlan:
 
 @runtime_checkable
 class Importer(Protocol):
-    """One log format. Modules in this package provide these two functions and a `NAME`."""
+    """One log format; a module of this package.
+
+    Attributes:
+        NAME: of the format, and of the module.
+        LOOKS_FOR: what it is recognized by.
+        EPISODE: what one episode is.
+        ASSUMES: what the files do not say.
+    """
 
     NAME: str
+    LOOKS_FOR: str
+    EPISODE: str
+    ASSUMES: str
 
     def detects(self, path: Path) -> bool:
         """Whether `path` (file or folder) looks like this format; cheap, raises nothing."""

@@ -10,18 +10,25 @@ from typing import cast
 from trueup.dataset.importers.base import Importer
 from trueup.errors import ConfigError, DataError, FormatError, MissingDependency
 
-# Specific formats first: any folder may hold a few CSV files too, so CSV counts only when nothing else does.
-_MODULES = {name: f"trueup.dataset.importers.{name}" for name in ("sage", "lerobot", "rosbag", "hdf5", "npz", "csv")}
-_GENERIC = "csv"
+# One module each. Any folder may hold a few CSV files too, so that the last one counts only when no other does.
+_MODULES = (
+    "sage",
+    "lerobot",
+    "rosbag",
+    "hdf5",
+    "npz",
+    "csv",
+)
 
 
 class _Importers(Mapping[str, Importer]):
     """Name -> importer; a module is imported when it is asked for, since some of them need heavy packages."""
 
     def __getitem__(self, name: str) -> Importer:
-        module = _MODULES[name]
+        if name not in _MODULES:
+            raise KeyError(name)
         try:
-            return cast("Importer", import_module(module))
+            return cast("Importer", import_module(f"trueup.dataset.importers.{name}"))
         except ImportError as error:
             raise MissingDependency(
                 f"the importer for {name} cannot be loaded", got=error, hint="`trueup doctor` shows what is missing."
@@ -65,8 +72,8 @@ def find_importer(path: Path, name: str | None = None) -> Importer:
         except MissingDependency as error:
             missing.append(f"{candidate} was not tried: {error.details}")
             continue
-        looked_for.append(f"{candidate} ({getattr(importer, 'LOOKS_FOR', 'its own files')})")
-        if not (found and candidate == _GENERIC) and importer.detects(path):
+        looked_for.append(f"{candidate} ({importer.LOOKS_FOR})")
+        if not (found and candidate == _MODULES[-1]) and importer.detects(path):
             found.append(candidate)
     if len(found) == 1:
         return IMPORTERS[found[0]]

@@ -26,6 +26,8 @@ from trueup.errors import NameMismatch
 
 NAME = "lerobot"
 LOOKS_FOR = f"a folder with {INFO}"
+EPISODE = "an episode"
+ASSUMES = "SI unless stated: **check this**"
 
 # LeRobot's own tolerance between a stamp and frame_index / fps [s].
 TOLERANCE_S = 1e-4
