@@ -7,7 +7,7 @@ import pytest
 
 from trueup.dataset.importers import detect
 from trueup.dataset.importers.clock import common_origin, seconds, usable_clock
-from trueup.dataset.importers.detect import IMPORTERS, find_importer
+from trueup.dataset.importers.detect import FORMATS, find_importer
 from trueup.dataset.importers.files import episode_id, read_bytes
 from trueup.errors import ConfigError, DataError, FormatError, MissingDependency
 
@@ -46,7 +46,7 @@ def test_an_unknown_format_says_what_was_looked_for(tmp_path):
     with pytest.raises(FormatError) as caught:
         find_importer(tmp_path)
     message = str(caught.value)
-    for part in ("notes.docx", "control.csv", "measured.time_s", *IMPORTERS, "--format"):
+    for part in ("notes.docx", "control.csv", "measured.time_s", *FORMATS, "--format"):
         assert part in message
 
 
@@ -59,7 +59,7 @@ def test_a_named_format_wins_and_must_exist(tmp_path):
 
 
 def test_an_importer_that_cannot_be_loaded_does_not_hurt_the_others(tmp_path, monkeypatch):
-    monkeypatch.setattr(detect, "_MODULES", ("absent", "csv"))
+    monkeypatch.setattr(detect, "FORMATS", ("absent", "csv"))
     (tmp_path / "x.csv").write_text("t\n")
     assert find_importer(tmp_path).NAME == "csv"
     with pytest.raises(MissingDependency, match="absent"):
@@ -71,7 +71,7 @@ def test_an_importer_that_cannot_be_loaded_does_not_hurt_the_others(tmp_path, mo
 
 def test_listing_the_formats_loads_none_of_them():
     code = (
-        "import sys; from trueup.dataset.importers.detect import IMPORTERS; assert list(IMPORTERS); "
+        "import sys; from trueup.dataset.importers.detect import FORMATS; assert list(FORMATS); "
         "print([name for name in ('rosbags', 'h5py') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

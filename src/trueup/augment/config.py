@@ -23,12 +23,11 @@ class NetworkConfig:
     """The network.
 
     Attributes:
-        kind: `lstm` and `gru` carry a state; `mlp`, `linear` and `transformer` see the last `history` samples; a
-            `moving-average` over `history` samples has nothing to train.
+        kind: of the `KINDS` in the files of `networks/`.
         hidden: units of each layer; (100, 21) in the papers.
         bidirectional: whether the network sees a motion from both ends ("precise"); not for a control loop. Outputs of
             the layers are concatenated, those of the last one summed (Realeasy, IV-C).
-        history: samples that `mlp`, `linear`, `transformer` and `moving-average` see.
+        history: samples that a network without a state sees.
         history_s: the same in seconds, whatever the rate; over `history` where it is given.
         heads: of the attention, `transformer` only.
         input_dropout: share of the samples that are skipped in training (Realeasy, IV-C).

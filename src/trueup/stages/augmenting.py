@@ -18,7 +18,7 @@ from trueup.core.model_card import CARD_NAME, Channel
 from trueup.dataset import Dataset
 from trueup.dataset.writer import is_label_part
 from trueup.deploy.agreement import RATE_TOLERANCE
-from trueup.errors import ConfigError, DataError, MissingDependency, MissingSignal, NameMismatch
+from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch
 from trueup.record.limits import stated_rates
 from trueup.record.urdf import urdf_velocity_limits
 from trueup.robots import RobotSpec, find_model
@@ -101,15 +101,11 @@ def augment(
         NameMismatch: the robot has other joints than the run.
         MissingDependency: torch is not installed, or finds no GPU.
     """
-    try:
-        from trueup.augment import Augmentation, Task
-        from trueup.augment.pairs import channels_of, refuse_overlap, write_pairs
-        from trueup.augment.training import find_device
-    except ModuleNotFoundError as error:
-        raise MissingDependency(
-            f"training needs {error.name}", hint="pip install 'trueup[learn]' (or make install in a clone)"
-        ) from error
-    config, out = config or AugmentConfig(), Path(out)
+    config, out = config or AugmentConfig(), Path(out)  # without torch there is no configuration either
+    from trueup.augment import Augmentation, Task
+    from trueup.augment.pairs import channels_of, refuse_overlap, write_pairs
+    from trueup.augment.training import find_device
+
     find_device(device)
     name = name or config.method
     _refuse_bad_name(name)

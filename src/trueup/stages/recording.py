@@ -229,17 +229,6 @@ def _writer(out: Path, info: DatasetInfo, *, overwrite: bool, resume: bool) -> D
     return DatasetWriter.resume(out, info)
 
 
-def _stored(folder: Path, robot: RobotSpec) -> PlanSet:
-    from trueup.record import PlanSet
-
-    found = PlanSet(folder)
-    if not found.complete:
-        raise DataError(f"the plan set {folder} is not complete", hint="Plan it again: what is there is kept.")
-    if sorted(found.joints) != sorted(robot.joint_names):
-        raise NameMismatch(f"the plans in {folder} are of another robot", left=found.joints, right=robot.joint_names)
-    return found
-
-
 def _planned(
     folder: Path, spec: PlanSetSpec, robot: RobotSpec, model: Path, jobs: int, *, overwrite: bool, track: Track
 ) -> PlanSet:

@@ -11,8 +11,7 @@ from torch import Tensor, nn
 
 from trueup.augment.config import AugmentConfig, DataConfig, Method, NetworkConfig
 from trueup.augment.graph import Graph
-from trueup.augment.networks.base import States
-from trueup.augment.networks.windowed import Windowed
+from trueup.augment.networks.base import States, Windowed
 from trueup.errors import ConfigError
 
 

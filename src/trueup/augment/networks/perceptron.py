@@ -10,8 +10,7 @@ from torch import Tensor, nn
 
 from trueup.augment.config import AugmentConfig, Method, NetworkConfig
 from trueup.augment.graph import Graph
-from trueup.augment.networks.base import draw_linear
-from trueup.augment.networks.windowed import Windowed
+from trueup.augment.networks.base import Windowed, draw_linear
 from trueup.errors import ConfigError
 
 

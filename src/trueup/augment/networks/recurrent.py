@@ -9,15 +9,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from trueup.augment.config import (
-    AugmentConfig,
-    DataConfig,
-    LossConfig,
-    Method,
-    NetworkConfig,
-    OptimizerConfig,
-    WindowConfig,
-)
+from trueup.augment.config import AugmentConfig, Method, NetworkConfig
 from trueup.augment.graph import Graph
 from trueup.augment.networks.base import Network, SkipSamples, States, draw_linear
 from trueup.core.model_card import State
@@ -188,10 +180,10 @@ def _paper(config: AugmentConfig) -> AugmentConfig:
     return replace(
         config,
         network=replace(config.network, hidden=(100, 21)),
-        data=DataConfig(normalization="limits", stops=False),
-        window=WindowConfig("half-shortest", draws=16),
-        loss=LossConfig("residual", "normalized"),
-        optimizer=OptimizerConfig("rmsprop", 1e-4, "plateau", weight_decay=0.0, clip=0.0),
+        data=replace(config.data, normalization="limits", stops=False),
+        window=replace(config.window, rule="half-shortest", draws=16),
+        loss=replace(config.loss, scale="normalized"),
+        optimizer=replace(config.optimizer, name="rmsprop", rate=1e-4, schedule="plateau", weight_decay=0.0, clip=0.0),
         batch=16,
         epochs=50,
         stop_after=0,

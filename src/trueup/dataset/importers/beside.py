@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
-from trueup.core.episode import Episode
 from trueup.dataset.importers.base import EpisodeSource, ImportPlan
 from trueup.dataset.importers.files import inside, read_bytes, unique_ids
 from trueup.dataset.splits import match_splits, read_split
@@ -31,22 +29,13 @@ def plan_with(
     splits, unmatched = splits_beside(root, {episode.id: (episode.source,) for episode in episodes})
     return ImportPlan(
         format=format,
-        root=root,
-        episodes=tuple(_in_split(episode, splits.get(episode.id, "")) for episode in episodes),
+        episodes=tuple(episodes),
         robot=robot,
         licence=licence or licence_beside(root),
         splits=splits,
         model_dir=model_beside(root),
         notes=(*notes, *(unmatched if len(episodes) > 1 else ())),
     )
-
-
-def _in_split(source: EpisodeSource, split: str) -> EpisodeSource:
-    def load() -> Episode:
-        episode = source.load()
-        return replace(episode, meta=replace(episode.meta, split=split))
-
-    return replace(source, load=load)
 
 
 def splits_beside(

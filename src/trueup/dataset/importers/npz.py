@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trueup.core.atomic import write_bytes
 from trueup.core.episode import Episode, EpisodeMeta, Flag
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.core.units import SI_UNIT, UNITS
@@ -86,32 +85,6 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
         id = episode_id(source[: -len(".npz")])
         episodes.append(EpisodeSource(id, partial(_load, root, file, id, options), file.stat().st_size, source))
     return plan_with(NAME, root, episodes, robot=options.robot, notes=["clocks are kept as they are"])
-
-
-def write_npz(episode: Episode, path: Path) -> None:
-    """Write one episode as an npz file that this importer reads back exactly, apart from split, source and flags.
-
-    Raises:
-        DataError: the disk is full or not writable.
-    """
-    meta = episode.meta
-    arrays: dict[str, Shaped[np.ndarray, "..."]] = {key: np.array(getattr(meta, key)) for key in _TEXTS}
-    if meta.payload_kg is not None:
-        arrays["payload_kg"] = np.array(meta.payload_kg)
-    series = {"measured": episode.measured, **{f"simulated/{label}": run for label, run in episode.simulated.items()}}
-    if episode.command is not None:
-        series["command"] = episode.command
-    for label, one in series.items():
-        arrays[f"{label}.time_s"] = one.time_s
-        arrays[f"{label}.joints"] = np.array(one.joints)
-        if one.bodies:
-            arrays[f"{label}.bodies"] = np.array(one.bodies)
-        for signal, values in one.signals.items():
-            arrays[f"{label}.{signal}"] = values
-            arrays[f"{label}.{signal}.unit"] = np.array(one.units[signal])
-    with io.BytesIO() as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
-        write_bytes(path, file.getvalue())
 
 
 def _load(root: Path, path: Path, id: str, options: ImportOptions) -> Episode:

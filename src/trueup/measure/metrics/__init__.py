@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from importlib import import_module
-from types import MappingProxyType
 
 from trueup.errors import MissingSignal
 from trueup.measure.metrics.base import Metric
@@ -17,9 +16,9 @@ _FILES = (
     "saturation",
     "body",
 )
-METRICS: Mapping[str, Metric] = MappingProxyType(
-    {entry.name: entry for file in _FILES for entry in import_module(f"{__name__}.{file}").METRICS}
-)
+METRICS: Mapping[str, Metric] = {
+    entry.name: entry for file in _FILES for entry in import_module(f"{__name__}.{file}").METRICS
+}
 
 
 def metric(name: str) -> Metric:

@@ -58,11 +58,11 @@ class Metric:
     Attributes:
         name: as in gap.json and on the command line.
         function: one value per joint (or body) of the samples.
-        unit: the rule that turns the unit of the signal into the unit of the metric.
-        lower_is_better: True or False; None for a signed metric, of which nearer to zero is better.
         description: what it computes, of m measured, s simulated and e = m - s.
         source: paper and equation, or the usual definition.
         title: as the report calls it, with its meaning in brackets where that helps; the name if empty.
+        unit: the rule that turns the unit of the signal into the unit of the metric.
+        lower_is_better: True or False; None for a signed metric, of which nearer to zero is better.
         kind: what it applies to: joint signals, body positions or body orientations.
         signals: the signals for which it is computed by default; empty for every signal of its kind.
         bounds: the values that it can take; intervals are cut to them.
@@ -73,11 +73,11 @@ class Metric:
 
     name: str
     function: Callable[[Samples], Float64[np.ndarray, "J"]]
-    unit: UnitRule
-    lower_is_better: bool | None
     description: str
     source: str = "usual"
     title: str = ""
+    unit: UnitRule = "signal"
+    lower_is_better: bool | None = True
     kind: Kind = "joint"
     signals: tuple[str, ...] = ()
     bounds: tuple[float, float] = (0.0, math.inf)
@@ -97,7 +97,6 @@ class Metric:
 
 
 Pair = Callable[[Float[np.ndarray, "T J"], Float[np.ndarray, "T J"]], Float64[np.ndarray, "J"]]
-LOWER, HIGHER, SIGNED = True, False, None
 SHARE = (0.0, 1.0)
 CORRELATION = (-1.0, 1.0)
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from trueup.measure.columns import largest, mean
-from trueup.measure.metrics.base import LOWER, Metric
+from trueup.measure.metrics.base import Metric
 
 
 def position_distance(
@@ -54,8 +54,6 @@ METRICS = (
     Metric(
         "position_norm",
         lambda s: mean(position_distance(s.measured, s.simulated)),
-        "signal",
-        LOWER,
         "mean ‖p_m - p_s‖ of a body",
         "SAT, section VI",
         "mean distance of bodies",
@@ -64,8 +62,6 @@ METRICS = (
     Metric(
         "position_norm_max",
         lambda s: largest(position_distance(s.measured, s.simulated)),
-        "signal",
-        LOWER,
         "max ‖p_m - p_s‖",
         "SAT, section VI",
         kind="body.position",
@@ -73,21 +69,19 @@ METRICS = (
     Metric(
         "rotation_distance",
         lambda s: mean(rotation_distance(s.measured, s.simulated)),
-        "rad",
-        LOWER,
         "mean angle of R_m R_sᵀ",
         "SAT, eq. 4",
         "mean rotation between bodies",
+        unit="rad",
         kind="body.rotation",
         bounds=(0.0, math.pi),
     ),
     Metric(
         "rotation_distance_max",
         lambda s: largest(rotation_distance(s.measured, s.simulated)),
-        "rad",
-        LOWER,
         "largest angle of R_m R_sᵀ",
         "SAT, eq. 4",
+        unit="rad",
         kind="body.rotation",
         bounds=(0.0, math.pi),
     ),

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from trueup.measure.columns import mean, quantiles, residual, spread
-from trueup.measure.metrics.base import LOWER, SHARE, Metric, plain
+from trueup.measure.metrics.base import SHARE, Metric, plain
 
 
 def large_gap_ratio(
@@ -43,11 +43,10 @@ METRICS = (
     Metric(
         "large_gap_ratio",
         lambda s: large_gap_ratio(s.measured, s.simulated, tau=s.options.tau_rad),
-        "1",
-        LOWER,
         "share of samples with |e| ≥ tau, 0.5 rad if not given; joints in rad only",
         "GapONet, eq. 12",
         "large-gap ratio (share of samples)",
+        unit="1",
         signals=("position",),
         bounds=SHARE,
         angles_only=True,
@@ -55,11 +54,9 @@ METRICS = (
     Metric(
         "iqr",
         plain(gap_iqr),
-        "signal",
-        LOWER,
         "75th minus 25th percentile of |e|",
         "GapONet, eq. 13",
         "interquartile range of the error",
     ),
-    Metric("range", plain(gap_range), "signal", LOWER, "max|e| - min|e|", "GapONet, eq. 14", "range of the error"),
+    Metric("range", plain(gap_range), "max|e| - min|e|", "GapONet, eq. 14", "range of the error"),
 )

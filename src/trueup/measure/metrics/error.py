@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from trueup.measure.columns import largest, mean, mean_product, paired, ratio, residual, spread
-from trueup.measure.metrics.base import LOWER, Metric, plain
+from trueup.measure.metrics.base import Metric, plain
 
 
 def mse(measured: Float[np.ndarray, "T J"], simulated: Float[np.ndarray, "T J"]) -> Float64[np.ndarray, "J"]:
@@ -63,26 +63,24 @@ def mape(
 
 
 METRICS = (
-    Metric("rmse", plain(rmse), "signal", LOWER, "√mean(e²)", "LSTM thesis, eq. 18", "RMSE (root mean square error)"),
-    Metric("mse", plain(mse), "signal^2", LOWER, "mean(e²)", "LSTM thesis, eq. 18", "MSE (mean square error)"),
+    Metric("rmse", plain(rmse), "√mean(e²)", "LSTM thesis, eq. 18", "RMSE (root mean square error)"),
+    Metric("mse", plain(mse), "mean(e²)", "LSTM thesis, eq. 18", "MSE (mean square error)", unit="signal^2"),
     Metric(
         "nrmse",
         plain(nrmse),
-        "1",
-        LOWER,
         "rmse / (max m - min m)",
         "GapONet, section 3.2; the range is our choice, the paper names none",
         "NRMSE (RMSE over the measured range)",
+        unit="1",
         needs_motion=True,
     ),
-    Metric("mae", plain(mae), "signal", LOWER, "mean|e|", title="MAE (mean absolute error)"),
-    Metric("max", plain(max_error), "signal", LOWER, "max|e|", title="largest error"),
+    Metric("mae", plain(mae), "mean|e|", title="MAE (mean absolute error)"),
+    Metric("max", plain(max_error), "max|e|", title="largest error"),
     Metric(
         "mape",
         plain(mape),
-        "%",
-        LOWER,
         "100 · mean(|e| / |m|) over samples with |m| ≥ 5 % of max|m|",
         title="MAPE (mean absolute percentage error)",
+        unit="%",
     ),
 )

@@ -9,7 +9,7 @@ from jaxtyping import Float, Float64, Int
 
 from trueup.measure.columns import paired
 from trueup.measure.correlation import cross_correlation, find_peak
-from trueup.measure.metrics.base import MAX_LAG_S, SIGNED, Metric
+from trueup.measure.metrics.base import MAX_LAG_S, Metric
 
 MIN_CORRELATION = 0.5
 
@@ -91,10 +91,10 @@ METRICS = (
     Metric(
         "phase_lag",
         lambda s: phase_lag(s.measured, s.simulated, s.time_s, starts=s.starts, max_lag_s=s.options.max_lag_s),
-        "s",
-        SIGNED,
         "the lag with m(t) = s(t - lag): largest correlation of the two velocities, up to 0.5 s",
         "named in GapONet, section 3.2",
+        unit="s",
+        lower_is_better=None,
         signals=("position",),
         bounds=(-math.inf, math.inf),
         needs_motion=True,

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from trueup.measure.columns import mean
-from trueup.measure.metrics.base import LOWER, SHARE, Metric, Samples
+from trueup.measure.metrics.base import SHARE, Metric, Samples
 
 
 def saturation_incidence(torque: Float[np.ndarray, "T J"], limit: Float64[np.ndarray, "J"]) -> Float64[np.ndarray, "J"]:
@@ -29,10 +29,9 @@ def _entry(side: str) -> Metric:
     return Metric(
         f"saturation_{side}",
         share,
-        "1",
-        LOWER,
         f"share of {side} samples with |torque| ≥ limit",
         "GapONet, section 3.2",
+        unit="1",
         signals=("torque",),
         bounds=SHARE,
         needs_limit=True,

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from trueup.measure.columns import mean, mean_product, paired, ratio
-from trueup.measure.metrics.base import CORRELATION, HIGHER, Metric, plain
+from trueup.measure.metrics.base import CORRELATION, Metric, plain
 
 _ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 
@@ -85,32 +85,40 @@ METRICS = (
     Metric(
         "pearson",
         plain(pearson),
-        "1",
-        HIGHER,
         "cov(m, s) / (σ_m σ_s)",
         title="correlation (Pearson)",
+        unit="1",
+        lower_is_better=False,
         bounds=CORRELATION,
         needs_motion=True,
     ),
-    Metric("cosine", plain(cosine), "1", HIGHER, "Σ m s / √(Σ m² Σ s²)", title="cosine similarity", bounds=CORRELATION),
+    Metric(
+        "cosine",
+        plain(cosine),
+        "Σ m s / √(Σ m² Σ s²)",
+        title="cosine similarity",
+        unit="1",
+        lower_is_better=False,
+        bounds=CORRELATION,
+    ),
     Metric(
         "ccc",
         plain(ccc),
-        "1",
-        HIGHER,
         "2 cov(m, s) / (σ_m² + σ_s² + (mean m - mean s)²)",
         "Lin 1989, Biometrics 45, 255-268",
         "concordance correlation (CCC)",
+        unit="1",
+        lower_is_better=False,
         bounds=CORRELATION,
         needs_motion=True,
     ),
     Metric(
         "r2",
         plain(r2),
-        "1",
-        HIGHER,
         "1 - mean(e²) / σ_m²",
         title="R² (coefficient of determination)",
+        unit="1",
+        lower_is_better=False,
         bounds=(-math.inf, 1.0),
         needs_motion=True,
     ),
