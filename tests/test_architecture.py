@@ -28,7 +28,7 @@ ARROWS = {
     "deploy": set(),
     "augment": {"dataset", "measure", "deploy"},
     "zoo": {"augment"},
-    "report": set(),
+    "report": {"measure"},
     "stages": {"dataset", "align", "measure", "robots", "sim", "lab", "record", "identify", "deploy", "augment", "zoo"},
     "cli": {
         *("dataset", "align", "measure", "robots", "sim", "lab", "record", "identify", "deploy", "augment", "zoo"),

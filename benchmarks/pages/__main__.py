@@ -1,10 +1,12 @@
-"""Write every page whose result is stored."""
+"""Write every page whose result is stored, and the tables of what there is."""
 
 import json
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+
+from benchmarks.pages import kinds
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = {
@@ -52,6 +54,8 @@ def main() -> None:
                 (ROOT / "docs" / path).write_text(content)
         else:
             print(f"docs/{file} is left as it is: benchmarks/results/{name}.json is not there yet")
+    for file, content in kinds.pages().items():
+        (ROOT / "docs" / file).write_text(content)
 
 
 if __name__ == "__main__":

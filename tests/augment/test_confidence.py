@@ -74,7 +74,7 @@ def covered(corrector, pairs, intervals):
 def test_intervals_cover_new_motions_as_promised(tmp_path):
     """Averaged over many draws of val, coverage is at least the promise, and not by much more."""
     rng = np.random.default_rng(0)
-    corrector = corrector_of(Half(1, 1))
+    corrector = corrector_of(Half(NetworkConfig(), 1, [0], 100.0))
     new = pairs_of(tmp_path, "new", 200, rng, error=lambda x: 0.1 + 0.2 * np.abs(x))
     shares = []
     for draw in range(20):
@@ -87,7 +87,7 @@ def test_intervals_cover_new_motions_as_promised(tmp_path):
 
 def test_intervals_are_wider_where_errors_are(tmp_path):
     rng = np.random.default_rng(1)
-    corrector = corrector_of(Half(1, 1))
+    corrector = corrector_of(Half(NetworkConfig(), 1, [0], 100.0))
     growing = intervals_of(corrector, pairs_of(tmp_path, "a", 60, rng, error=lambda x: 0.01 + 0.3 * np.abs(x)), 0.9)
     steady = intervals_of(corrector, pairs_of(tmp_path, "b", 60, rng, error=lambda x: 0.3 + 0 * x), 0.9)
     assert growing.slope[0] > 5 * steady.slope[0]
@@ -95,7 +95,7 @@ def test_intervals_are_wider_where_errors_are(tmp_path):
 
 def test_too_few_motions_promise_nothing(tmp_path):
     rng = np.random.default_rng(2)
-    corrector = corrector_of(Half(1, 1))
+    corrector = corrector_of(Half(NetworkConfig(), 1, [0], 100.0))
     few = intervals_of(corrector, pairs_of(tmp_path, "few", 8, rng, error=even(0.1)), 0.9)
     assert few.note == "8 val motions; 9 are needed to promise 90 % coverage"
     assert intervals_of(corrector, pairs_of(tmp_path, "more", 9, rng, error=even(0.1)), 0.9).note == ""
@@ -104,7 +104,7 @@ def test_too_few_motions_promise_nothing(tmp_path):
 def test_the_probability_of_far_off_is_how_often_it_is(tmp_path):
     """Predicted probabilities against frequencies on new motions."""
     rng = np.random.default_rng(3)
-    corrector = corrector_of(Half(1, 1))
+    corrector = corrector_of(Half(NetworkConfig(), 1, [0], 100.0))
     val, new = (pairs_of(tmp_path, name, 150, rng, error=even(0.4), spread=0) for name in ("val", "new"))
     rms = float(np.sqrt(np.mean(np.concatenate([(y - x) ** 2 for _, x, y in val]))))
     found = far_off(corrector, val, np.array([rms]))
@@ -168,7 +168,7 @@ def test_chance_opens_few_gates():
 def test_errors_are_sums_over_each_motion(tmp_path):
     rng = np.random.default_rng(6)
     pairs = pairs_of(tmp_path, "val", 7, rng, error=even(0.2))
-    found = errors_of(corrector_of(Half(1, 1)), pairs)
+    found = errors_of(corrector_of(Half(NetworkConfig(), 1, [0], 100.0)), pairs)
     for number, (_, x, y) in enumerate(pairs):
         assert found.rows[number] == len(x)
         assert found.simulated[number, 0] == pytest.approx(float(((y - x) ** 2).sum()), rel=1e-4)
@@ -190,4 +190,4 @@ def test_a_window_is_warm_when_it_is_full(tmp_path):
         episodes.append(Episode(EpisodeMeta(f"m{number}"), series[1], simulated={"s": series[0]}))
     pairs = write_pairs(episodes, tmp_path / "p.f32", run="s", inputs=(CHANNEL,), outputs=(CHANNEL,), rate_hz=100.0)
     assert 35 <= warmup_steps(corrector_of(network), pairs, 100.0) <= 39
-    assert warmup_steps(corrector_of(Half(1, 1)), pairs, 100.0) == 0
+    assert warmup_steps(corrector_of(Half(NetworkConfig(), 1, [0], 100.0)), pairs, 100.0) == 0

@@ -79,3 +79,23 @@ def random_series(draw) -> TimeSeries:
         units[signal] = tuple(draw(st.sampled_from(["rad", "m", "1", "°"])) for _ in owners)
     clock = np.cumsum(rng.random(samples) + 1e-3) + rng.normal() * 1e9
     return TimeSeries(clock, joints, signals, units, bodies)
+
+
+def write_npz(episode, path):
+    """An npz file that the importer reads back exactly, apart from split, source and flags."""
+    meta = episode.meta
+    arrays = {key: np.array(getattr(meta, key)) for key in ("robot", "unit", "condition")}
+    if meta.payload_kg is not None:
+        arrays["payload_kg"] = np.array(meta.payload_kg)
+    series = {"measured": episode.measured, **{f"simulated/{label}": run for label, run in episode.simulated.items()}}
+    if episode.command is not None:
+        series["command"] = episode.command
+    for label, one in series.items():
+        arrays[f"{label}.time_s"] = one.time_s
+        arrays[f"{label}.joints"] = np.array(one.joints)
+        if one.bodies:
+            arrays[f"{label}.bodies"] = np.array(one.bodies)
+        for signal, values in one.signals.items():
+            arrays[f"{label}.{signal}"] = values
+            arrays[f"{label}.{signal}.unit"] = np.array(one.units[signal])
+    np.savez_compressed(path, allow_pickle=False, **arrays)

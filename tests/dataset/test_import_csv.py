@@ -373,7 +373,7 @@ def test_export_and_import_give_the_same_episodes(made):
         assert set(episode.simulated) == set(again.simulated)
         for label, run in episode.simulated.items():
             assert_same(run, again.run(label))
-        for key in ("robot", "unit", "payload_kg", "condition", "split"):
+        for key in ("robot", "unit", "payload_kg", "condition"):
             assert getattr(episode.meta, key) == getattr(again.meta, key)
         assert splits.get(episode.id, "") == episode.meta.split
 

@@ -7,7 +7,7 @@ import pytest
 
 from trueup.dataset.importers import detect
 from trueup.dataset.importers.clock import common_origin, seconds, usable_clock
-from trueup.dataset.importers.detect import IMPORTERS, find_importer
+from trueup.dataset.importers.detect import FORMATS, find_importer
 from trueup.dataset.importers.files import episode_id, read_bytes
 from trueup.errors import ConfigError, DataError, FormatError, MissingDependency
 
@@ -46,21 +46,20 @@ def test_an_unknown_format_says_what_was_looked_for(tmp_path):
     with pytest.raises(FormatError) as caught:
         find_importer(tmp_path)
     message = str(caught.value)
-    for part in ("notes.docx", "control.csv", "measured.time_s", *IMPORTERS, "--format"):
+    for part in ("notes.docx", "control.csv", "measured.time_s", *FORMATS, "--format"):
         assert part in message
 
 
 def test_a_named_format_wins_and_must_exist(tmp_path):
     assert find_importer(tmp_path, "csv").NAME == "csv"
-    with pytest.raises(ConfigError, match=r"'matlab'.*available: sage, lerobot, rosbag, hdf5, npz, csv"):
+    with pytest.raises(ConfigError, match=r"'matlab'.*available: sage, lerobot, .*, csv"):
         find_importer(tmp_path, "matlab")
     with pytest.raises(DataError, match="does not exist"):
         find_importer(tmp_path / "missing")
 
 
 def test_an_importer_that_cannot_be_loaded_does_not_hurt_the_others(tmp_path, monkeypatch):
-    modules = {"absent": "trueup.dataset.importers.absent", "csv": "trueup.dataset.importers.csv"}
-    monkeypatch.setattr(detect, "_MODULES", modules)
+    monkeypatch.setattr(detect, "FORMATS", ("absent", "csv"))
     (tmp_path / "x.csv").write_text("t\n")
     assert find_importer(tmp_path).NAME == "csv"
     with pytest.raises(MissingDependency, match="absent"):
@@ -72,7 +71,7 @@ def test_an_importer_that_cannot_be_loaded_does_not_hurt_the_others(tmp_path, mo
 
 def test_listing_the_formats_loads_none_of_them():
     code = (
-        "import sys; from trueup.dataset.importers.detect import IMPORTERS; assert len(IMPORTERS) == 6; "
+        "import sys; from trueup.dataset.importers.detect import FORMATS; assert list(FORMATS); "
         "print([name for name in ('rosbags', 'h5py') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -88,7 +88,7 @@ def test_what_is_exported_is_read_back_exactly(tmp_path):
     for original, copy in zip(originals, copies, strict=True):
         same(original.measured, copy.measured)
         same(original.commanded(), copy.commanded())
-        for name in ("id", "unit", "payload_kg", "condition", "split"):
+        for name in ("id", "unit", "payload_kg", "condition"):
             assert getattr(original.meta, name) == getattr(copy.meta, name)
         assert [flag.detail for flag in copy.meta.flags] == ["task: reach the cube"]
         assert len(copy.meta.source_hash) == 64

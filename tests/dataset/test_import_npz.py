@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from dataset.store_cases import write_npz
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset.importers import npz
@@ -52,7 +53,7 @@ def test_a_folder_of_files_with_splits(tmp_path):
     (tmp_path / "split.json").write_text('{"train": ["a.npz", "c"], "val": ["sub/b.npz"]}')
     plan = npz.scan(tmp_path, ImportOptions())
     assert plan.splits == {"a": "train", "sub/b": "val", "c": "train"}
-    assert [source.load().meta.split for source in plan.episodes] == ["train", "train", "val"]
+    assert [source.load().id for source in plan.episodes] == ["a", "c", "sub/b"]
 
 
 def test_repeated_stamps_are_dropped_and_flagged(tmp_path):
@@ -200,7 +201,7 @@ def made(draw):
 @given(made())
 def test_writing_and_reading_give_the_same_episode(episode):
     with tempfile.TemporaryDirectory() as folder:
-        npz.write_npz(episode, Path(folder) / "run.npz")
+        write_npz(episode, Path(folder) / "run.npz")
         again = load(Path(folder))
     assert (again.id, again.meta.robot, again.meta.payload_kg) == ("run", episode.meta.robot, episode.meta.payload_kg)
     assert (again.command is None) == (episode.command is None)

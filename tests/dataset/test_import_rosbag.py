@@ -156,7 +156,6 @@ def test_bare_files_need_no_metadata_and_a_folder_is_many_episodes(tmp_path):
     loaded = [source.load() for source in plan.episodes]
     np.testing.assert_array_equal(loaded[1].measured["position"], motion(seed=0)[0])
     np.testing.assert_array_equal(loaded[0].measured["position"], loaded[2].measured["position"])
-    assert loaded[0].meta.split == "test"
     assert all(source.bytes > 0 for source in plan.episodes)
 
 

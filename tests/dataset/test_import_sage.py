@@ -77,7 +77,6 @@ def test_what_lies_beside_the_motions_is_found(tmp_path):
     assert any("notes" in note for note in plan.notes)
     assert not any("model" in note for note in plan.notes)
     assert any("gone" in note for note in plan.notes)
-    assert plan.episodes[1].load().meta.split == "test"
     assert plan.episodes[0].bytes == sum(path.stat().st_size for path in (tmp_path / "a").iterdir())
 
 
@@ -237,7 +236,7 @@ def test_the_so101_motions(so101_logs):
     assert plan.model_dir == so101_logs / "model"
     assert not any("split.json" in note or "split '" in note for note in plan.notes)
     chirp = next(source for source in plan.episodes if source.id == "chirp_sweep").load()
-    assert chirp.meta.split == "test"
+    assert plan.splits["chirp_sweep"] == "test"
     assert chirp.measured.joints == ("Rotation", "Pitch", "Elbow", "Wrist_Pitch", "Wrist_Roll", "Jaw")
     assert chirp.measured.units["position"] == ("rad",) * 5 + ("1",)
     assert chirp.measured.rate_hz == pytest.approx(49.85, abs=0.05)

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from benchmarks.pages import thesis
+from benchmarks.pages import kinds, thesis
 from benchmarks.pages.__main__ import NAMES, figures, is_stored, text
 
 ROOT = Path(__file__).parent.parent.parent
@@ -20,6 +20,12 @@ def test_a_page_and_its_figures_are_made_from_its_result(name, file):
         pytest.skip(f"there is neither a result {name} nor its page yet")
     for path, content in {file: text(name), **figures(name)}.items():
         assert (ROOT / "docs" / path).read_text() == content
+
+
+def test_the_tables_of_what_there_is_are_made_from_the_code():
+    """`make pages` writes them."""
+    for page, content in kinds.pages().items():
+        assert (ROOT / "docs" / page).read_text() == content
 
 
 def test_the_thesis_result_keeps_the_bar_of_the_default_solver():

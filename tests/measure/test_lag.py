@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from trueup.measure import phase_lag
 from trueup.measure.correlation import Correlation, cross_correlation, find_peak
-from trueup.measure.lag import _velocity
+from trueup.measure.metrics.lag import _velocity
 
 
 def motion(time_s):

@@ -4,12 +4,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dataset.store_cases import write_npz
 from trueup.core.episode import Episode, EpisodeMeta, Flag
 from trueup.core.results import Estimate, MetricResult, Rung
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
 from trueup.dataset.importers.base import ImportOptions
-from trueup.dataset.importers.npz import write_npz
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, OutputExists, TrueupError
 from trueup.robots import ControllerSpec, JointSpec, find_model, load_robot
 from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from trueup.augment.channels import Grid as Grid
 from trueup.augment.channels import gather as gather
-from trueup.augment.config import METHODS as METHODS
 from trueup.augment.config import AugmentConfig as AugmentConfig
 from trueup.augment.config import preset as preset
+from trueup.augment.networks import METHODS as METHODS
 
 if TYPE_CHECKING:
     from trueup.augment.augmentation import Augmentation as Augmentation

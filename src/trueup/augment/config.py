@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from trueup.augment.networks import METHODS, method, network_class
 from trueup.core.config import build, read_yaml
 from trueup.errors import ConfigError
 
@@ -15,7 +16,6 @@ SIGNALS = ("position", "velocity", "torque")
 CHECKPOINT_NAME = "checkpoint.safetensors"
 # From so many val motions on, an output must help beyond chance.
 FEWEST_FOR_CHANCE = 10
-NetworkKind = Literal["lstm", "gru", "mlp", "linear", "transformer", "moving-average"]
 
 
 @dataclass(frozen=True)
@@ -23,12 +23,11 @@ class NetworkConfig:
     """The network.
 
     Attributes:
-        kind: `lstm` and `gru` carry a state; `mlp`, `linear` and `transformer` see the last `history` samples; a
-            `moving-average` over `history` samples has nothing to train.
+        kind: of the `KINDS` in the files of `networks/`.
         hidden: units of each layer; (100, 21) in the papers.
         bidirectional: whether the network sees a motion from both ends ("precise"); not for a control loop. Outputs of
             the layers are concatenated, those of the last one summed (Realeasy, IV-C).
-        history: samples that `mlp`, `linear`, `transformer` and `moving-average` see.
+        history: samples that a network without a state sees.
         history_s: the same in seconds, whatever the rate; over `history` where it is given.
         heads: of the attention, `transformer` only.
         input_dropout: share of the samples that are skipped in training (Realeasy, IV-C).
@@ -36,7 +35,7 @@ class NetworkConfig:
         output_activation: `tanh` bounds the output by the range of its joint; with `normalization: limits`.
     """
 
-    kind: NetworkKind = "lstm"
+    kind: str = "lstm"
     hidden: tuple[int, ...] = (100, 21)
     bidirectional: bool = False
     history: int = 50
@@ -54,27 +53,22 @@ class NetworkConfig:
         """Refuse what makes no network."""
         if any(size < 1 for size in self.hidden):
             raise ConfigError("network: hidden", got=self.hidden, expected="positive sizes")
-        if not self.hidden and self.kind in ("lstm", "gru", "transformer"):
-            raise ConfigError(f"network: {self.kind} needs a hidden layer")
-        if self.hidden and self.kind in ("linear", "moving-average"):
-            raise ConfigError(f"network: {self.kind} has no hidden layer", got=f"hidden: {list(self.hidden)}")
-        if self.recurrent_dropout and self.kind not in ("lstm", "gru"):
-            raise ConfigError(f"network: {self.kind} has no recurrence", got="recurrent_dropout")
-        if self.kind == "moving-average" and (self.input_dropout or self.output_activation != "linear"):
-            raise ConfigError("network: a moving-average has nothing to train", got="input_dropout or tanh")
         if self.history < 1 or not (self.history_s is None or 0 < self.history_s < math.inf):
             raise ConfigError("network: history", got=(self.history, self.history_s), expected="at least one sample")
-        if self.bidirectional and self.kind not in ("lstm", "gru", "moving-average"):
-            raise ConfigError(f"network: {self.kind} has one direction only", got="bidirectional: true")
-        if self.kind == "transformer" and (self.heads < 1 or any(size % self.heads for size in self.hidden)):
-            raise ConfigError(
-                "network: hidden of a transformer", got=self.hidden, expected=f"multiples of {self.heads}"
-            )
-        if self.kind == "transformer" and len(set(self.hidden)) > 1:
-            raise ConfigError("network: the layers of a transformer are equally wide", got=self.hidden)
         for name in ("input_dropout", "recurrent_dropout"):
             if not 0 <= getattr(self, name) < 1:
                 raise ConfigError(f"network: {name}", got=getattr(self, name), expected="a share below 1")
+        network_class(self.kind).check(self)
+
+    @property
+    def trained(self) -> bool:
+        """Whether there is anything to train."""
+        return network_class(self.kind).trained
+
+    @staticmethod
+    def variant(tree: Mapping[str, Any]) -> type[NetworkConfig]:
+        """The class with the options of the kind that a tree of YAML or JSON names."""
+        return network_class(str(tree.get("kind", NetworkConfig.kind))).Config
 
 
 @dataclass(frozen=True)
@@ -231,7 +225,7 @@ class AugmentConfig:
         """Refuse numbers that make no training."""
         if self.batch < 1 or self.epochs < 0 or self.stop_after < 0:
             raise ConfigError("batch, epochs, stop_after", got=(self.batch, self.epochs, self.stop_after))
-        if self.network.kind == "moving-average" and (
+        if not self.network.trained and (
             self.data.normalization != "limits" or self.data.stops or self.loss.target != "residual"
         ):
             raise ConfigError(
@@ -267,38 +261,38 @@ class AugmentConfig:
         return build(AugmentConfig, _laid_over(asdict(start), tree), str(path))
 
 
-def preset(method: str, *, paper: bool = False) -> AugmentConfig:
+@dataclass(frozen=True)
+class Method:
+    """What `--method` chooses, by the name in its configuration.
+
+    Attributes:
+        config: our default.
+        about: what it is, in a few words.
+        paper: as its paper has it, where there is one.
+    """
+
+    config: AugmentConfig
+    about: str
+    paper: AugmentConfig | None = None
+
+
+def preset(name: str, *, paper: bool = False) -> AugmentConfig:
     """The configuration of a method.
 
     Args:
-        method: one of `METHODS`.
-        paper: as the papers have it, not our default; for the two Realeasy networks.
+        name: one of `METHODS`.
+        paper: as the papers have it, not our default.
 
     Raises:
         ConfigError: there is no such method, or no paper about it.
     """
-    if method not in METHODS:
-        raise ConfigError("there is no such method", got=method, available=METHODS)
-    config = METHODS[method]
+    chosen = method(name)
     if not paper:
-        return config
-    if not method.startswith("realeasy"):
-        raise ConfigError(
-            "no paper has a configuration of this method", got=method, available=("realeasy", "realeasy-rt")
-        )
-    # Realeasy, IV and V; LSTM thesis, 3.2: (100, 21), 16 draws per trajectory and epoch, windows of half the shortest
-    # trajectory of the batch, RMSprop, 1e-4, reduced on plateaus.
-    return replace(
-        config,
-        network=replace(config.network, hidden=(100, 21)),
-        data=replace(config.data, normalization="limits", stops=False),
-        window=WindowConfig("half-shortest", draws=16),
-        loss=LossConfig("residual", "normalized"),
-        optimizer=OptimizerConfig("rmsprop", 1e-4, "plateau", weight_decay=0.0, clip=0.0),
-        batch=16,
-        epochs=50,
-        stop_after=0,
-    )
+        return chosen.config
+    if chosen.paper is None:
+        known = [other for other in METHODS if method(other).paper]
+        raise ConfigError("no paper has a configuration of this method", got=name, available=known)
+    return chosen.paper
 
 
 def _laid_over(base: dict[str, Any], tree: Mapping[str, Any]) -> dict[str, Any]:
@@ -307,22 +301,3 @@ def _laid_over(base: dict[str, Any], tree: Mapping[str, Any]) -> dict[str, Any]:
         inner = merged.get(key)
         merged[key] = _laid_over(inner, value) if isinstance(inner, dict) and isinstance(value, Mapping) else value
     return merged
-
-
-# A mean of normalized values is the normalized mean only where input and output are normalized alike.
-_AS_IT_IS = DataConfig(normalization="limits", stops=False)
-
-METHODS: Mapping[str, AugmentConfig] = {
-    "realeasy": AugmentConfig("realeasy", NetworkConfig(bidirectional=True)),
-    "realeasy-rt": AugmentConfig("realeasy-rt"),
-    "gru": AugmentConfig("gru", NetworkConfig("gru")),
-    "mlp": AugmentConfig("mlp", NetworkConfig("mlp", (128, 128), history=20)),
-    "linear": AugmentConfig("linear", NetworkConfig("linear", ())),
-    "transformer": AugmentConfig("transformer", NetworkConfig("transformer", (64, 64), history=25)),
-    "moving-average": AugmentConfig(
-        "moving-average", NetworkConfig("moving-average", (), bidirectional=True, history_s=0.5), _AS_IT_IS, epochs=0
-    ),
-    "moving-average-rt": AugmentConfig(
-        "moving-average-rt", NetworkConfig("moving-average", (), history_s=0.5), _AS_IT_IS, epochs=0
-    ),
-}

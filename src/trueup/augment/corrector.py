@@ -11,7 +11,7 @@ from jaxtyping import Float64, Int
 from torch import Tensor, nn
 
 from trueup.augment.graph import Graph
-from trueup.augment.networks import Network
+from trueup.augment.networks.base import Network
 from trueup.augment.scaling import Scaling, Stops
 from trueup.core.model_card import State
 

@@ -13,6 +13,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from trueup.augment.networks import METHODS
 from trueup.cli import options
 from trueup.cli.console import note, out, status_line, track
 from trueup.errors import ConfigError, MissingDependency
@@ -32,10 +33,7 @@ def train(
     out_dir: Annotated[Path, typer.Option("--out", help="Folder for the model.")],
     method: Annotated[
         str | None,
-        typer.Option(
-            "--method",
-            help="realeasy (precise), realeasy-rt, gru, mlp, linear, transformer, moving-average, moving-average-rt.",
-        ),
+        typer.Option("--method", help=f"One of {', '.join(METHODS)}; see docs/augmentation.md."),
     ] = None,
     config: Annotated[
         str | None, typer.Option("--config", help="paper, default, or a YAML file; see docs/augmentation.md.")

@@ -43,7 +43,7 @@ def import_(
     ] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only list what would be imported.")] = False,
 ) -> int:
-    """Read logs (SAGE, CSV, npz, rosbag, MCAP, HDF5, LeRobot) into a dataset."""
+    """Read logs of any known format into a dataset."""
     from trueup.robots import load_robot
     from trueup.stages import import_logs, plan_import
 

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from trueup.dataset.importers.detect import FORMATS
 from trueup.errors import ConfigError
 
 Robot = Annotated[str, typer.Option("--robot", help="Name of a shipped robot, or path of a robot.yaml.")]
@@ -18,7 +19,9 @@ Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all draws.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on where an earlier call was interrupted.")]
 DropFlagged = Annotated[bool, typer.Option("--drop-flagged", help="Leave out episodes with quality warnings.")]
-Format = Annotated[str | None, typer.Option("--format", help="Log format; detected if not given.")]
+Format = Annotated[
+    str | None, typer.Option("--format", help=f"Log format, detected if not given: {', '.join(FORMATS)}.")
+]
 Mapping = Annotated[
     Path | None, typer.Option("--mapping", help="YAML (or the name of a shipped one) that says what the columns mean.")
 ]

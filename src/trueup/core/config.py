@@ -53,7 +53,8 @@ def parse_yaml(text: str, where: str) -> Any:
 def build(cls: type[T], data: Any, where: str) -> T:
     """A frozen dataclass from a tree of YAML or JSON values.
 
-    Nested dataclasses, tuples, mappings, Literals and optional values follow the annotations.
+    Nested dataclasses, tuples, mappings, Literals and optional values follow the annotations. A class with a static
+    method `variant` leaves it to that which class, itself or a subclass, fits the data.
 
     Args:
         cls: dataclass type.
@@ -65,6 +66,7 @@ def build(cls: type[T], data: Any, where: str) -> T:
     """
     if not isinstance(data, Mapping):
         raise ConfigError(f"{where} must be a mapping", got=repr(data))
+    cls = getattr(cls, "variant", lambda _: cls)(data)
     fields = {field.name: field for field in dataclasses.fields(cls) if field.init}  # type: ignore[arg-type]
     unknown = [key for key in data if key not in fields]
     if unknown:

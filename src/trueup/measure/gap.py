@@ -12,8 +12,7 @@ from trueup.core.episode import EpisodeMeta
 from trueup.core.results import GapResult, MetricResult, PairedDifference
 from trueup.measure.columns import mean
 from trueup.measure.comparison import COMMAND_RUN, Comparison
-from trueup.measure.lag import MAX_LAG_S
-from trueup.measure.metrics import MetricOptions
+from trueup.measure.metrics.base import MAX_LAG_S, MetricOptions
 from trueup.measure.reduction import REST, Column, Reduction, Table
 from trueup.measure.uncertainty import LEVEL, bootstrap_interval, estimate, paired_difference
 

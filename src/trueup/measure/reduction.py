@@ -14,7 +14,8 @@ from trueup.core.episode import EpisodeMeta
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, UnitError
 from trueup.measure.columns import mean, spread
 from trueup.measure.comparison import COMMAND_RUN, Comparison
-from trueup.measure.metrics import METRICS, Metric, MetricOptions, Samples, metric, metric_unit
+from trueup.measure.metrics import METRICS, metric
+from trueup.measure.metrics.base import Metric, MetricOptions, Samples, metric_unit
 
 # A joint whose measured position spans less than this in an episode rests: relating its error to its motion would
 # divide by the noise of the encoder.
@@ -202,8 +203,8 @@ class Reduction:
         angles = np.array([unit == "rad" for unit in units])
         rests = _rests(comparison) if signal in _MOTION_SIGNALS else np.zeros(len(names), dtype=bool)
         for row, item in enumerate(chosen):
-            if item.name == "large_gap_ratio":
-                values[row, ~angles] = np.nan  # the threshold is an angle
+            if item.angles_only:
+                values[row, ~angles] = np.nan
             if item.needs_motion:
                 values[row, rests] = np.nan
         return values[:, order]

@@ -6,6 +6,7 @@ import html
 from collections.abc import Iterable
 
 from trueup.core.results import Metrics
+from trueup.measure import METRICS as KNOWN
 from trueup.report.numbers import pretty_unit
 
 COMMAND = "command"
@@ -13,27 +14,8 @@ SPLITS = ("train", "val", "test", "all")
 SIGNALS = ("position", "velocity", "acceleration", "torque", "current", "voltage", "temperature")
 # The number that the report is about.
 MAIN_METRIC = "rmse"
-METRICS = {
-    "rmse": "RMSE (root mean square error)",
-    "mae": "MAE (mean absolute error)",
-    "max": "largest error",
-    "mse": "MSE (mean square error)",
-    "nrmse": "NRMSE (RMSE over the measured range)",
-    "mape": "MAPE (mean absolute percentage error)",
-    "phase_lag": "phase lag",
-    "large_gap_ratio": "large-gap ratio (share of samples)",
-    "pearson": "correlation (Pearson)",
-    "cosine": "cosine similarity",
-    "ccc": "concordance correlation (CCC)",
-    "r2": "R² (coefficient of determination)",
-    "iqr": "interquartile range of the error",
-    "range": "range of the error",
-    "trajectory_consistency": "trajectory consistency",
-    "smoothness": "smoothness",
-    "robustness": "robustness",
-    "position_norm": "mean distance of bodies",
-    "rotation_distance": "mean rotation between bodies",
-}
+# In the order of menus.
+METRICS = dict.fromkeys(("rmse", "mae", "max", "mse", "nrmse", "mape", "phase_lag", "large_gap_ratio", *KNOWN))
 SPLIT_TITLES = {"train": "train", "val": "validation", "test": "test", "all": "all motions", "": "not assigned"}
 
 
@@ -65,7 +47,8 @@ def split_title(split: str) -> str:
 
 def metric_title(metric: str) -> str:
     """A metric with its meaning where it is known."""
-    return METRICS.get(metric, metric.replace("_", " "))
+    known = KNOWN.get(metric)
+    return known.title if known and known.title else metric.replace("_", " ")
 
 
 def axis_title(signal: str, metric: str, unit: str) -> str:

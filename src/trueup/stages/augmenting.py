@@ -15,7 +15,7 @@ from trueup.core.atomic import json_hash, make_folder
 from trueup.core.model_card import CARD_NAME, Channel
 from trueup.dataset import Dataset
 from trueup.dataset.writer import is_label_part
-from trueup.errors import ConfigError, MissingDependency, NameMismatch
+from trueup.errors import ConfigError, NameMismatch
 from trueup.record.limits import stated_rates
 from trueup.record.urdf import urdf_velocity_limits
 from trueup.robots import RobotSpec, find_model
@@ -97,15 +97,11 @@ def augment(
         NameMismatch: the robot has other joints than the run.
         MissingDependency: torch is not installed, or finds no GPU.
     """
-    try:
-        from trueup.augment import Augmentation, Task
-        from trueup.augment.pairs import channels_of, refuse_overlap, write_pairs
-        from trueup.augment.training import find_device
-    except ModuleNotFoundError as error:
-        raise MissingDependency(
-            f"training needs {error.name}", hint="pip install 'trueup[learn]' (or make install in a clone)"
-        ) from error
-    config, out = config or AugmentConfig(), Path(out)
+    config, out = config or AugmentConfig(), Path(out)  # without torch there is no configuration either
+    from trueup.augment import Augmentation, Task
+    from trueup.augment.pairs import channels_of, refuse_overlap, write_pairs
+    from trueup.augment.training import find_device
+
     find_device(device)
     name = name or config.method
     _refuse_bad_name(name)
@@ -195,7 +191,7 @@ def _refuse_bad_name(name: str) -> None:
 
 
 def _refuse_no_training(config: AugmentConfig) -> None:
-    if config.epochs == 0 and config.network.kind != "moving-average":
+    if config.epochs == 0 and config.network.trained:
         raise ConfigError("epochs: 0 leaves the network untrained", expected="at least 1")
 
 
@@ -235,7 +231,7 @@ def _limits(robot: RobotSpec | None, source: TrainingData, config: AugmentConfig
 
 
 def _unknown_limits(limits: Limits, inputs: Sequence[Channel], config: AugmentConfig) -> Iterator[str]:
-    if config.data.normalization == "limits" and config.network.kind != "moving-average":
+    if config.data.normalization == "limits" and config.network.trained:
         missing = sorted({f"{c.signal} of {c.joint}" for c in inputs if (c.signal, c.joint) not in limits})
         if missing:
             yield f"no limits are known for {', '.join(missing)}: normalized by the range of the train split"

@@ -110,7 +110,7 @@ def import_logs(
     _refuse_nesting(source, out)
     plan = plan_import(source, format=format, options=options)
     notes = list(plan.notes)
-    config = {"format": plan.format, "source": source.name, "options": _plain(options), **plan.details}
+    config = {"format": plan.format, "source": source.name, "options": _plain(options)}
     info = DatasetInfo(
         robot=robot.name if robot else plan.robot,
         licence=plan.licence,
@@ -132,7 +132,7 @@ def import_logs(
         missing = [item for item in plan.episodes if item.id not in there]
         for item in track(missing, "import", len(missing)):
             # Splits of the user's own are assigned at the end, when all sources are known.
-            split = plan.splits.get(item.id, "") if splits is None else None
+            split = plan.splits.get(item.id, "") if splits is None else ""
             episode = _load(item, split, robot, refused)
             if episode is None:
                 continue
@@ -158,15 +158,13 @@ def import_logs(
     return ImportSummary(out, plan.format, imported, kept, refused, flagged, tuple(notes))
 
 
-def _load(
-    item: EpisodeSource, split: str | None, robot: RobotSpec | None, refused: dict[str, TrueupError]
-) -> Episode | None:
+def _load(item: EpisodeSource, split: str, robot: RobotSpec | None, refused: dict[str, TrueupError]) -> Episode | None:
     try:
         episode = checked(item.load(), robot)
     except TrueupError as error:
         refused[item.id] = error
         return None
-    return replace(episode, meta=replace(episode.meta, split="" if split is None else split or episode.meta.split))
+    return replace(episode, meta=replace(episode.meta, split=split))
 
 
 def checked(episode: Episode, robot: RobotSpec | None = None) -> Episode:

@@ -1,57 +1,64 @@
-"""Networks, by the names that a configuration gives them."""
+"""Networks, one file each. A file needs torch and is loaded when it is asked for; this table is not its work.
 
-from collections.abc import Sequence
+A file offers `KINDS`, the `kind` of a configuration -> class, and `methods()`, what `--method` chooses.
+"""
 
-from trueup.augment.config import NetworkConfig
-from trueup.augment.networks.base import Network as Network
-from trueup.augment.networks.recurrent import Recurrent as Recurrent
-from trueup.augment.networks.windowed import MovingAverage as MovingAverage
-from trueup.augment.networks.windowed import Perceptron as Perceptron
-from trueup.augment.networks.windowed import Transformer as Transformer
+from __future__ import annotations
 
-__all__ = ["MovingAverage", "Network", "Perceptron", "Recurrent", "Transformer", "build_network"]
+from collections.abc import Mapping, Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from trueup.errors import ConfigError, MissingDependency
+
+if TYPE_CHECKING:
+    from trueup.augment.config import Method, NetworkConfig
+    from trueup.augment.networks.base import Network
+
+# Method -> the file that it stands in.
+METHODS: Mapping[str, str] = {
+    "realeasy": "recurrent",
+    "realeasy-rt": "recurrent",
+    "gru": "recurrent",
+    "mlp": "perceptron",
+    "linear": "perceptron",
+    "transformer": "transformer",
+    "moving-average": "moving_average",
+    "moving-average-rt": "moving_average",
+}
+
+
+def method(name: str) -> Method:
+    """The method of this name.
+
+    Raises:
+        ConfigError: there is none.
+        MissingDependency: torch is not installed.
+    """
+    if name not in METHODS:
+        raise ConfigError("there is no such method", got=name, available=METHODS)
+    found: Method = next(item for item in _file(METHODS[name]).methods() if item.config.method == name)
+    return found
+
+
+def network_class(kind: str) -> type[Network]:
+    """The class of a kind of network; errors as of `method`."""
+    kinds = {name: cls for file in dict.fromkeys(METHODS.values()) for name, cls in _file(file).KINDS.items()}
+    if kind not in kinds:
+        raise ConfigError("network: kind is not a choice", got=repr(kind), available=kinds)
+    found: type[Network] = kinds[kind]
+    return found
 
 
 def build_network(config: NetworkConfig, *, inputs: int, base: Sequence[int], rate_hz: float = 100.0) -> Network:
-    """The network of a configuration, with random weights.
+    """The network of a configuration, with random weights; the arguments are those of `Network`."""
+    return network_class(config.kind)(config, inputs, base, rate_hz)
 
-    Args:
-        config: kind and sizes.
-        inputs: number of input channels.
-        base: for each output channel the input that it corrects.
-        rate_hz: samples per second, for windows that are given in seconds.
-    """
-    history = config.samples(rate_hz)
-    tanh = config.output_activation == "tanh"
-    if config.kind in ("lstm", "gru"):
-        return Recurrent(
-            inputs,
-            len(base),
-            cell="lstm" if config.kind == "lstm" else "gru",
-            hidden=config.hidden,
-            bidirectional=config.bidirectional,
-            input_dropout=config.input_dropout,
-            recurrent_dropout=config.recurrent_dropout,
-            tanh=tanh,
-        )
-    if config.kind == "moving-average":
-        return MovingAverage(inputs, base, history=history, centered=config.bidirectional)
-    if config.kind == "transformer":
-        return Transformer(
-            inputs,
-            len(base),
-            width=config.hidden[0],
-            depth=len(config.hidden),
-            heads=config.heads,
-            history=history,
-            input_dropout=config.input_dropout,
-            tanh=tanh,
-        )
-    return Perceptron(
-        inputs,
-        len(base),
-        hidden=config.hidden,
-        history=history,
-        input_dropout=config.input_dropout,
-        tanh=tanh,
-    )
+
+def _file(name: str) -> Any:
+    try:
+        return import_module(f"{__name__}.{name}")
+    except ModuleNotFoundError as error:
+        raise MissingDependency(
+            f"training needs {error.name}", hint="pip install 'trueup[learn]' (or make install in a clone)"
+        ) from error

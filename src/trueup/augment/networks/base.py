@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
+from trueup.augment.config import NetworkConfig
 from trueup.augment.graph import Graph
 from trueup.core.model_card import State
+from trueup.errors import ConfigError
 
 States = tuple[Tensor, ...]
 # Samples that a network without a state works on at a time.
@@ -19,20 +22,43 @@ _PIECE = 512
 class Network(nn.Module, ABC):
     """Normalized inputs (T, B, I) to normalized outputs (T, B, K), time first.
 
+    Args:
+        config: kind and sizes.
+        inputs: number of input channels, I.
+        base: for each output channel the input that it corrects, (K,).
+        rate_hz: samples per second, for windows that are given in seconds.
+
     Attributes:
+        Config: the options that it takes; a subclass of `NetworkConfig` where it has options of its own.
+        trained: whether there is anything to train.
+        both_ends: whether it can be configured as bidirectional.
         inputs: I.
         outputs: K.
         causal: whether it needs no sample of the future.
         past: samples before the current one that it sees besides.
+        tanh: whether the output is bounded.
     """
 
+    Config: ClassVar[type[NetworkConfig]] = NetworkConfig
+    trained: ClassVar[bool] = True
+    both_ends: ClassVar[bool] = False
     causal: bool = True
     past: int = 0
 
-    def __init__(self, inputs: int, outputs: int) -> None:
+    def __init__(self, config: NetworkConfig, inputs: int, base: Sequence[int], rate_hz: float) -> None:
+        del rate_hz
         super().__init__()
         self.inputs = inputs
-        self.outputs = outputs
+        self.outputs = len(base)
+        self.tanh = config.output_activation == "tanh"
+
+    @classmethod
+    def check(cls, config: NetworkConfig) -> None:
+        """Refuse, by ConfigError, what this kind cannot use; here, a recurrence's dropout and the second direction."""
+        if config.recurrent_dropout:
+            raise ConfigError(f"network: {config.kind} has no recurrence", got="recurrent_dropout")
+        if config.bidirectional and not cls.both_ends:
+            raise ConfigError(f"network: {config.kind} has one direction only", got="bidirectional: true")
 
     @property
     @abstractmethod
@@ -104,6 +130,38 @@ class SkipSamples(nn.Module):
             return x
         kept = torch.rand(*x.shape[:2], 1, device=x.device) >= self.share
         return x * kept / (1 - self.share)
+
+
+class Windowed(Network):
+    """A network over the current sample and `past` earlier ones; by default those of the configured history."""
+
+    def __init__(self, config: NetworkConfig, inputs: int, base: Sequence[int], rate_hz: float) -> None:
+        super().__init__(config, inputs, base, rate_hz)
+        self.past = config.samples(rate_hz) - 1
+        self.skip = SkipSamples(config.input_dropout)
+
+    @property
+    def states(self) -> tuple[State, ...]:
+        """None."""
+        return ()
+
+    @abstractmethod
+    def inner(self, x: Tensor) -> Tensor:
+        """Outputs (T, B, K) for (past + T, B, I)."""
+
+    @abstractmethod
+    def draw_inner(self, graph: Graph, x: str) -> str:
+        """The same as nodes."""
+
+    def run(self, x: Tensor, states: States, lengths: Tensor | None) -> tuple[Tensor, States]:
+        """See `Network.run`."""
+        del states, lengths  # the future, padding or not, is not seen
+        return self.inner(self.skip(x)), ()
+
+    def draw(self, graph: Graph, x: str, states: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+        """See `Network.draw`."""
+        del states
+        return self.draw_inner(graph, x), ()
 
 
 def draw_linear(graph: Graph, layer: nn.Module, x: str) -> str:

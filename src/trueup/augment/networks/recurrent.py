@@ -4,60 +4,46 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import Literal
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
 
+from trueup.augment.config import AugmentConfig, Method, NetworkConfig
 from trueup.augment.graph import Graph
 from trueup.augment.networks.base import Network, SkipSamples, States, draw_linear
 from trueup.core.model_card import State
+from trueup.errors import ConfigError
 
 # Where each gate of torch stands in ONNX: torch has input, forget, cell, output and reset, update, new.
 _GATES = {"lstm": (0, 3, 1, 2), "gru": (1, 0, 2)}
 
 
 class Recurrent(Network):
-    """Recurrent layers and a dense one.
+    """Recurrent layers and a dense one."""
 
-    Args:
-        inputs: I.
-        outputs: K.
-        cell: kind of layer.
-        hidden: units of each layer and direction.
-        bidirectional: outputs of both directions are concatenated, those of the last layer summed (Realeasy, IV-C).
-        input_dropout: share of skipped samples.
-        recurrent_dropout: share of the state's units that are left out of the recurrence.
-        tanh: whether the output is bounded.
-    """
-
-    def __init__(
-        self,
-        inputs: int,
-        outputs: int,
-        *,
-        cell: Literal["lstm", "gru"],
-        hidden: Sequence[int],
-        bidirectional: bool,
-        input_dropout: float,
-        recurrent_dropout: float,
-        tanh: bool,
-    ) -> None:
-        super().__init__(inputs, outputs)
+    def __init__(self, config: NetworkConfig, inputs: int, base: Sequence[int], rate_hz: float) -> None:
+        super().__init__(config, inputs, base, rate_hz)
+        hidden, bidirectional = config.hidden, config.bidirectional
         self.causal = not bidirectional
-        self.cell = cell
-        self.hidden = tuple(hidden)
-        kind = nn.LSTM if cell == "lstm" else nn.GRU
+        self.cell = config.kind
+        self.hidden = hidden
+        kind = nn.LSTM if config.kind == "lstm" else nn.GRU
         directions = 2 if bidirectional else 1
         widths = [inputs, *(directions * size for size in hidden)]
         self.forwards = nn.ModuleList(kind(width, size) for width, size in zip(widths, hidden, strict=False))
         self.backwards = nn.ModuleList(
             kind(width, size) for width, size in zip(widths, hidden, strict=False) if bidirectional
         )
-        self.dense = nn.Linear(self.hidden[-1], outputs)
-        self.skip = SkipSamples(input_dropout)
-        self.recurrent_dropout = recurrent_dropout
-        self.tanh = tanh
+        self.dense = nn.Linear(hidden[-1], self.outputs)
+        self.skip = SkipSamples(config.input_dropout)
+        self.recurrent_dropout = config.recurrent_dropout
+
+    @classmethod
+    def check(cls, config: NetworkConfig) -> None:
+        """See `Network.check`."""
+        if not config.hidden:
+            raise ConfigError(f"network: {config.kind} needs a hidden layer")
 
     @property
     def states(self) -> tuple[State, ...]:
@@ -170,3 +156,35 @@ def _turned(x: Tensor, turn: Tensor) -> Tensor:
     if turn.numel() == 0:
         return x.flip(0)
     return x.gather(0, turn.expand(-1, -1, x.shape[-1]))
+
+
+KINDS = {"lstm": Recurrent, "gru": Recurrent}
+
+
+def methods() -> tuple[Method, ...]:
+    """What `--method` chooses here."""
+    precise, real_time = AugmentConfig("realeasy", NetworkConfig(bidirectional=True)), AugmentConfig("realeasy-rt")
+    return (
+        Method(precise, '"precise" Realeasy: two LSTM layers that see a motion from both ends', paper=_paper(precise)),
+        Method(real_time, '"real-time" Realeasy: two forward LSTM layers', paper=_paper(real_time)),
+        Method(AugmentConfig("gru", NetworkConfig("gru")), "the same with GRU layers"),
+    )
+
+
+def _paper(config: AugmentConfig) -> AugmentConfig:
+    """As the papers have it.
+
+    Realeasy, IV and V; LSTM thesis, 3.2: (100, 21), 16 draws per trajectory and epoch, windows of half the shortest
+    trajectory of the batch, RMSprop, 1e-4, reduced on plateaus.
+    """
+    return replace(
+        config,
+        network=replace(config.network, hidden=(100, 21)),
+        data=replace(config.data, normalization="limits", stops=False),
+        window=replace(config.window, rule="half-shortest", draws=16),
+        loss=replace(config.loss, scale="normalized"),
+        optimizer=replace(config.optimizer, name="rmsprop", rate=1e-4, schedule="plateau", weight_decay=0.0, clip=0.0),
+        batch=16,
+        epochs=50,
+        stop_after=0,
+    )

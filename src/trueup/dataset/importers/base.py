@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from trueup.core.episode import Episode
 
@@ -36,13 +36,15 @@ class EpisodeSource:
     Attributes:
         id: the episode's id (letters, digits, `_ . - /`), unique in the plan and stable between runs: resuming
             an import skips ids that are there.
-        load: reads and checks the files; raises only errors of trueup.errors.
+        load: reads and checks the files; raises only errors of trueup.errors. The split is the plan's.
         bytes: size of its files, for the progress bar.
+        source: the file or folder that it stands in, below the folder that is imported.
     """
 
     id: str
     load: Callable[[], Episode]
     bytes: int = 0
+    source: str = ""
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,6 @@ class ImportPlan:
 
     Attributes:
         format: the importer's name.
-        root: folder that the sources are relative to.
         episodes: in a stable order.
         robot: name of the robot, if the logs say.
         licence: licence of the recording, if stated.
@@ -61,21 +62,29 @@ class ImportPlan:
     """
 
     format: str
-    root: Path
     episodes: tuple[EpisodeSource, ...]
     robot: str = ""
     licence: str = ""
     splits: Mapping[str, str] = field(default_factory=dict)
     model_dir: Path | None = None
     notes: tuple[str, ...] = ()
-    details: Mapping[str, Any] = field(default_factory=dict)
 
 
 @runtime_checkable
 class Importer(Protocol):
-    """One log format. Modules in this package provide these two functions and a `NAME`."""
+    """One log format; a module of this package.
+
+    Attributes:
+        NAME: of the format, and of the module.
+        LOOKS_FOR: what it is recognized by.
+        EPISODE: what one episode is.
+        ASSUMES: what the files do not say.
+    """
 
     NAME: str
+    LOOKS_FOR: str
+    EPISODE: str
+    ASSUMES: str
 
     def detects(self, path: Path) -> bool:
         """Whether `path` (file or folder) looks like this format; cheap, raises nothing."""

@@ -1,12 +1,41 @@
-"""What lies beside the logs: `split.json`, a licence, the robot's model."""
+"""What lies beside the logs: `split.json`, a licence, the robot's model; and the plan that has all of it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from trueup.dataset.importers.files import inside, read_bytes
+from trueup.dataset.importers.base import EpisodeSource, ImportPlan
+from trueup.dataset.importers.files import inside, read_bytes, unique_ids
 from trueup.dataset.splits import match_splits, read_split
+
+
+def plan_with(
+    format: str,
+    root: Path,
+    episodes: Sequence[EpisodeSource],
+    *,
+    robot: str = "",
+    licence: str = "",
+    notes: Iterable[str] = (),
+) -> ImportPlan:
+    """The plan of these episodes with what lies beside them in `root`; a licence that is stated comes first.
+
+    Raises:
+        DataError: two episodes have the same id, or something that lies beside them cannot be read.
+        FormatError: `split.json` is no split file.
+    """
+    unique_ids((episode.id, episode.source) for episode in episodes)
+    splits, unmatched = splits_beside(root, {episode.id: (episode.source,) for episode in episodes})
+    return ImportPlan(
+        format=format,
+        episodes=tuple(episodes),
+        robot=robot,
+        licence=licence or licence_beside(root),
+        splits=splits,
+        model_dir=model_beside(root),
+        notes=(*notes, *(unmatched if len(episodes) > 1 else ())),
+    )
 
 
 def splits_beside(

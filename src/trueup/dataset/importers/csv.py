@@ -6,22 +6,23 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from trueup.core.episode import EpisodeMeta
 from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
-from trueup.dataset.importers.beside import licence_beside, model_beside, splits_beside
+from trueup.dataset.importers.beside import plan_with
 from trueup.dataset.importers.columns import TextTable
 from trueup.dataset.importers.csv_episode import CsvEpisode, load_episode
-from trueup.dataset.importers.files import data_files, episode_id, inside, read_bytes, unique_ids
+from trueup.dataset.importers.files import data_files, episode_id, inside, read_bytes
 from trueup.dataset.importers.mapping import CsvMapping, substitute
 from trueup.dataset.importers.mapping_file import load_mapping, shipped
 from trueup.errors import DataError, FormatError, TrueupError
 
 NAME = "csv"
 LOOKS_FOR = "CSV files, with a mapping file (--mapping, or mapping.yaml beside them) or with columns that are known"
+EPISODE = "what the mapping says"
+ASSUMES = "nothing: the mapping says all"
 
 _HEADER_BYTES = 1 << 16
 _SKELETON = """\
@@ -70,27 +71,22 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
             got=mapping.episodes,
             available=names,
         )
-    unique_ids((episode.meta.id, episode.meta.source) for episode in episodes)
     used = {name for episode in episodes for name in episode.series.values()} | {mapping.metadata}
     unused = [name for name in names if name not in used and name.endswith(".csv")]
-    splits, notes = splits_beside(root, {episode.meta.id: (episode.meta.source,) for episode in episodes})
     sources = []
     for episode in episodes:
-        ready = replace(episode, meta=replace(episode.meta, split=splits.get(episode.meta.id, "")))
         size = sum((root / name).stat().st_size for name in set(episode.series.values()))
-        sources.append(EpisodeSource(ready.meta.id, partial(load_episode, root, ready, mapping, options), size))
-    return ImportPlan(
-        format=NAME,
-        root=root,
-        episodes=tuple(sources),
+        load = partial(load_episode, root, episode, mapping, options)
+        sources.append(EpisodeSource(episode.meta.id, load, size, episode.meta.source))
+    return plan_with(
+        NAME,
+        root,
+        sources,
         robot=options.robot or ("" if "{" in mapping.robot else mapping.robot),
-        licence=mapping.licence or licence_beside(root),
-        splits=splits,
-        model_dir=model_beside(root),
+        licence=mapping.licence,
         notes=(
             f"columns are read as {mapping.name} says",
             *([f"skipped {len(unused)} CSV files, e.g. {unused[0]}: the mapping does not use them"] if unused else []),
-            *notes,
         ),
     )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import cast
@@ -10,31 +9,29 @@ from typing import cast
 from trueup.dataset.importers.base import Importer
 from trueup.errors import ConfigError, DataError, FormatError, MissingDependency
 
-# Specific formats first: any folder may hold a few CSV files too, so CSV counts only when nothing else does.
-_MODULES = {name: f"trueup.dataset.importers.{name}" for name in ("sage", "lerobot", "rosbag", "hdf5", "npz", "csv")}
-_GENERIC = "csv"
+# One module each. Any folder may hold a few CSV files too, so that the last one counts only when no other does.
+FORMATS = (
+    "sage",
+    "lerobot",
+    "rosbag",
+    "hdf5",
+    "npz",
+    "csv",
+)
 
 
-class _Importers(Mapping[str, Importer]):
-    """Name -> importer; a module is imported when it is asked for, since some of them need heavy packages."""
+def importer(name: str) -> Importer:
+    """The module of a format, imported now: some of them need heavy packages.
 
-    def __getitem__(self, name: str) -> Importer:
-        module = _MODULES[name]
-        try:
-            return cast("Importer", import_module(module))
-        except ImportError as error:
-            raise MissingDependency(
-                f"the importer for {name} cannot be loaded", got=error, hint="`trueup doctor` shows what is missing."
-            ) from error
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(_MODULES)
-
-    def __len__(self) -> int:
-        return len(_MODULES)
-
-
-IMPORTERS: Mapping[str, Importer] = _Importers()
+    Raises:
+        MissingDependency: such a package is not installed.
+    """
+    try:
+        return cast("Importer", import_module(f"trueup.dataset.importers.{name}"))
+    except ImportError as error:
+        raise MissingDependency(
+            f"the importer for {name} cannot be loaded", got=error, hint="`trueup doctor` shows what is missing."
+        ) from error
 
 
 def find_importer(path: Path, name: str | None = None) -> Importer:
@@ -50,26 +47,26 @@ def find_importer(path: Path, name: str | None = None) -> Importer:
         FormatError: no format, or more than one, is recognized.
         MissingDependency: the importer needs a package that is not installed.
     """
-    if name is not None and name not in IMPORTERS:
-        raise ConfigError(f"there is no format {name!r}", available=IMPORTERS)
+    if name is not None and name not in FORMATS:
+        raise ConfigError(f"there is no format {name!r}", available=FORMATS)
     if not path.exists():
         raise DataError(f"{path} does not exist")
     if name is not None:
-        return IMPORTERS[name]
+        return importer(name)
     looked_for: list[str] = []
     missing: list[str] = []
     found: list[str] = []
-    for candidate in IMPORTERS:
+    for candidate in FORMATS:
         try:
-            importer = IMPORTERS[candidate]
+            module = importer(candidate)
         except MissingDependency as error:
             missing.append(f"{candidate} was not tried: {error.details}")
             continue
-        looked_for.append(f"{candidate} ({getattr(importer, 'LOOKS_FOR', 'its own files')})")
-        if not (found and candidate == _GENERIC) and importer.detects(path):
+        looked_for.append(f"{candidate} ({module.LOOKS_FOR})")
+        if not (found and candidate == FORMATS[-1]) and module.detects(path):
             found.append(candidate)
     if len(found) == 1:
-        return IMPORTERS[found[0]]
+        return importer(found[0])
     if found:
         raise FormatError(
             f"{path} looks like several formats",
@@ -80,7 +77,7 @@ def find_importer(path: Path, name: str | None = None) -> Importer:
         f"{path} is of no known format",
         got=_content(path),
         expected="; ".join([*looked_for, *missing]),
-        available=IMPORTERS,
+        available=FORMATS,
         hint="Name the format with --format, or write a mapping for CSV files.",
     )
 

@@ -23,9 +23,9 @@ from trueup.core.episode import Episode, EpisodeMeta, Flag
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.core.units import SI_UNIT, conversion
 from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
-from trueup.dataset.importers.beside import licence_beside, model_beside, splits_beside
+from trueup.dataset.importers.beside import plan_with
 from trueup.dataset.importers.clock import common_origin, shifted, usable_clock
-from trueup.dataset.importers.files import data_files, episode_id, file_hash, unique_ids
+from trueup.dataset.importers.files import data_files, episode_id, file_hash
 from trueup.dataset.importers.h5file import H5File, open_h5
 from trueup.dataset.importers.h5names import ANGLES, LAYOUT, find_groups, joint_names
 from trueup.dataset.importers.parts import on_one_clock
@@ -34,6 +34,8 @@ from trueup.errors import ConfigError, DataError, FormatError, TrueupError
 
 NAME = "hdf5"
 LOOKS_FOR = f"HDF5 files with {LAYOUT}"
+EPISODE = "a file"
+ASSUMES = "s; rad, rad/s, A, °C"
 
 _SUFFIXES = (".h5", ".hdf5")
 _SIGNALS = {
@@ -69,23 +71,12 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
     if not files:
         raise FormatError(f"{path} holds no HDF5 file", expected=LOOKS_FOR)
     root = path if path.is_dir() else path.parent
-    relative = {file: file.relative_to(root).as_posix() for file in files}
-    named = {file: episode_id(name.rpartition(".")[0]) for file, name in relative.items()}
-    unique_ids((name, relative[file]) for file, name in named.items())
-    splits, notes = splits_beside(root, {name: (relative[file],) for file, name in named.items()})
-    return ImportPlan(
-        format=NAME,
-        root=root,
-        episodes=tuple(
-            EpisodeSource(name, partial(_load, root, file, name, stated, splits.get(name, "")), file.stat().st_size)
-            for file, name in named.items()
-        ),
-        robot=stated.robot,
-        licence=licence_beside(root),
-        splits=splits,
-        model_dir=model_beside(root),
-        notes=(*_first_names(files, stated), *(notes if len(files) > 1 else ())),
-    )
+    episodes = []
+    for file in files:
+        source = file.relative_to(root).as_posix()
+        name = episode_id(source.rpartition(".")[0])
+        episodes.append(EpisodeSource(name, partial(_load, root, file, name, stated), file.stat().st_size, source))
+    return plan_with(NAME, root, episodes, robot=stated.robot, notes=_first_names(files, stated))
 
 
 def _files(path: Path) -> tuple[Path, ...]:
@@ -110,7 +101,7 @@ def _first_names(files: Sequence[Path], stated: Stated) -> tuple[str, ...]:
     return ()
 
 
-def _load(root: Path, path: Path, name: str, stated: Stated, split: str) -> Episode:
+def _load(root: Path, path: Path, name: str, stated: Stated) -> Episode:
     """Read one file."""
     with open_h5(path) as file:
         groups = find_groups(file)
@@ -135,7 +126,6 @@ def _load(root: Path, path: Path, name: str, stated: Stated, split: str) -> Epis
             unit=stated.unit,
             payload_kg=stated.payload_kg,
             condition=stated.condition,
-            split=split,
             source=path.relative_to(root).as_posix(),
             source_hash=file_hash([path]),
             flags=tuple(flags),

@@ -26,6 +26,8 @@ from trueup.errors import NameMismatch
 
 NAME = "lerobot"
 LOOKS_FOR = f"a folder with {INFO}"
+EPISODE = "an episode, of version 3"
+ASSUMES = "SI unless stated: **check this**"
 
 # LeRobot's own tolerance between a stamp and frame_index / fps [s].
 TOLERANCE_S = 1e-4
@@ -71,14 +73,13 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
     sources = tuple(
         EpisodeSource(
             names[row.number],
-            partial(_load, path, info, row, names[row.number], splits.get(row.number, ""), columns, reader, stated),
+            partial(_load, path, info, row, names[row.number], columns, reader, stated),
             row.length * 4 * sum(feature.width for series in columns.values() for feature in series.features.values()),
         )
         for row in rows
     )
     return ImportPlan(
         format=NAME,
-        root=path,
         episodes=sources,
         robot=stated.robot or info.robot,
         licence=licence_beside(path),
@@ -98,7 +99,6 @@ def _load(
     info: LeRobotInfo,
     row: EpisodeRow,
     name: str,
-    split: str,
     columns: Mapping[str, Columns],
     reader: FrameReader,
     stated: Stated,
@@ -123,7 +123,6 @@ def _load(
             unit=stated.unit or str(row.about.get(f"{OWN}unit", "")),
             payload_kg=stated.payload_kg if stated.payload_kg is not None else _payload(row),
             condition=stated.condition or str(row.about.get(f"{OWN}condition", "")),
-            split=split,
             source=row.file.relative_to(root).as_posix(),
             source_hash=reader.hash_of(row.file),
             flags=(*clock_flags, *_flags(series, columns, row)),

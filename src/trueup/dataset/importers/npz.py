@@ -21,20 +21,21 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from trueup.core.atomic import write_bytes
 from trueup.core.episode import Episode, EpisodeMeta, Flag
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.core.units import SI_UNIT, UNITS
 from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
-from trueup.dataset.importers.beside import licence_beside, model_beside, splits_beside
+from trueup.dataset.importers.beside import plan_with
 from trueup.dataset.importers.clock import usable_clock
-from trueup.dataset.importers.files import bytes_hash, data_files, episode_id, inside, read_bytes, unique_ids
+from trueup.dataset.importers.files import bytes_hash, data_files, episode_id, inside, read_bytes
 from trueup.dataset.importers.mapping import COMPONENTS
 from trueup.dataset.importers.units import override_units
 from trueup.errors import DataError, FormatError, NameMismatch, TrueupError, UnitError
 
 NAME = "npz"
 LOOKS_FOR = "npz files with measured.time_s, measured.position, joints, ..."
+EPISODE = "a file"
+ASSUMES = "SI where no unit is stored"
 
 _TEXTS = ("robot", "unit", "condition")
 _NAMES = ("joints", "bodies")
@@ -78,51 +79,15 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
     if not files:
         raise FormatError(f"{path} holds no npz file", expected=LOOKS_FOR)
     root = path.parent if path.is_file() else path
-    named = {episode_id(file.relative_to(root).as_posix()[: -len(".npz")]): file for file in files}
-    unique_ids((episode_id(file.relative_to(root).as_posix()[: -len(".npz")]), str(file)) for file in files)
-    splits, notes = splits_beside(root, {id: (file.relative_to(root).as_posix(),) for id, file in named.items()})
-    return ImportPlan(
-        format=NAME,
-        root=root,
-        episodes=tuple(
-            EpisodeSource(id, partial(_load, root, file, id, options, splits.get(id, "")), file.stat().st_size)
-            for id, file in named.items()
-        ),
-        robot=options.robot,
-        licence=licence_beside(root),
-        splits=splits,
-        model_dir=model_beside(root),
-        notes=("clocks are kept as they are", *notes),
-    )
+    episodes = []
+    for file in files:
+        source = file.relative_to(root).as_posix()
+        id = episode_id(source[: -len(".npz")])
+        episodes.append(EpisodeSource(id, partial(_load, root, file, id, options), file.stat().st_size, source))
+    return plan_with(NAME, root, episodes, robot=options.robot, notes=["clocks are kept as they are"])
 
 
-def write_npz(episode: Episode, path: Path) -> None:
-    """Write one episode as an npz file that this importer reads back exactly, apart from split, source and flags.
-
-    Raises:
-        DataError: the disk is full or not writable.
-    """
-    meta = episode.meta
-    arrays: dict[str, Shaped[np.ndarray, "..."]] = {key: np.array(getattr(meta, key)) for key in _TEXTS}
-    if meta.payload_kg is not None:
-        arrays["payload_kg"] = np.array(meta.payload_kg)
-    series = {"measured": episode.measured, **{f"simulated/{label}": run for label, run in episode.simulated.items()}}
-    if episode.command is not None:
-        series["command"] = episode.command
-    for label, one in series.items():
-        arrays[f"{label}.time_s"] = one.time_s
-        arrays[f"{label}.joints"] = np.array(one.joints)
-        if one.bodies:
-            arrays[f"{label}.bodies"] = np.array(one.bodies)
-        for signal, values in one.signals.items():
-            arrays[f"{label}.{signal}"] = values
-            arrays[f"{label}.{signal}.unit"] = np.array(one.units[signal])
-    with io.BytesIO() as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
-        write_bytes(path, file.getvalue())
-
-
-def _load(root: Path, path: Path, id: str, options: ImportOptions, split: str) -> Episode:
+def _load(root: Path, path: Path, id: str, options: ImportOptions) -> Episode:
     """Read one file."""
     data = read_bytes(inside(root, path))
     arrays = _arrays(path, data)
@@ -146,7 +111,6 @@ def _load(root: Path, path: Path, id: str, options: ImportOptions, split: str) -
         unit=texts.get("unit", ""),
         payload_kg=None if payload is None else float(payload),
         condition=texts.get("condition", ""),
-        split=split,
         source=path.relative_to(root).as_posix(),
         source_hash=bytes_hash([data]),
         flags=tuple(flag for _, flags in done.values() for flag in flags),

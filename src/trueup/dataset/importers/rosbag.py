@@ -25,13 +25,15 @@ from trueup.dataset.importers.bagfile import (
 from trueup.dataset.importers.bagseries import choose_clocks, command_series, measured_series
 from trueup.dataset.importers.bagtopics import read_topics
 from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
-from trueup.dataset.importers.beside import licence_beside, model_beside, splits_beside
-from trueup.dataset.importers.files import episode_id, file_hash, unique_ids
+from trueup.dataset.importers.beside import plan_with
+from trueup.dataset.importers.files import episode_id, file_hash
 from trueup.dataset.importers.stated import Stated, read_stated, with_units
 from trueup.errors import DataError, FormatError
 
 NAME = "rosbag"
 LOOKS_FOR = ".bag, .mcap or .db3 files, or folders with a rosbag2 metadata.yaml"
+EPISODE = "a bag"
+ASSUMES = "rad, rad/s, Nm; effort is torque"
 
 
 def detects(path: Path) -> bool:
@@ -55,31 +57,14 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
     if not bags:
         raise FormatError(f"{path} holds no bag", expected=LOOKS_FOR)
     root = path if path not in bags else path.resolve().parent
-    names = {bag: episode_id(_relative(bag, root).removesuffix(bag.suffix)) for bag in bags}
-    unique_ids((name, _relative(bag, root)) for bag, name in names.items())
-    splits, notes = splits_beside(root, {name: (_relative(bag, root),) for bag, name in names.items()})
-    sources = tuple(
-        EpisodeSource(
-            id=name,
-            load=partial(_load, root, bag, name, options, stated, splits.get(name, "")),
-            bytes=sum(file.stat().st_size for file in bag_files(bag)),
-        )
-        for bag, name in names.items()
-    )
-    return ImportPlan(
-        format=NAME,
-        root=root,
-        episodes=sources,
-        robot=stated.robot,
-        licence=licence_beside(root),
-        splits=splits,
-        model_dir=model_beside(root),
-        notes=(
-            *_first_topics(bags, options),
-            "units are those of ROS: rad, rad/s, Nm; name others with --unit, e.g. for prismatic joints",
-            *(notes if len(bags) > 1 else ()),
-        ),
-    )
+    episodes = []
+    for bag in bags:
+        source = _relative(bag, root)
+        name = episode_id(source.removesuffix(bag.suffix))
+        size = sum(file.stat().st_size for file in bag_files(bag))
+        episodes.append(EpisodeSource(name, partial(_load, root, bag, name, options, stated), size, source))
+    units = "units are those of ROS: rad, rad/s, Nm; name others with --unit, e.g. for prismatic joints"
+    return plan_with(NAME, root, episodes, robot=stated.robot, notes=(*_first_topics(bags, options), units))
 
 
 def _relative(bag: Path, root: Path) -> str:
@@ -103,7 +88,7 @@ def _topics(bag: Bag, options: ImportOptions) -> tuple[Topic, Topic | None]:
     return measured, choose_command(bag.topics, options.command_topic, measured, bag.source)
 
 
-def _load(root: Path, path: Path, name: str, options: ImportOptions, stated: Stated, split: str) -> Episode:
+def _load(root: Path, path: Path, name: str, options: ImportOptions, stated: Stated) -> Episode:
     """Read one bag."""
     with open_bag(path) as bag:
         measured_topic, command_topic = _topics(bag, options)
@@ -127,7 +112,6 @@ def _load(root: Path, path: Path, name: str, options: ImportOptions, stated: Sta
             unit=stated.unit,
             payload_kg=stated.payload_kg,
             condition=stated.condition,
-            split=split,
             source=_relative(path, root),
             source_hash=file_hash(bag_files(path)),
             flags=flags,

@@ -17,15 +17,17 @@ from jaxtyping import Float64
 from trueup.core.episode import Episode, EpisodeMeta, Flag
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
-from trueup.dataset.importers.beside import licence_beside, model_beside, splits_beside
+from trueup.dataset.importers.beside import plan_with
 from trueup.dataset.importers.clock import common_origin, shifted, usable_clock
 from trueup.dataset.importers.columns import TextTable
-from trueup.dataset.importers.files import bytes_hash, episode_id, inside, read_bytes, read_text, unique_ids
+from trueup.dataset.importers.files import bytes_hash, episode_id, inside, read_bytes, read_text
 from trueup.dataset.importers.units import override_units
 from trueup.errors import DataError, FormatError, NameMismatch
 
 NAME = "sage"
 LOOKS_FOR = "folders with control.csv, state_motor.csv and joint_list.txt"
+EPISODE = "a folder"
+ASSUMES = "µs; rad, rad/s, Nm"
 
 _FILES = ("control.csv", "state_motor.csv", "joint_list.txt")
 _SIGNALS = {"positions": "position", "velocities": "velocity", "torques": "torque"}
@@ -63,32 +65,25 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
     motions = {folder: episode_id(folder.resolve().name) for folder in folders if _is_motion(folder)}
     if not motions:
         raise FormatError(f"{path} holds no SAGE motion", expected=LOOKS_FOR)
-    unique_ids((name, folder.name) for folder, name in motions.items())
     skipped = [folder.name for folder in folders if folder not in motions and folder.name != "model"]
-    splits, notes = splits_beside(root, {name: (folder.name,) for folder, name in motions.items()})
-    if len(folders) == 1:
-        notes = ()
-    sources = tuple(
+    sources = [
         EpisodeSource(
             id=name,
-            load=partial(_load, root, folder, name, options, splits.get(name, "")),
+            load=partial(_load, root, folder, name, options),
             bytes=sum((folder / file).stat().st_size for file in _FILES if (folder / file).is_file()),
+            source=folder.name,
         )
         for folder, name in motions.items()
-    )
-    return ImportPlan(
-        format=NAME,
-        root=root,
-        episodes=sources,
+    ]
+    return plan_with(
+        NAME,
+        root,
+        sources,
         robot=options.robot,
-        licence=licence_beside(root),
-        splits=splits,
-        model_dir=model_beside(root),
         notes=(
             "units are SAGE's: rad, rad/s, Nm; state those of other joints, e.g. position.Jaw=1 for parts of a range",
             "torque is stored as logged: on some robots an unsigned estimate from the motor current",
             *([f"skipped {len(skipped)} folders without {_FILES[1]}, e.g. {skipped[0]}"] if skipped else []),
-            *notes,
         ),
     )
 
@@ -97,7 +92,7 @@ def _is_motion(folder: Path) -> bool:
     return (folder / "state_motor.csv").is_file() or (folder / "control.csv").is_file()
 
 
-def _load(root: Path, folder: Path, name: str, options: ImportOptions, split: str) -> Episode:
+def _load(root: Path, folder: Path, name: str, options: ImportOptions) -> Episode:
     """Read one motion."""
     paths = [inside(root, inside(folder, folder / file)) for file in _FILES]
     control, state = (read_bytes(path) for path in paths[:2])
@@ -111,7 +106,6 @@ def _load(root: Path, folder: Path, name: str, options: ImportOptions, split: st
         meta=EpisodeMeta(
             id=name,
             robot=options.robot,
-            split=split,
             source=folder.resolve().name,
             source_hash=bytes_hash((control, state, read_bytes(paths[2]))),
             flags=command_flags + measured_flags,

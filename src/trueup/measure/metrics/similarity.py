@@ -6,12 +6,14 @@ either series are left out of both. What is not defined, as a correlation with a
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float64
 
 from trueup.measure.columns import mean, mean_product, paired, ratio
+from trueup.measure.metrics.base import CORRELATION, Metric, plain
 
 _ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 
@@ -77,3 +79,47 @@ def _variance(deviation: Float64[np.ndarray, "T J"], center: Float64[np.ndarray,
     """Mean of squares, zero where it is no more than the rounding of the mean: the variance of a constant."""
     variance = mean_product(deviation, deviation)
     return np.where(variance <= (_ROUNDING * center) ** 2, 0.0, variance)
+
+
+METRICS = (
+    Metric(
+        "pearson",
+        plain(pearson),
+        "cov(m, s) / (σ_m σ_s)",
+        title="correlation (Pearson)",
+        unit="1",
+        lower_is_better=False,
+        bounds=CORRELATION,
+        needs_motion=True,
+    ),
+    Metric(
+        "cosine",
+        plain(cosine),
+        "Σ m s / √(Σ m² Σ s²)",
+        title="cosine similarity",
+        unit="1",
+        lower_is_better=False,
+        bounds=CORRELATION,
+    ),
+    Metric(
+        "ccc",
+        plain(ccc),
+        "2 cov(m, s) / (σ_m² + σ_s² + (mean m - mean s)²)",
+        "Lin 1989, Biometrics 45, 255-268",
+        "concordance correlation (CCC)",
+        unit="1",
+        lower_is_better=False,
+        bounds=CORRELATION,
+        needs_motion=True,
+    ),
+    Metric(
+        "r2",
+        plain(r2),
+        "1 - mean(e²) / σ_m²",
+        title="R² (coefficient of determination)",
+        unit="1",
+        lower_is_better=False,
+        bounds=(-math.inf, 1.0),
+        needs_motion=True,
+    ),
+)

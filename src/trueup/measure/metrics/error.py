@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from trueup.measure.columns import largest, mean, mean_product, paired, ratio, residual, spread
+from trueup.measure.metrics.base import Metric, plain
 
 
 def mse(measured: Float[np.ndarray, "T J"], simulated: Float[np.ndarray, "T J"]) -> Float64[np.ndarray, "J"]:
@@ -59,3 +60,27 @@ def mape(
     kept = (size >= floor * largest(size)) & (size > 0.0)
     error = np.abs(first - second) / np.where(kept, size, 1.0)
     return 100.0 * mean(np.where(kept, error, np.nan))
+
+
+METRICS = (
+    Metric("rmse", plain(rmse), "√mean(e²)", "LSTM thesis, eq. 18", "RMSE (root mean square error)"),
+    Metric("mse", plain(mse), "mean(e²)", "LSTM thesis, eq. 18", "MSE (mean square error)", unit="signal^2"),
+    Metric(
+        "nrmse",
+        plain(nrmse),
+        "rmse / (max m - min m)",
+        "GapONet, section 3.2; the range is our choice, the paper names none",
+        "NRMSE (RMSE over the measured range)",
+        unit="1",
+        needs_motion=True,
+    ),
+    Metric("mae", plain(mae), "mean|e|", title="MAE (mean absolute error)"),
+    Metric("max", plain(max_error), "max|e|", title="largest error"),
+    Metric(
+        "mape",
+        plain(mape),
+        "100 · mean(|e| / |m|) over samples with |m| ≥ 5 % of max|m|",
+        title="MAPE (mean absolute percentage error)",
+        unit="%",
+    ),
+)

@@ -12,6 +12,7 @@ from jaxtyping import Float, Float64, Int
 
 from trueup.measure.columns import mean, paired
 from trueup.measure.derivatives import gradient, second_difference
+from trueup.measure.metrics.base import Metric
 
 # The paper names no noise levels; these span encoders from good to poor [rad].
 ROBUSTNESS_SIGMAS = (0.001, 0.005, 0.01)
@@ -95,3 +96,30 @@ def robustness(
 
 def _starts(starts: Int[np.ndarray, "S"] | None) -> Int[np.ndarray, "S"]:
     return np.zeros(1, dtype=np.int64) if starts is None else starts
+
+
+METRICS = (
+    Metric(
+        "trajectory_consistency",
+        lambda s: trajectory_consistency(s.measured, s.simulated, s.time_s, starts=s.starts),
+        "mean|∇(∇e)|, central differences twice",
+        "GapONet, eq. 15, 16",
+        unit="signal/s^2",
+        signals=("position",),
+    ),
+    Metric(
+        "smoothness",
+        lambda s: smoothness(s.measured, s.simulated, s.time_s, starts=s.starts),
+        "mean|second difference of e|",
+        "GapONet, eq. 17",
+        unit="signal/s^2",
+        signals=("position",),
+    ),
+    Metric(
+        "robustness",
+        lambda s: robustness(s.measured, s.simulated, seed=s.options.seed),
+        "mean change of the gap under noise of 0.001, 0.005 and 0.01 on both series",
+        "GapONet, eq. 18, 19",
+        signals=("position",),
+    ),
+)

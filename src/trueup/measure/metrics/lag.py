@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from jaxtyping import Float, Float64, Int
 
 from trueup.measure.columns import paired
 from trueup.measure.correlation import cross_correlation, find_peak
+from trueup.measure.metrics.base import MAX_LAG_S, Metric
 
-MAX_LAG_S = 0.5
 MIN_CORRELATION = 0.5
 
 
@@ -83,3 +85,18 @@ def _velocity(
     left = series[:, right - 1]
     velocity = (np.diff(left + weight * (series[:, right] - left), axis=-1) / step).T
     return velocity[segment[1:] == segment[:-1]], first_row - np.arange(len(starts))
+
+
+METRICS = (
+    Metric(
+        "phase_lag",
+        lambda s: phase_lag(s.measured, s.simulated, s.time_s, starts=s.starts, max_lag_s=s.options.max_lag_s),
+        "the lag with m(t) = s(t - lag): largest correlation of the two velocities, up to 0.5 s",
+        "named in GapONet, section 3.2",
+        unit="s",
+        lower_is_better=None,
+        signals=("position",),
+        bounds=(-math.inf, math.inf),
+        needs_motion=True,
+    ),
+)

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from jaxtyping import Float, Float64
+
+from trueup.measure.columns import largest, mean
+from trueup.measure.metrics.base import Metric
 
 
 def position_distance(
@@ -43,3 +48,41 @@ def rotation_distance(
 
 def _finite(values: Float[np.ndarray, "*N"]) -> Float64[np.ndarray, "*N"]:
     return np.where(np.isfinite(values), values, np.nan).astype(np.float64, copy=False)
+
+
+METRICS = (
+    Metric(
+        "position_norm",
+        lambda s: mean(position_distance(s.measured, s.simulated)),
+        "mean ‖p_m - p_s‖ of a body",
+        "SAT, section VI",
+        "mean distance of bodies",
+        kind="body.position",
+    ),
+    Metric(
+        "position_norm_max",
+        lambda s: largest(position_distance(s.measured, s.simulated)),
+        "max ‖p_m - p_s‖",
+        "SAT, section VI",
+        kind="body.position",
+    ),
+    Metric(
+        "rotation_distance",
+        lambda s: mean(rotation_distance(s.measured, s.simulated)),
+        "mean angle of R_m R_sᵀ",
+        "SAT, eq. 4",
+        "mean rotation between bodies",
+        unit="rad",
+        kind="body.rotation",
+        bounds=(0.0, math.pi),
+    ),
+    Metric(
+        "rotation_distance_max",
+        lambda s: largest(rotation_distance(s.measured, s.simulated)),
+        "largest angle of R_m R_sᵀ",
+        "SAT, eq. 4",
+        unit="rad",
+        kind="body.rotation",
+        bounds=(0.0, math.pi),
+    ),
+)

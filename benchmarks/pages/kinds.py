@@ -1,0 +1,51 @@
+"""Tables of the docs that list what there is: formats, metrics and methods, from the tables in the code."""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from trueup.augment.networks import METHODS, method
+from trueup.dataset.importers.detect import FORMATS, importer
+from trueup.measure import METRICS
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+_BETTER = {True: "lower", False: "higher", None: "nearer to 0"}
+_UNITS = {"signal": "of the signal", "signal^2": "squared", "signal/s^2": "signal/s²"}
+
+
+def pages() -> Mapping[str, str]:
+    """Page -> its text with its table as the code has it."""
+    return {
+        "logs.md": _with_table("logs.md", ("name", "looks for", "one episode is", "what is assumed"), _formats()),
+        "metrics.md": _with_table("metrics.md", ("name", "formula", "unit", "better", "signals", "source"), _metrics()),
+        "augmentation.md": _with_table("augmentation.md", ("method", "what it is", "in a control loop"), _methods()),
+    }
+
+
+def _formats() -> Iterable[Sequence[str]]:
+    for name in FORMATS:
+        module = importer(name)
+        yield f"`{name}`", module.LOOKS_FOR, module.EPISODE, module.ASSUMES
+
+
+def _metrics() -> Iterable[Sequence[str]]:
+    for name, item in METRICS.items():
+        signals = item.kind if item.kind != "joint" else ", ".join(item.signals) or "all"
+        unit, better = _UNITS.get(item.unit, item.unit), _BETTER[item.lower_is_better]
+        yield f"`{name}`", item.description, unit, better, signals, item.source
+
+
+def _methods() -> Iterable[Sequence[str]]:
+    for name in METHODS:
+        item = method(name)
+        yield f"`{name}`", item.about, "no" if item.config.network.bidirectional else "yes"
+
+
+def _with_table(page: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head))]
+    lines += [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in rows]
+    text = (DOCS / page).read_text()
+    table = re.compile(rf"^{re.escape(lines[0])}\n(\|.*\n)+", re.M)
+    if len(table.findall(text)) != 1:
+        raise ValueError(f"docs/{page} has no table {lines[0]}")
+    return table.sub(lambda _: "\n".join(lines) + "\n", text)
