@@ -6,11 +6,9 @@ Everything that needs torch is loaded when it is first used.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from trueup.augment.channels import Grid as Grid
-from trueup.augment.channels import gather as gather
-from trueup.augment.config import AugmentConfig as AugmentConfig
-from trueup.augment.config import preset as preset
-from trueup.augment.networks import METHODS as METHODS
+from trueup.augment.channels import Grid, gather
+from trueup.augment.config import AugmentConfig, preset
+from trueup.augment.networks import METHODS
 
 if TYPE_CHECKING:
     from trueup.augment.augmentation import Augmentation as Augmentation

@@ -8,10 +8,9 @@ from trueup.measure.gap import measure_gap
 from trueup.measure.metrics import METRICS, metric
 from trueup.measure.metrics.base import Metric, MetricOptions, Samples, metric_unit
 from trueup.measure.metrics.body import position_distance, rotation_distance
-from trueup.measure.metrics.distribution import gap_iqr, gap_range, large_gap_ratio
+from trueup.measure.metrics.distribution import gap_iqr, gap_range, large_gap_ratio, saturation_incidence
 from trueup.measure.metrics.error import mae, mape, max_error, mse, nrmse, rmse
 from trueup.measure.metrics.lag import phase_lag
-from trueup.measure.metrics.saturation import saturation_incidence
 from trueup.measure.metrics.shape import robustness, smoothness, trajectory_consistency
 from trueup.measure.metrics.similarity import ccc, cosine, pearson, r2
 from trueup.measure.plane import PlaneBuilder

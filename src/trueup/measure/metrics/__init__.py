@@ -13,7 +13,6 @@ _FILES = (
     "distribution",
     "shape",
     "lag",
-    "saturation",
     "body",
 )
 METRICS: Mapping[str, Metric] = {
