@@ -61,7 +61,7 @@ def check_defaults(kind, said):
 
 def test_every_quantity_is_in_the_catalogue_as_it_is():
     found = {code(row[0])[0]: row[1:5] for row in table("`delay_s`")}
-    assert found == {name: [item.unit, item.of, item.transform, item.cause] for name, item in QUANTITIES.items()}
+    assert found == {name: [item.unit, item.of, item.search.transform, item.cause] for name, item in QUANTITIES.items()}
 
 
 def test_every_key_of_the_configuration_is_explained():
