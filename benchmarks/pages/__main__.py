@@ -6,6 +6,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from benchmarks.pages import laws
+
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = {
     "thesis": "thesis.md",
@@ -44,7 +46,8 @@ def _result(name: str) -> Mapping[str, Any]:
 
 
 def main() -> None:
-    """Write the pages."""
+    """Write the pages, and the tables of the friction laws."""
+    laws.main()
     for name, file in NAMES.items():
         if is_stored(name):
             for path, content in {file: text(name), **figures(name)}.items():

@@ -10,7 +10,7 @@ _SEARCH = Search(low=0.0, high=0.2, scale=0.005)
 
 LAW = Law(
     (Number("dead_band", "rad", "dead band of the servo, half width", _EXCITE, _SEARCH),),
-    formula="position errors up to dead_band make no torque; the joint stands still within it",
+    formula="position errors up to `dead_band` make no torque; the joint stands still within it",
     source="backlash, or the servo's own dead zone",
     drive="position servo",
 )

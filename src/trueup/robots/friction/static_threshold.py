@@ -14,7 +14,7 @@ LAW = Law(
         Number("static_negative", "Nm", "breakaway torque, negative, as a size", _EXCITE.format("down"), _SEARCH),
         Number("static_velocity", "rad/s", "slower than this is standing still", default=0.03),
     ),
-    formula="a commanded torque from -static_negative to static_positive counts as zero while |v| < static_velocity",
+    formula="a torque from `-static_negative` to `static_positive` counts as zero while `|v| < static_velocity`",
     source="ES thesis, 3.1.2, Table 3.2",
     drive="motor",
 )
