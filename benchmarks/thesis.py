@@ -235,9 +235,9 @@ def _off(truth: HiddenPanda, fitted: MujocoSimulator, logs: Sequence[Episode]) -
         law, own = truth.friction[column], _law(fitted, joint)
         fastest = max(np.abs(log.measured["velocity"][:, column]).max() for log in logs if log.id.startswith(joint))
         speed = np.concatenate([-np.linspace(0.05, fastest, 50)[::-1], np.linspace(0.05, fastest, 50)])
-        brake = law.smooth(speed) + truth.frictionloss[column] * np.sign(speed) + truth.damping[column] * speed
+        brake = np.sign(speed) * law.brake(speed, truth.frictionloss[column]) + truth.damping[column] * speed
         brake -= truth.torque_offset[column]
-        wrong = own.smooth(speed) - brake
+        wrong = np.sign(speed) * own.brake(speed) - brake
         link, true_link = (inertial_of(item.model, LINKS[column]).inertia for item in (fitted, true))
         off[joint] = {
             "level_percent": 100.0 * (own.sigmoid_level / law.sigmoid_level - 1.0),

@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from benchmarks.pages import kinds
+from benchmarks.pages import kinds, laws
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = {
@@ -47,14 +47,14 @@ def _result(name: str) -> Mapping[str, Any]:
 
 
 def main() -> None:
-    """Write the pages."""
+    """Write the pages, and the tables in pages that are otherwise written by hand."""
     for name, file in NAMES.items():
         if is_stored(name):
             for path, content in {file: text(name), **figures(name)}.items():
                 (ROOT / "docs" / path).write_text(content)
         else:
             print(f"docs/{file} is left as it is: benchmarks/results/{name}.json is not there yet")
-    for file, content in kinds.pages().items():
+    for file, content in {**kinds.pages(), **laws.pages()}.items():
         (ROOT / "docs" / file).write_text(content)
 
 

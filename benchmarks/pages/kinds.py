@@ -1,9 +1,9 @@
 """Tables of the docs that list what there is: formats, metrics and methods, from the tables in the code."""
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+from benchmarks.pages.markdown import with_rows
 from trueup.augment.networks import METHODS, method
 from trueup.dataset.importers.detect import FORMATS, importer
 from trueup.measure import METRICS
@@ -41,11 +41,5 @@ def _methods() -> Iterable[Sequence[str]]:
         yield f"`{name}`", item.about, "no" if item.config.network.bidirectional else "yes"
 
 
-def _with_table(page: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head))]
-    lines += [f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in rows]
-    text = (DOCS / page).read_text()
-    table = re.compile(rf"^{re.escape(lines[0])}\n(\|.*\n)+", re.M)
-    if len(table.findall(text)) != 1:
-        raise ValueError(f"docs/{page} has no table {lines[0]}")
-    return table.sub(lambda _: "\n".join(lines) + "\n", text)
+def _with_table(page: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    return with_rows((DOCS / page).read_text(), heads, rows)

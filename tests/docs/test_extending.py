@@ -1,4 +1,4 @@
-"""docs/extending.md: its files and lines are put into a copy of the package, its commands run there."""
+"""docs/extending.md, a format, a metric, a network: its files and lines are put into a copy of the package, its commands run there."""
 
 import json
 import math
@@ -15,7 +15,7 @@ import pytest
 import trueup
 from trueup.lab import record_demo
 
-TEXT = (Path(__file__).parent.parent.parent / "docs" / "extending.md").read_text()
+TEXT = (Path(__file__).parent.parent.parent / "docs" / "extending.md").read_text().partition("\n## A robot\n")[0]
 FILES = dict(re.findall(r"whole file,\s`(src/trueup/[\w/]+\.py)`:\n\n```python\n(.*?)^```$", TEXT, re.M | re.S))
 LINES = re.findall(r"^The line, in `(src/trueup/[\w/]+\.py)`[^\n]*\n\n```diff\n(.*?)^```$", TEXT, re.M | re.S)
 COMMANDS = [shlex.split(line)[1:] for line in re.findall(r"^(trueup .*)$", TEXT, re.M)]

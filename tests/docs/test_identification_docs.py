@@ -17,6 +17,7 @@ from trueup.identify.export import ISAAC_FILE, MODEL_FILE, ROBOT_FILE, SAMPLES_F
 from trueup.identify.regression.graybox_terms import BLOCKS
 from trueup.identify.solution import SolverName
 from trueup.robots import ControllerSpec, find_model, load_robot
+from trueup.robots.friction import NUMBERS
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
 TABLE = re.compile(r"(?:^\|.*\n)+", re.M)
@@ -61,7 +62,13 @@ def check_defaults(kind, said):
 
 def test_every_quantity_is_in_the_catalogue_as_it_is():
     found = {code(row[0])[0]: row[1:5] for row in table("`delay_s`")}
-    assert found == {name: [item.unit, item.of, item.transform, item.cause] for name, item in QUANTITIES.items()}
+    assert found == {name: [item.unit, item.of, item.search.transform, item.cause] for name, item in QUANTITIES.items()}
+
+
+@pytest.mark.parametrize("page", ["friction", "identification"])
+def test_every_number_of_a_friction_law_is_in_the_tables(page):
+    text = (DOCS / f"{page}.md").read_text()
+    assert all(f"| `{number.name}` |" in text for number in NUMBERS if number.excite)
 
 
 def test_every_key_of_the_configuration_is_explained():

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from benchmarks.pages import kinds, thesis
+from benchmarks.pages import kinds, laws, thesis
 from benchmarks.pages.__main__ import NAMES, figures, is_stored, text
 
 ROOT = Path(__file__).parent.parent.parent
@@ -24,7 +24,7 @@ def test_a_page_and_its_figures_are_made_from_its_result(name, file):
 
 def test_the_tables_of_what_there_is_are_made_from_the_code():
     """`make pages` writes them."""
-    for page, content in kinds.pages().items():
+    for page, content in {**kinds.pages(), **laws.pages()}.items():
         assert (ROOT / "docs" / page).read_text() == content
 
 

@@ -81,8 +81,8 @@ def test_the_default_solver_cuts_the_error_of_every_joint_by_98_percent(study, p
         index, names = int(joint[-1]) - 1, ("sigmoid_level", "sigmoid_slope", "sigmoid_shift")
         law = JointFriction(**{name: solution.values[f"{name}[{joint}]"] for name in names})
         speed = np.linspace(0.05, 0.6, 20)
-        true = TRUTH.friction[index].smooth(speed) + TRUTH.frictionloss[index] + TRUTH.damping[index] * speed
-        assert np.linalg.norm(law.smooth(speed) - true) < 0.06 * np.linalg.norm(true)
+        true = TRUTH.friction[index].brake(speed, TRUTH.frictionloss[index]) + TRUTH.damping[index] * speed
+        assert np.linalg.norm(law.brake(speed) - true) < 0.06 * np.linalg.norm(true)
 
 
 def test_the_evolution_strategy_goes_the_same_way_but_slowly(study, problem):

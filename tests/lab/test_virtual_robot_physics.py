@@ -240,12 +240,7 @@ def test_a_joint_that_slides_is_braked_by_the_law(speed):
         sigmoid_slope=own.sigmoid_slope[0],
         sigmoid_shift=own.sigmoid_shift[0],
     )
-    size = (
-        own.sliding * static
-        + own.viscous[0] * abs(v)
-        + law.dry(np.array(v), np.array(torque))
-        + abs(law.smooth(np.array(v)))
-    )
+    size = own.viscous[0] * abs(v) + law.brake(np.array(v), own.sliding * static, torque)
     assert v == pytest.approx(speed, rel=0.02)
     assert torque == pytest.approx(np.sign(v) * (1 + a * np.sign(v)) * size, rel=0.03)
 

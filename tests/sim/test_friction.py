@@ -14,8 +14,10 @@ from trueup.core.protocols import RolloutRequest
 from trueup.errors import ConfigError
 from trueup.identify.candidate import Nominal
 from trueup.robots import ControllerSpec, JointFriction, JointGains, JointSpec, RobotSpec, SimulationSpec
+from trueup.robots.friction import LAWS as TABLE
+from trueup.robots.friction import NUMBERS
 from trueup.sim import MujocoSimulator, friction_of, install_friction, set_friction
-from trueup.sim.friction import MARK, NAMES, WIDTH, has_friction
+from trueup.sim.friction import LEAST_WIDTH, MARK, WIDTH, has_friction
 
 STEP_S = 0.0005
 INERTIA = 0.05
@@ -139,8 +141,8 @@ def braking(law, velocity, carried, frictionloss):
 @pytest.mark.parametrize("row", TABLE_2_3 + TABLE_3_4)
 def test_the_sigmoid_is_equation_2_1_of_the_thesis(row):
     law = JointFriction(sigmoid_level=row[0], sigmoid_slope=row[1], sigmoid_shift=row[2])
-    np.testing.assert_allclose(law.smooth(SPEEDS), row[3:], atol=5e-9)
-    assert law.smooth(np.zeros(1))[0] == 0.0
+    np.testing.assert_allclose(np.sign(SPEEDS) * law.brake(SPEEDS), row[3:], atol=5e-9)
+    assert law.brake(np.zeros(1))[0] == 0.0
 
 
 @pytest.mark.parametrize("row", TABLE_2_3 + TABLE_3_4)
@@ -158,26 +160,41 @@ def test_a_joint_runs_at_the_speed_at_which_equation_2_1_is_the_torque(row):
         assert velocity[-1] == pytest.approx(speed[sign], rel=2e-3)
 
 
-def test_dry_and_smooth_are_the_documented_formulas():
+def test_friction_is_the_documented_formula():
     rng = np.random.default_rng(1)
     velocity, carried = rng.normal(size=50), 3.0 * rng.normal(size=50)
     for law in LAWS.values():
-        symmetric = replace(law, asymmetry=0.0)
-        found = law.dry(velocity, carried) + np.sign(velocity) * law.smooth(velocity)
-        np.testing.assert_allclose(found, braking(symmetric, velocity, carried, 0.0), atol=1e-12)
-    assert JointFriction(sigmoid_level=1.0, sigmoid_slope=1e3).smooth(np.array([-1e3, 1e3])) == pytest.approx(
-        [-0.5, 0.5]
-    )
+        found = law.brake(velocity, 0.2, carried)
+        np.testing.assert_allclose(found, np.maximum(braking(law, velocity, carried, 0.2), 0.0), atol=1e-12)
+    steep = JointFriction(sigmoid_level=1.0, sigmoid_slope=1e3)
+    assert steep.brake(np.array([-1e3, 1e3])) == pytest.approx([0.5, 0.5])
+    assert (JointFriction(sigmoid_level=-1.0).brake(velocity) == 0.0).all(), "friction does not drive"
+
+
+@pytest.mark.parametrize("name", [name for name, law in TABLE.items() if law.brake])
+def test_the_compiled_formula_of_every_law_is_that_of_numpy(name):
+    rng = np.random.default_rng(3)
+    numbers = dict(zip((number.name for number in TABLE[name].numbers), rng.uniform(0.3, 0.9, 9), strict=False))
+    law = JointFriction(**numbers, asymmetry=0.2)
+    model = link(law, gravity=-9.81, frictionloss=0.4)
+    data = mujoco.MjData(model)
+    for position, velocity in rng.normal(size=(20, 2)):
+        data.qpos[:], data.qvel[:] = position, velocity
+        mujoco.mj_forward(model, data)
+        expected = law.brake(data.qvel, 0.4, data.qfrc_bias, data.qpos)
+        np.testing.assert_allclose(data.efc_frictionloss[:1], expected, rtol=1e-13)
+    data.qpos[:], data.qvel[:] = 0.3, 0.7
+    mujoco.mj_forward(model, data)
+    assert abs(data.efc_frictionloss[0] - 1.2 * 0.4) > 1e-3
 
 
 @pytest.mark.parametrize(
     ("numbers", "message"),
     [
-        *(({name: np.nan}, f"{name}.*nan.*finite") for name in NAMES),
+        *(({name: np.nan}, f"{name}.*nan.*finite") for name in (number.name for number in NUMBERS)),
         *(
             ({name: -0.1}, f"{name}.*-0.1.*>= 0")
-            for name in NAMES
-            if name not in ("asymmetry", "sigmoid_level", "sigmoid_shift")
+            for name in (number.name for number in NUMBERS if number.domain in ("size", "positive"))
         ),
         ({"load": np.inf}, "load.*inf"),
         ({"stribeck_velocity": 0.0}, "stribeck_velocity must be positive"),
@@ -751,10 +768,23 @@ def test_a_law_of_another_release_is_refused_and_not_ignored():
     spec = mujoco.MjSpec.from_string(TWO_LINKS.format(0, 0))
     spec.nuser_jnt = 5
     spec.joint("a").userdata = [MARK, 1, 2, 3, 4]
-    with pytest.raises(ConfigError, match=f"another release.*got 4 numbers; expected {len(NAMES)}"):
+    with pytest.raises(ConfigError, match=r"another release.*got 4 numbers; expected 13 to"):
         has_friction(spec.compile())
     with pytest.raises(ConfigError, match="another release"):
         friction_of(spec, "a")
+
+
+def test_the_numbers_of_a_model_file_keep_their_places():
+    """Files that were written before the last laws came have fewer numbers, and mean what they meant."""
+    assert [number.name for number in NUMBERS][: LEAST_WIDTH - 1] == [
+        *("stribeck", "stribeck_velocity", "load", "asymmetry", "tanh_coulomb", "tanh_velocity"),
+        *("sigmoid_level", "sigmoid_slope", "sigmoid_shift"),
+        *("dead_band", "static_positive", "static_negative", "static_velocity"),
+    ]
+    assert [number.domain for number in NUMBERS if number.domain != "size"][:5] == [
+        *("positive", "share", "positive", "signed", "signed"),
+    ]
+    assert len({number.name for number in NUMBERS}) == len(NUMBERS)
 
 
 def test_a_joint_that_does_not_exist_is_named():

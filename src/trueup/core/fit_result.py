@@ -39,6 +39,7 @@ class FittedParameter:
         cause: part of the gap that it belongs to: delay, gains, friction, gravity, inertia.
         transform: `log` or `linear`; on which scale the interval is symmetric.
         frozen: it was not fitted.
+        label: what its quantity is, in words.
     """
 
     name: str
@@ -56,6 +57,7 @@ class FittedParameter:
     cause: str
     transform: Literal["linear", "log"]
     frozen: bool = False
+    label: str = ""
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,29 @@ from trueup.errors import ConfigError, NameMismatch
 
 
 @dataclass(frozen=True)
+class Search:
+    """Where and how far a kind of number is looked for, if nobody says.
+
+    Attributes:
+        transform: `log` for what is positive by nature.
+        start: where the fit starts if the model says less, `log` only: next to zero there is no way up.
+        low: smallest lower bound; lower only if the model's value is.
+        high: largest upper bound; higher only if the model's value is.
+        span: bounds reach from start / span to start * span, `log` only.
+        scale: what counts as a large change, `linear` only.
+        prior_std: width of the default prior, in z.
+    """
+
+    transform: Literal["linear", "log"] = "linear"
+    start: float = 0.0
+    low: float = 1e-9
+    high: float = 1e9
+    span: float = 100.0
+    scale: float = 1.0
+    prior_std: float = 2.0
+
+
+@dataclass(frozen=True)
 class Parameter:
     """One number that a fit may change.
 

@@ -16,15 +16,16 @@ from trueup.identify.quantities import Quantity, quantity
 from trueup.identify.solution import SolverName, SolveSettings
 from trueup.identify.solvers.gauss_newton import GaussNewtonSettings
 from trueup.robots import RobotSpec
+from trueup.robots.friction import LAWS
 
+_LAWS = {name: tuple(number.name for number in law.numbers if number.excite) for name, law in LAWS.items() if law.tried}
 # Closed loop: the servo holds the joint near its command, so whole motions can be compared.
 _SERVO_FIT = ("delay_s", "kp", "damping", "frictionloss", "armature", "torque_offset")
 _SERVO_MODELS = {
     "gravity": ("mass",),
     "drive": ("kv", "torque_limit"),
     "integral": ("ki",),
-    "stribeck": ("stribeck", "stribeck_velocity"),
-    "load": ("load",),
+    **_LAWS,
 }
 # A velocity servo has no other gain, and its error in speed tells it from friction.
 _VELOCITY_FIT = ("delay_s", "kv", "damping", "frictionloss", "armature", "torque_offset")
@@ -38,8 +39,7 @@ _TORQUE_FIT = (
 _TORQUE_MODELS = {
     "torque-offset": ("torque_offset",),
     "torque-gain": ("torque_gain",),
-    "stribeck": ("stribeck", "stribeck_velocity"),
-    "load": ("load",),
+    **_LAWS,
 }
 # Over longer than this, open-loop motion has no usable slope.
 _OPEN_LOOP_S = 0.5

@@ -13,8 +13,6 @@ from trueup.identify.quantities import quantity
 from trueup.identify.solvers import Evaluation, Roles
 from trueup.identify.uncertainty import noise_of
 
-# More of it makes a joint slower, whatever else is the case.
-_BRAKES = ("damping", "frictionloss", "load", "tanh_coulomb", "sigmoid_level")
 # Far from the data everything looks like noise with a long memory: few observations, and a prior that outweighs
 # them. Near the data there are up to a hundred times as many.
 _MORE_OBSERVATIONS = 100.0
@@ -89,7 +87,7 @@ def _of_joints(
 def roles_of(problem: Problem) -> Roles:
     """Which joint a parameter acts on, and whether it brakes it."""
     free = problem.parameters.free
-    effect = [1 if item.quantity in _BRAKES else 0 for item in free]
+    effect = [int(quantity(item.quantity).brakes) for item in free]
     return Roles(np.array([_joint_of(problem, item) for item in free]), np.array(effect))
 
 

@@ -161,7 +161,7 @@ def _parameter(item: FittedParameter) -> Parameter:
         low=item.low,
         high=item.high,
         transform=item.transform,
-        scale=quantity(item.name.partition("[")[0]).scale,
+        scale=quantity(item.name.partition("[")[0]).search.scale,
         frozen=item.frozen,
         nominal=item.nominal,
     )

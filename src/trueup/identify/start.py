@@ -11,11 +11,12 @@ from trueup.core.episode import Episode
 from trueup.core.parameters import ParameterSet
 from trueup.errors import TrueupError
 from trueup.identify.problem import Problem
-from trueup.identify.quantities import quantity
+from trueup.identify.quantities import QUANTITIES, quantity
 from trueup.identify.regression import torque_start
 
 # The order matters: stiffness first, then what brakes, then what is heavy, then what is late.
-_SWEPT = ("kp", "damping", "frictionloss", "sigmoid_level", "armature", "delay_s", "torque_limit")
+_BRAKES = tuple(item.name for item in QUANTITIES.values() if item.brakes and item.search.transform == "log")
+_SWEPT = ("kp", *_BRAKES, "armature", "delay_s", "torque_limit")
 _FACTORS = 4.0 ** np.arange(-4, 5)
 _DELAYS_S = np.array([0.0, 0.005, 0.01, 0.02, 0.03, 0.05, 0.08])
 # A start on a bound has a one-sided view and often stays there.

@@ -320,6 +320,7 @@ def _fitted(posterior: Posterior, parameter: Parameter, index: int | None, value
         prior_share=share,
         sentence=sentence,
         cause=quantity(parameter.quantity).cause,
+        label=quantity(parameter.quantity).label,
         transform=parameter.transform,
         frozen=index is None,
     )

@@ -9,40 +9,6 @@ from trueup.core.fit_result import FitResult, FittedParameter
 from trueup.report.numbers import plain, plural, significant
 
 CAUSES = ("delay", "gains", "friction", "gravity", "inertia")
-QUANTITIES = {
-    "delay_s": "delay of the command",
-    "kp": "stiffness of the servo",
-    "kv": "damping of the servo",
-    "ki": "integral gain of the servo",
-    "torque_gain": "torque per commanded torque",
-    "torque_limit": "torque limit",
-    "damping": "viscous friction",
-    "frictionloss": "Coulomb friction",
-    "stribeck": "static friction above Coulomb friction",
-    "stribeck_velocity": "speed at which that excess is gone",
-    "load": "friction per transmitted torque",
-    "asymmetry": "friction by direction",
-    "tanh_coulomb": "smoothed Coulomb friction",
-    "tanh_velocity": "smoothing of that friction",
-    "sigmoid_level": "sigmoid friction, level",
-    "sigmoid_slope": "sigmoid friction, slope",
-    "sigmoid_shift": "sigmoid friction, shift",
-    "dead_band": "dead band of the servo",
-    "static_positive": "breakaway torque, positive",
-    "static_negative": "breakaway torque, negative",
-    "torque_offset": "constant torque",
-    "joint_offset": "zero of the joint",
-    "mass": "mass",
-    "com_x": "center of mass, x",
-    "com_y": "center of mass, y",
-    "com_z": "center of mass, z",
-    "armature": "rotor inertia at the joint",
-    "inertia_scale": "rotational inertia, factor",
-    "payload_mass": "mass of the payload",
-    "payload_x": "payload, x",
-    "payload_y": "payload, y",
-    "payload_z": "payload, z",
-}
 # How sure a parameter is, from good to bad: sign and words, so that color is never the only cue.
 KINDS = {
     "yes": ("●", "determined"),

@@ -44,11 +44,7 @@ class DartFriction:
 
     def __init__(self, model: mujoco.MjModel, numbers: JointNumbers, laws: Mapping[int, JointFriction]) -> None:
         self._numbers = numbers
-        self._laws = {
-            dof: law
-            for dof, law in laws.items()
-            if law.stribeck or law.load or law.asymmetry or law.tanh_coulomb or law.sigmoid_level
-        }
+        self._laws = {dof: law for dof, law in laws.items() if law.brakes or law.asymmetry}
         self._asymmetry = np.zeros(model.nv)
         for dof, law in self._laws.items():
             self._asymmetry[dof] = law.asymmetry
@@ -70,10 +66,8 @@ class DartFriction:
         level = np.tile(self._numbers.frictionloss, (len(velocity), 1))
         load = self._load(position, velocity) if self._heavy is not None else np.zeros_like(velocity)
         for dof, law in self._laws.items():
-            v = velocity[:, dof]
-            smooth = np.sign(v) * law.smooth(v)
-            level[:, dof] = (1.0 + np.sign(v) * law.asymmetry) * (level[:, dof] + law.dry(v, load[:, dof]) + smooth)
-        return np.where(self._rows, np.maximum(level, 0.0), 0.0)
+            level[:, dof] = law.brake(velocity[:, dof], level[:, dof], load[:, dof], position[:, dof])
+        return np.where(self._rows, level, 0.0)
 
     def force(self, velocity: Float64[np.ndarray, "B V"]) -> Float64[np.ndarray, "B V"]:
         """What the direction adds to viscous damping, as a force, (B, V) [Nm or N]."""

@@ -11,23 +11,22 @@ static threshold, the direction-dependent part of `damping`) goes into the passi
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import astuple, fields
+from dataclasses import astuple
 
 import mujoco
 
 from trueup.errors import ConfigError
 from trueup.robots import JointFriction
+from trueup.robots.friction import NUMBERS
 
-NAMES = tuple(field.name for field in fields(JointFriction))
-# The first number of a joint's user data says that the others are a friction law in the order of NAMES. (MJCF keeps
-# six digits.)
+# The first number of a joint's user data says that the others are its friction laws in the order of NUMBERS. (MJCF
+# keeps six digits.) A file from before the last laws has fewer: those laws are off.
 MARK = 20261.0
-WIDTH = 1 + len(NAMES)
+WIDTH = 1 + len(NUMBERS)
+LEAST_WIDTH = 14
 
 # MuJoCo makes a friction row only for joints with some frictionloss.
 _LEAST_FRICTIONLOSS = 1e-6
-# Laws that the friction rows carry out.
-_ROW_LAWS = ("stribeck", "load", "tanh_coulomb", "sigmoid_level")
 # Rows so hard that they may stop a joint within a step. MuJoCo's default takes some 10 ms and creeps; in that time
 # friction would push a joint on that its load brakes faster. The time constant is cut off at two steps by MuJoCo.
 _SOLREF, _SOLIMP = 1e-5, 0.9999
@@ -58,11 +57,15 @@ def set_friction(spec: mujoco.MjSpec, joint: str, friction: JointFriction) -> No
                     got=f"the plugin of {actuator.name!r}",
                     hint="Take another controller kind than pid, or leave these out.",
                 )
-    spec.nuser_jnt = WIDTH
+    if spec.nuser_jnt != WIDTH:
+        spec.nuser_jnt = WIDTH
+        for other in spec.joints:  # MuJoCo would fill them up with zeros, which are not what a missing number means
+            if any(other.userdata):
+                other.userdata = [MARK, *astuple(friction_of(spec, other.name))]
     target.userdata = [MARK, *astuple(friction)]
-    if any(getattr(friction, name) for name in _ROW_LAWS):
+    if friction.brakes:
         target.frictionloss = max(float(target.frictionloss), _LEAST_FRICTIONLOSS)
-    if friction.asymmetry or any(getattr(friction, name) for name in _ROW_LAWS):
+    if friction.brakes or friction.asymmetry:
         harden_friction(spec, [joint])
     # The solver's copy of the friction rows per island is made before the callback runs.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
@@ -99,7 +102,7 @@ def has_friction(model: mujoco.MjModel) -> bool:
     """Whether a compiled model needs the callbacks.
 
     Raises:
-        ConfigError: its friction laws have more or fewer numbers than this release's.
+        ConfigError: its friction laws have numbers that this release does not know.
     """
     if model.nuser_jnt == 0 or not (model.jnt_user[:, 0] == MARK).any():
         return False
@@ -138,11 +141,11 @@ def _joint(spec: mujoco.MjSpec, name: str) -> mujoco.MjsJoint:
 
 
 def _refuse_other_width(width: int) -> None:
-    if width != WIDTH:
+    if not LEAST_WIDTH <= width <= WIDTH:
         raise ConfigError(
             "the model's friction laws were written by another release of trueup",
             got=f"{width - 1} numbers",
-            expected=f"{WIDTH - 1}",
+            expected=f"{LEAST_WIDTH - 1} to {WIDTH - 1}",
         )
 
 

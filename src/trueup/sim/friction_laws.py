@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ctypes
 import inspect
-import math
 from functools import cache
 from typing import Any
 
@@ -18,10 +17,11 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from trueup.sim.friction import MARK, NAMES, WIDTH
+from trueup.robots.friction import LAWS, NUMBERS
+from trueup.sim.friction import LEAST_WIDTH, MARK, WIDTH
 from trueup.sim.structs import offset
 
-_SLOT = {name: 1 + index for index, name in enumerate(NAMES)}
+_SLOT = {number.name: 1 + index for index, number in enumerate(NUMBERS)}
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _FRICTION_OF_JOINT = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
 _ACTUATION_OFF = int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
@@ -55,25 +55,26 @@ def _compilable_rows() -> Any:
     """For `mjcb_control`: how much friction the constraint solver may use on each joint. It must not allocate."""
     # Model
     n_joints, width = offset("mjModel", "njnt"), offset("mjModel", "nuser_jnt")
-    user, kind, dof = offset("mjModel", "jnt_user"), offset("mjModel", "jnt_type"), offset("mjModel", "jnt_dofadr")
+    user, kind = offset("mjModel", "jnt_user"), offset("mjModel", "jnt_type")
+    dof, qpos_row = offset("mjModel", "jnt_dofadr"), offset("mjModel", "jnt_qposadr")
     coulomb = offset("mjModel", "dof_frictionloss")
     # Data
-    qvel, bias = offset("mjData", "qvel"), offset("mjData", "qfrc_bias")
+    qpos, qvel, bias = offset("mjData", "qpos"), offset("mjData", "qvel"), offset("mjData", "qfrc_bias")
     ne, nf = offset("mjData", "ne"), offset("mjData", "nf")
     row_kind, row_dof = offset("mjData", "efc_type"), offset("mjData", "efc_id")
     row_loss = offset("mjData", "efc_frictionloss")
 
-    stribeck, stribeck_velocity, load = _SLOT["stribeck"], _SLOT["stribeck_velocity"], _SLOT["load"]
-    asymmetry = _SLOT["asymmetry"]
-    tanh_coulomb, tanh_velocity = _SLOT["tanh_coulomb"], _SLOT["tanh_velocity"]
-    level, slope, shift = _SLOT["sigmoid_level"], _SLOT["sigmoid_slope"], _SLOT["sigmoid_shift"]
-    slots, mark, hinge, slide, of_joint = WIDTH, MARK, _HINGE, _SLIDE, _FRICTION_OF_JOINT
+    asymmetry, with_laws = _SLOT["asymmetry"], _compilable_laws()
+    least, most, mark, hinge, slide, of_joint = LEAST_WIDTH, WIDTH, MARK, _HINGE, _SLIDE, _FRICTION_OF_JOINT
 
     def rows(model: int, data: int) -> None:
-        if _longs(model + width)[0] != slots:
+        slots = _longs(model + width)[0]
+        if slots < least or slots > most:
             return
-        numbers, dofs = _doubles(_longs(model + user)[0]), _ints(_longs(model + dof)[0])
-        types_ = _ints(_longs(model + kind)[0])
+        laws = _longs(model + user)[0]
+        numbers, types_ = _doubles(laws), _ints(_longs(model + kind)[0])
+        dofs, places = _ints(_longs(model + dof)[0]), _ints(_longs(model + qpos_row)[0])
+        position = _doubles(_longs(data + qpos)[0])
         loss = _doubles(_longs(model + coulomb)[0])
         velocity, carried = _doubles(_longs(data + qvel)[0]), _doubles(_longs(data + bias)[0])
         kinds, owners = _ints(_longs(data + row_kind)[0]), _ints(_longs(data + row_dof)[0])
@@ -91,19 +92,40 @@ def _compilable_rows() -> Any:
             if row >= last or kinds[row] != of_joint or owners[row] != i:
                 continue
             v = velocity[i]
-            speed = abs(v)
-            ratio = v / numbers[p + stribeck_velocity]
-            total = loss[i] + numbers[p + stribeck] * math.exp(-ratio * ratio) + numbers[p + load] * abs(carried[i])
-            if numbers[p + tanh_coulomb] != 0.0:
-                total += numbers[p + tanh_coulomb] * math.tanh(speed / numbers[p + tanh_velocity])
+            total = with_laws(loss[i], laws + 8 * p, slots, v, carried[i], position[places[joint]])
             side = 1.0 if v > 0.0 else -1.0 if v < 0.0 else 0.0
-            if numbers[p + level] != 0.0:
-                s, v0 = numbers[p + slope], numbers[p + shift]
-                rise = math.tanh(0.5 * s * (v + v0)) - math.tanh(0.5 * s * v0)
-                total += 0.5 * side * numbers[p + level] * rise
             friction[row] = max(0.0, (1.0 + side * numbers[p + asymmetry]) * total)
 
     return rows
+
+
+def _compilable_laws() -> Any:
+    """Coulomb friction and the formulas of the laws that are on, given the address and width of a joint's numbers."""
+
+    def coulomb(loss: float, _at: int, _slots: int, _v: float, _g: float, _q: float) -> float:
+        return loss
+
+    total, slot = _inlined(coulomb), 1
+    for law in LAWS.values():
+        if law.brake is not None:
+            total = _with_law(total, _inlined(law.brake), 8 * slot, slot + len(law.numbers))
+        slot += len(law.numbers)
+    return total
+
+
+def _with_law(before: Any, brake: Any, first: int, end: int) -> Any:
+    def total(loss: float, at: int, slots: int, v: float, g: float, q: float) -> float:
+        so_far = before(loss, at, slots, v, g, q)
+        numbers = _doubles(at + first)
+        if end <= slots and numbers[0] != 0.0:
+            so_far += brake(v, g, q, numbers)
+        return so_far
+
+    return _inlined(total)
+
+
+def _inlined(function: Any) -> Any:
+    return numba.njit(error_model="numpy", inline="always")(_plain(function))
 
 
 def _compilable_forces() -> Any:
@@ -117,10 +139,11 @@ def _compilable_forces() -> Any:
 
     asymmetry, dead_band = _SLOT["asymmetry"], _SLOT["dead_band"]
     static_positive, static_negative = _SLOT["static_positive"], _SLOT["static_negative"]
-    slots, mark, hinge, slide, actuation_off = WIDTH, MARK, _HINGE, _SLIDE, _ACTUATION_OFF
+    least, most, mark, hinge, slide, actuation_off = LEAST_WIDTH, WIDTH, MARK, _HINGE, _SLIDE, _ACTUATION_OFF
 
     def forces(model: int, data: int) -> None:
-        if _longs(model + width)[0] != slots:
+        slots = _longs(model + width)[0]
+        if slots < least or slots > most:
             return
         numbers = _doubles(_longs(model + user)[0])
         types_ = _ints(_longs(model + kind)[0])
@@ -138,14 +161,15 @@ def _compilable_forces() -> Any:
             # The share that MuJoCo's own damping lacks in one direction and has too much in the other.
             force[i] -= numbers[p + asymmetry] * viscous[i] * abs(v)
             if driven and (numbers[p + dead_band] > 0.0 or numbers[p + static_positive] + numbers[p + static_negative]):
-                force[i] += servo(model, data, joint, position[places[joint]], v)
+                at = _longs(model + user)[0] + 8 * p
+                force[i] += servo(model, data, joint, at, position[places[joint]], v)
 
     return forces
 
 
 def _compilable_servo() -> Any:
     """What dead band and static threshold take away from the torque of a joint's own actuators."""
-    n_actuators, user = offset("mjModel", "nactuator"), offset("mjModel", "jnt_user")
+    n_actuators = offset("mjModel", "nactuator")
     transmission, target = offset("mjModel", "actuator_trntype"), offset("mjModel", "actuator_trnid")
     gain_kind, gain = offset("mjModel", "actuator_gaintype"), offset("mjModel", "actuator_gainprm")
     bias_kind, bias = offset("mjModel", "actuator_biastype"), offset("mjModel", "actuator_biasprm")
@@ -158,12 +182,12 @@ def _compilable_servo() -> Any:
     ctrl, act = offset("mjData", "ctrl"), offset("mjData", "act")
     dead_band, static_velocity = _SLOT["dead_band"], _SLOT["static_velocity"]
     static_positive, static_negative = _SLOT["static_positive"], _SLOT["static_negative"]
-    slots, gains, biases = WIDTH, int(mujoco.mjNGAIN), int(mujoco.mjNBIAS)
+    gains, biases = int(mujoco.mjNGAIN), int(mujoco.mjNBIAS)
     to_joint, fixed, affine = _TO_JOINT, _FIXED_GAIN, _AFFINE_BIAS
     clamp = _clamp()
 
-    def servo(model: int, data: int, joint: int, q: float, v: float) -> float:
-        law = _doubles(_longs(model + user)[0] + 8 * slots * joint)
+    def servo(model: int, data: int, joint: int, at: int, q: float, v: float) -> float:
+        law = _doubles(at)
         kinds, targets = _ints(_longs(model + transmission)[0]), _ints(_longs(model + target)[0])
         asked, given = 0.0, 0.0
         for a in range(_longs(model + n_actuators)[0]):

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from trueup.core.parameters import Parameter
+from trueup.core.parameters import Parameter, Search
 from trueup.core.units import joint_unit
 from trueup.identify.candidate import Candidate, Nominal
 
@@ -25,40 +25,32 @@ class Quantity:
 
     Attributes:
         name: as in `fit:` of the configuration and before the bracket of a parameter's name.
+        label: what it is, in the report.
         unit: of the value for a hinge; `parameter` gives a slide its own.
         of: whether there is one per joint, one per body, one per robot, or one per joint of each motion (what differs
             from recording to recording, and is no part of the model).
         cause: the part of the gap that it explains.
         read: the nominal value for a target; None if the model has no such number there.
         write: sets the value for a target.
-        transform: `log` for what is positive by nature.
-        start: where the fit starts if the model says less, `log` only: next to zero there is no way up.
-        low: smallest lower bound; lower only if the model's value is.
-        high: largest upper bound; higher only if the model's value is.
-        span: bounds reach from start / span to start * span, `log` only.
-        scale: what counts as a large change, `linear` only.
-        prior_std: width of the default prior, in z.
         excite: what kind of motion shows it; `{target}` is filled in.
+        search: its default start, bounds, scale and prior.
         needs: what a joint must have to be read, in words.
         addable: whether a start from the user puts it into a model that has none.
+        brakes: whether more of it makes a joint slower, whatever else is the case.
     """
 
     name: str
+    label: str
     unit: str
     of: Literal["joint", "body", "robot", "motion"]
     cause: Cause
     read: Callable[[Nominal, str], float | None]
     write: Callable[[Candidate, str, float], None]
     excite: str
-    transform: Literal["linear", "log"] = "linear"
-    start: float = 0.0
-    low: float = 1e-9
-    high: float = 1e9
-    span: float = 100.0
-    scale: float = 1.0
-    prior_std: float = 2.0
+    search: Search
     needs: str = ""
     addable: bool = False
+    brakes: bool = False
 
     def targets(self, nominal: Nominal, motions: Sequence[str] = ()) -> tuple[str, ...]:
         """Names of all joints, bodies or joints in motions, whether the model has the number there or not."""
@@ -96,12 +88,13 @@ class Quantity:
         places = self.places(nominal, target)
         said = self.read(nominal, places[0])
         alike = all(self.read(nominal, place) == said for place in places)
+        search = self.search
         value = said if said is not None else start or 0.0
-        low, high = self.low, self.high
-        if self.transform == "log":
-            value = max(value, self.start, low)
-            low, high = max(low, value / self.span), min(high, value * self.span)
-        if said is not None and (said > 0.0 or self.transform == "linear"):
+        low, high = search.low, search.high
+        if search.transform == "log":
+            value = max(value, search.start, low)
+            low, high = max(low, value / search.span), min(high, value * search.span)
+        if said is not None and (said > 0.0 or search.transform == "linear"):
             low, high = min(low, said), max(high, said)
         return Parameter(
             name=f"{self.name}[{target}]" if target else self.name,
@@ -109,9 +102,9 @@ class Quantity:
             unit=self._unit(nominal, places),
             low=low,
             high=high,
-            transform=self.transform,
-            scale=self.scale,
-            prior_std=self.prior_std,
+            transform=search.transform,
+            scale=search.scale,
+            prior_std=search.prior_std,
             nominal=said if alike else None,
         )
 

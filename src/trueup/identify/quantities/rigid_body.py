@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from trueup.core.parameters import Search
 from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.inertial import COMPONENTS
 from trueup.identify.quantities.base import Quantity
@@ -63,88 +64,52 @@ _SWING = "accelerate {target} about several axes"
 
 RIGID_BODY: tuple[Quantity, ...] = (
     Quantity(
-        "mass",
-        "kg",
-        "body",
-        "gravity",
+        *("mass", "mass", "kg", "body", "gravity"),
         _read_mass,
         _write_mass,
         _POSES,
-        transform="log",
-        start=1e-4,
-        low=1e-6,
-        span=10.0,
-        prior_std=0.5,
+        Search("log", start=1e-4, low=1e-6, span=10.0, prior_std=0.5),
     ),
     *(
         Quantity(
-            f"com_{axis}",
-            "m",
-            "body",
-            "gravity",
+            *(f"com_{axis}", f"center of mass, {axis}", "m", "body", "gravity"),
             *_com(index),
             _POSES,
-            low=-2.0,
-            high=2.0,
-            scale=0.02,
-            prior_std=1.0,
+            Search(low=-2.0, high=2.0, scale=0.02, prior_std=1.0),
         )
         for index, axis in enumerate("xyz")
     ),
     Quantity(
-        "inertia_scale",
-        "1",
-        "body",
-        "inertia",
+        *("inertia_scale", "rotational inertia, factor", "1", "body", "inertia"),
         _one,
         _write_inertia_scale,
         _SWING,
-        transform="log",
-        span=20.0,
-        prior_std=0.7,
+        Search("log", span=20.0, prior_std=0.7),
     ),
     *(
         Quantity(
-            f"inertia_{name}",
-            "1",
-            "body",
-            "inertia",
+            *(f"inertia_{name}", f"rotational inertia, log-Cholesky component {name}", "1", "body", "inertia"),
             _zero,
             _component(name),
             _SWING,
-            low=-3.0,
-            high=3.0,
-            scale=0.3,
-            prior_std=1.0,
+            Search(low=-3.0, high=3.0, scale=0.3, prior_std=1.0),
         )
         for name in COMPONENTS
     ),
     Quantity(
-        "payload_mass",
-        "kg",
-        "robot",
-        "gravity",
+        *("payload_mass", "mass of the payload", "kg", "robot", "gravity"),
         _zero,
         _carried("mass"),
         "hold and swing the payload in many poses",
-        low=0.0,
-        high=50.0,
-        scale=0.3,
-        prior_std=3.0,
+        Search(low=0.0, high=50.0, scale=0.3, prior_std=3.0),
     ),
     *(
         Quantity(
-            f"payload_{axis}",
-            "m",
-            "robot",
-            "gravity",
+            *(f"payload_{axis}", f"payload, {axis}", "m", "robot", "gravity"),
             _zero,
             _carried(axis),
             "turn the payload about several axes",
-            low=-0.5,
-            high=0.5,
-            scale=0.03,
-            prior_std=1.0,
+            Search(low=-0.5, high=0.5, scale=0.03, prior_std=1.0),
         )
         for axis in "xyz"
     ),

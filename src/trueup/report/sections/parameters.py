@@ -11,7 +11,6 @@ from trueup.report.chooser import Chooser, Variant, make_chooser
 from trueup.report.fit_words import (
     CAUSES,
     KINDS,
-    QUANTITIES,
     as_sentence,
     change_words,
     kind_of,
@@ -162,7 +161,7 @@ def _group(name: str, items: Sequence[FittedParameter], joints: Sequence[str]) -
     heading = "Joint" if targets <= set(joints) else "" if targets == {""} else "Body or joint"
     return ParameterGroup(
         quantity=name,
-        title=QUANTITIES.get(name, ""),
+        title=items[0].label,
         unit=pretty_unit(items[0].unit),
         cause=items[0].cause,
         targets=heading,
