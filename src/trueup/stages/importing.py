@@ -151,7 +151,8 @@ def import_logs(
         first = next(iter(refused.values()))
         if len(refused) == 1:
             raise first
-        raise DataError(f"none of the {len(refused)} episodes in {source} could be read, the first because", got=first)
+        what = f"none of the {len(refused)} episodes in {source} could be read; the first: {first.summary}"
+        raise DataError(what, hint=first.hint)
     if splits is not None:
         notes += _assign(Dataset(out), splits, seed)
     kept = len(plan.episodes) - len(missing)
