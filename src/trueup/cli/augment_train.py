@@ -34,7 +34,7 @@ def train(
         str | None,
         typer.Option(
             "--method",
-            help="realeasy (precise), realeasy-rt, gru, mlp, linear, transformer, moving-average, moving-average-rt.",
+            help="realeasy (precise), realeasy-rt (default), gru, mlp, linear, transformer, moving-average[-rt].",
         ),
     ] = None,
     config: Annotated[
@@ -48,8 +48,8 @@ def train(
     command: Annotated[
         list[str] | None, typer.Option("--command", help="Commanded signal to read besides; repeatable.")
     ] = None,
-    epochs: Annotated[int | None, typer.Option("--epochs", min=0, help="Over the configuration.")] = None,
-    robot: Annotated[str | None, typer.Option("--robot", help="For normalization by limits.")] = None,
+    epochs: Annotated[int | None, typer.Option("--epochs", min=0, help="Most epochs; 40 if not set.")] = None,
+    robot: Annotated[str | None, typer.Option("--robot", help="Robot whose limits normalize.")] = None,
     name: Annotated[str, typer.Option("--name", help="Name of the model; the method if not given.")] = "",
     device: Annotated[Literal["cpu", "cuda"], typer.Option("--device", help="cpu or cuda.")] = "cpu",
     tensorboard: Annotated[
