@@ -201,7 +201,7 @@ def gap(
             *outdated(dataset, labels),
             *unapplied(frame.joint_map, dataset[kept[0]].measured.joints),
             *told,
-            *signs.warnings(),
+            *(signs.warnings() if signals is None or "torque" in signals else ()),
         ]
     }
     result = replace(result, settings={**result.settings, **names, **warnings})
