@@ -101,7 +101,7 @@ def test_the_model_is_looked_for_beside_the_data_first(tmp_path):
 
 
 def test_a_model_that_is_nowhere_says_where_it_was_looked_for(tmp_path):
-    with pytest.raises(ConfigError, match=r"(?s)so101\.xml.*not in .*--model"):
+    with pytest.raises(ConfigError, match=r"(?s)so101\.xml.*not found in .*--model"):
         find_model(load_robot("so101"), folder=tmp_path)
 
 

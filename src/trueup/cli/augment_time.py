@@ -20,7 +20,7 @@ def register(app: typer.Typer) -> None:
 
 def measure(
     model: Annotated[Path, typer.Argument(help="Folder of a trained real-time network, or zoo:NAME.")],
-    rate_hz: Annotated[float, typer.Option("--rate", help="Of the control loop [Hz].")] = 1000.0,
+    rate_hz: Annotated[float, typer.Option("--rate", help="Rate of the control loop [Hz].")] = 1000.0,
     seconds: Annotated[float, typer.Option("--seconds", help="How long the loop runs.")] = 10.0,
     out_dir: Annotated[
         Path | None, typer.Option("--out", help="Folder for latency.json; the model's if not given, none for zoo:NAME.")

@@ -33,7 +33,7 @@ def train(
     out_dir: Annotated[Path, typer.Option("--out", help="Folder for the model.")],
     method: Annotated[
         str | None,
-        typer.Option("--method", help=f"One of {', '.join(METHODS)}; see docs/augmentation.md."),
+        typer.Option("--method", help=f"One of {', '.join(METHODS)}; realeasy-rt if not given."),
     ] = None,
     config: Annotated[
         str | None, typer.Option("--config", help="paper, default, or a YAML file; see docs/augmentation.md.")
@@ -46,8 +46,8 @@ def train(
     command: Annotated[
         list[str] | None, typer.Option("--command", help="Commanded signal to read besides; repeatable.")
     ] = None,
-    epochs: Annotated[int | None, typer.Option("--epochs", min=0, help="Over the configuration.")] = None,
-    robot: Annotated[str | None, typer.Option("--robot", help="For normalization by limits.")] = None,
+    epochs: Annotated[int | None, typer.Option("--epochs", min=0, help="Most epochs; 40 if not set.")] = None,
+    robot: Annotated[str | None, typer.Option("--robot", help="Robot whose limits normalize.")] = None,
     name: Annotated[str, typer.Option("--name", help="Name of the model; the method if not given.")] = "",
     device: Annotated[Literal["cpu", "cuda"], typer.Option("--device", help="cpu or cuda.")] = "cpu",
     tensorboard: Annotated[

@@ -67,6 +67,7 @@ def close(
         overwrite=overwrite,
         resume=resume,
         track=track,
+        on_import=show_import,
     )
     show(closed, out_dir)
     hold_bars(closed.measurement.gap, bars)
@@ -75,12 +76,10 @@ def close(
 
 
 def show(closed: Closed, out_dir: Path) -> None:
-    """Import summary, ladder, verdicts, and the report's path."""
+    """Ladder, verdicts, and the report's path."""
     from trueup.report import write_report
 
-    if closed.imported:
-        show_import(closed.imported)
-    else:
+    if not closed.imported:
         show_flags(closed.measurement.quality)
     for name, error in closed.replayed.failed.items():
         problem(f"{name} was not replayed: {error.what}: {error.details}", error.hint)

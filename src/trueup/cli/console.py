@@ -113,8 +113,7 @@ def iterations() -> Iterator[OnModel]:
                 f"{progress.seconds:.0f} s"
             )
 
-        if err.is_terminal:
-            show("looking for a start")
+        show("looking for a start")
         yield on_model
 
 

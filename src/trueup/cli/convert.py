@@ -38,9 +38,7 @@ def import_(
     seed: options.Seed = 0,
     overwrite: options.Overwrite = False,
     resume: options.Resume = False,
-    skip_bad: Annotated[
-        bool, typer.Option("--skip-bad", help="Exit with 0 although some episodes were refused.")
-    ] = False,
+    skip_bad: options.SkipBad = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only list what would be imported.")] = False,
 ) -> int:
     """Read logs of any known format into a dataset."""

@@ -15,7 +15,7 @@ from trueup.errors import TrueupError
 
 app = typer.Typer(
     name="trueup",
-    help="True up your simulator to your robot: measure, explain and close the sim-to-real gap from its logs.",
+    help="Measure, explain and close the sim-to-real gap of a robot from its logs. --debug shows tracebacks of errors.",
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,

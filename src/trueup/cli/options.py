@@ -12,7 +12,7 @@ from trueup.errors import ConfigError
 
 Robot = Annotated[str, typer.Option("--robot", help="Name of a shipped robot, or path of a robot.yaml.")]
 Model = Annotated[
-    Path | None, typer.Option("--model", help="MJCF or URDF; looked for in the dataset's model/ folder if not given.")
+    Path | None, typer.Option("--model", exists=True, help="MJCF or URDF; else looked for in the dataset's model/.")
 ]
 Jobs = Annotated[int | None, typer.Option("--jobs", min=1, help="Threads; the number of cores if not given.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all draws.")]
@@ -33,7 +33,7 @@ CommandTopic = Annotated[str | None, typer.Option("--command-topic", help="Bag t
 MeasuredTopic = Annotated[str | None, typer.Option("--measured-topic", help="Bag topic that holds the joint states.")]
 Splits = Annotated[
     str | None,
-    typer.Option("--splits", help="A split.json, or TRAIN/VAL/TEST per cent such as 80/10/10 drawn by whole motion."),
+    typer.Option("--splits", help="A split.json, or shares TRAIN/VAL/TEST such as 80/10/10, drawn by whole motion."),
 ]
 FailAbove = Annotated[
     list[str] | None,

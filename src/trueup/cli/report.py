@@ -18,7 +18,7 @@ def register(app: typer.Typer) -> None:
 
 
 def report(
-    folder: Annotated[Path, typer.Argument(help="Folder with the results of gap or close.")],
+    folder: Annotated[Path, typer.Argument(help="Folder with the results of another command.")],
     out_file: Annotated[Path | None, typer.Option("--out", help="HTML file; FOLDER/report.html if not given.")] = None,
     overwrite: options.Overwrite = False,
 ) -> int:

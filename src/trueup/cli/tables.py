@@ -59,7 +59,8 @@ def gap_table(gap: GapResult, *, metric: str = "rmse") -> Table:
 
 def verdicts(gap: GapResult) -> list[str]:
     """The paired comparisons of the position in words, one line each."""
-    lines = []
+    window_s = gap.settings.get("window_s")
+    lines = [] if window_s is None else [f"simulations restarted from the measured state every {window_s:g} s"]
     whole = not any(gap.splits.values())  # no splits: the comparison over all motions is the only one
     for pair in gap.paired:
         if pair.signal == "position" and pair.metric == "rmse" and (pair.split != "all" or whole):

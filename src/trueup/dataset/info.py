@@ -125,7 +125,10 @@ class DatasetInfo:
         """
         path = folder / INFO_NAME
         if not path.is_file():
-            raise FormatError(f"{folder} is no trueup dataset", hint=f"`trueup import {folder} --out DIR` makes one")
+            got = "no dataset.json in it" if folder.is_dir() else "no such folder"
+            raise FormatError(
+                f"{folder} is no trueup dataset", got=got, hint="`trueup import LOGS --out DIR` makes one"
+            )
         try:
             info = DatasetInfo.from_json(read_json(path))
         except FormatError as error:

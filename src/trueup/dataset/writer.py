@@ -322,9 +322,7 @@ def refuse_run(dataset_path: Path, label: str, *, allowed: bool) -> None:
         ConfigError: the label is no label.
     """
     if (run_spec(dataset_path, label).folder / RUN_NAME).exists() and not allowed:
-        raise OutputExists(
-            f"{dataset_path} has a run {label!r}", hint="--resume adds what is missing, --overwrite replaces it"
-        )
+        raise OutputExists(f"{dataset_path} has a run {label!r}", hint="Give --overwrite, --resume or another --label.")
 
 
 def read_run_info(spec: StoreSpec) -> dict[str, Any]:
@@ -364,7 +362,7 @@ def refuse_occupied(path: Path, *, overwrite: bool) -> None:
     if not _occupied(path):
         return
     if not is_dataset(path):
-        raise OutputExists(f"{path} exists and is no trueup dataset", hint="choose another folder for --out")
+        raise OutputExists(f"{path} is not empty and is no trueup dataset", hint="choose another folder for --out")
     if not overwrite:
         raise OutputExists(
             f"{path} exists", hint="--resume adds what is missing, --overwrite deletes the dataset first"

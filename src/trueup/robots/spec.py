@@ -274,9 +274,9 @@ def load_robot(name_or_path: str | Path) -> RobotSpec:
         shipped = {file.stem: file for file in shipped_robots()}
         if str(name_or_path) not in shipped:
             raise ConfigError(
-                f"there is no robot {str(name_or_path)!r}",
+                f"{str(name_or_path)!r} is no shipped robot and no .yaml file",
                 available=sorted(shipped),
-                hint="Give one of these names, or the path of a robot.yaml (see docs/robots.md).",
+                hint="Give one of these names, or the path of a robot.yaml, which names the model (docs/robots.md).",
             )
         path = shipped[str(name_or_path)]
     spec = build(RobotSpec, read_yaml(path), str(path))
@@ -312,7 +312,6 @@ def find_model(spec: RobotSpec, *, given: Path | None = None, folder: Path | Non
         if (place / spec.model).is_file():
             return place / spec.model
     raise ConfigError(
-        f"the model {spec.model!r} of robot {spec.name!r} was not found",
-        got=f"not in {', '.join(map(str, folders))}",
+        f"the model {spec.model!r} of robot {spec.name!r} was not found in {', '.join(map(str, folders))}",
         hint="Give its path with --model, or put it into the folder `model/` of the dataset.",
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -55,6 +55,7 @@ def close(
     overwrite: bool = False,
     resume: bool = False,
     track: Track = silent,
+    on_import: Callable[[ImportSummary], None] = lambda _: None,
 ) -> Closed:
     """From logs to a ladder: import if needed, check, replay, measure.
 
@@ -76,6 +77,7 @@ def close(
         overwrite: replace the results that are in `out`.
         resume: go on where an earlier call was interrupted.
         track: shows progress.
+        on_import: called when logs were imported, before the rest, which takes longer.
 
     Raises:
         OutputExists: `out` holds results, and neither `overwrite` nor `resume` is given.
@@ -101,6 +103,7 @@ def close(
             resume=resume,
             track=track,
         )
+        on_import(imported)
     dataset = Dataset(dataset_path)
     if not overwrite:
         refuse_other_fit(out, dataset.hash)

@@ -151,7 +151,8 @@ def import_logs(
         first = next(iter(refused.values()))
         if len(refused) == 1:
             raise first
-        raise DataError(f"none of the {len(refused)} episodes in {source} could be read, the first because", got=first)
+        what = f"none of the {len(refused)} episodes in {source} could be read; the first: {first.summary}"
+        raise DataError(what, hint=first.hint)
     if splits is not None:
         notes += _assign(Dataset(out), splits, seed)
     kept = len(plan.episodes) - len(missing)
@@ -223,9 +224,14 @@ def _refuse_other_options(stored: DatasetInfo, info: DatasetInfo, out: Path) -> 
 
 
 def _refuse_nesting(source: Path, out: Path) -> None:
-    inside = out.resolve()
-    if inside == source.resolve() or inside in source.resolve().parents:
-        raise ConfigError(f"the dataset cannot be written over its source {source}", got=out)
+    """Logs are never changed: neither is a dataset written over them, nor among them, where it would pass for one."""
+    logs, place = source.resolve(), out.resolve()
+    if place == logs or place in logs.parents or logs in place.parents:
+        raise ConfigError(
+            f"the dataset cannot be written over its source {source}, or into it",
+            got=out,
+            hint="Choose an --out beside the logs.",
+        )
 
 
 def _copy_model(folder: Path, out: Path, info: DatasetInfo) -> DatasetInfo:

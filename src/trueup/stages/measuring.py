@@ -153,7 +153,7 @@ def gap(
         )
     source = dataset.info.provenance.get("config", {}).get("source")
     names = {"robot": frame.robot or dataset.info.robot, "dataset": source or dataset.path.resolve().name}
-    result = replace(result, settings={**result.settings, **names, "warnings": motions.warnings()})
+    result = replace(result, settings={**result.settings, **names, "warnings": motions.warnings(signals)})
     return motions.measurement(result, split)
 
 
@@ -208,15 +208,15 @@ class _Motions:
             motion = Episode(meta, comparison.measured, simulated=comparison.simulated)
             self._errors[name] = position_mse(motion, run=self._labels[0])
 
-    def warnings(self) -> list[str]:
-        """What a reader of the numbers should know."""
+    def warnings(self, signals: Sequence[str] | None) -> list[str]:
+        """What a reader of the numbers of these signals, or of all, should know."""
         logged = self._dataset[self._kept[0]].measured.joints
         return [
             *incomplete(self._dataset, self._covered, self._kept),
             *outdated(self._dataset, self._labels),
             *unapplied(self._frame.joint_map, logged),
             *(f"{name} was left out: {error.what}" for name, error in self.left_out.items()),
-            *self._signs.warnings(),
+            *(self._signs.warnings() if signals is None or "torque" in signals else ()),
         ]
 
     def measurement(self, result: GapResult, split: str | None) -> Measurement:

@@ -142,9 +142,8 @@ def replay(
     dataset.reload()
     done = len(missing) - len(failed)
     if failed and not done and len(missing) == len(wanted):
-        raise DataError(
-            f"no episode could be replayed, {next(iter(failed))!r} because", got=next(iter(failed.values()))
-        )
+        name, first = next(iter(failed.items()))
+        raise DataError(f"no episode could be replayed, {name!r} because: {first.summary}", hint=first.hint)
     return ReplaySummary(label, done, len(wanted) - len(missing), failed, seconds)
 
 

@@ -102,7 +102,7 @@ def far_motions(errors: Mapping[str, float]) -> dict[str, Flag]:
             kind="far_from_simulation",
             signal="position",
             severity="note",
-            detail=f"position MSE against the simulation {value:.3g}, the other motions stay below {threshold:.3g}: "
+            detail=f"position MSE against the simulation {value:.3g}, usual here is up to {threshold:.3g}: "
             "executed wrongly, or something that the model does not know",
         )
         for name, value in known.items()

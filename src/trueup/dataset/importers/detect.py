@@ -77,7 +77,6 @@ def find_importer(path: Path, name: str | None = None) -> Importer:
         f"{path} is of no known format",
         got=_content(path),
         expected="; ".join([*looked_for, *missing]),
-        available=FORMATS,
         hint="Name the format with --format, or write a mapping for CSV files.",
     )
 
