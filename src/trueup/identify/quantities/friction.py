@@ -8,14 +8,16 @@ from dataclasses import replace
 from trueup.core.parameters import Search
 from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.drive import Drive
-from trueup.identify.quantities.base import Quantity
+from trueup.identify.quantities.base import Cause, Quantity
 from trueup.robots.friction import LAWS, Law, Number
 from trueup.robots.friction.law import FAST, SLOW
 from trueup.sim import friction_of, set_friction
 
 
-def _own(name: str) -> tuple[Callable[[Nominal, str], float], Callable[[Candidate, str, float], None]]:
-    """Reader and writer of a number that MuJoCo's joints have."""
+def _own(
+    name: str, label: str, unit: str, excite: str, search: Search, *, cause: Cause = "friction", brakes: bool = False
+) -> Quantity:
+    """The quantity that is a number which MuJoCo's joints have."""
 
     def read(nominal: Nominal, joint: str) -> float:
         dof = int(nominal.model.jnt_dofadr[nominal.model.joint(joint).id])
@@ -27,7 +29,7 @@ def _own(name: str) -> tuple[Callable[[Nominal, str], float], Callable[[Candidat
         else:
             setattr(candidate.spec.joint(joint), name, value)
 
-    return read, write
+    return Quantity(name, label, unit, "joint", cause, read, write, excite, search, brakes=brakes)
 
 
 def _quantity(number: Number, law: Law) -> Quantity:
@@ -42,21 +44,13 @@ def _quantity(number: Number, law: Law) -> Quantity:
         friction = friction_of(candidate.spec, joint)
         set_friction(candidate.spec, joint, replace(friction, **{number.name: value}))
 
+    about = (number.name, number.label, number.unit)
     return Quantity(
-        number.name,
-        number.label,
-        number.unit,
-        "joint",
-        "friction",
-        read,
-        write,
-        number.excite,
-        number.search,
-        needs=needs,
-        brakes=number.brakes,
+        *about, "joint", "friction", read, write, number.excite, number.search, needs=needs, brakes=number.brakes
     )
 
 
+_HARDER = "accelerate {target} harder"
 # The kind of drive that carries a law out: whether a joint has it, and in words.
 _DRIVES: Mapping[str, tuple[Callable[[Drive], bool], str]] = {
     "": (lambda _: True, ""),
@@ -65,25 +59,10 @@ _DRIVES: Mapping[str, tuple[Callable[[Drive], bool], str]] = {
 }
 
 FRICTION: tuple[Quantity, ...] = (
-    Quantity(
-        *("damping", "viscous friction", "Nm s/rad", "joint", "friction"),
-        *_own("damping"),
-        FAST,
-        Search("log", start=0.01, low=1e-6),
-        brakes=True,
-    ),
-    Quantity(
-        *("frictionloss", "Coulomb friction", "Nm", "joint", "friction"),
-        *_own("frictionloss"),
-        SLOW,
-        Search("log", start=0.02, low=1e-6),
-        brakes=True,
-    ),
-    Quantity(
-        *("armature", "rotor inertia at the joint", "kg m2", "joint", "inertia"),
-        *_own("armature"),
-        "accelerate {target} harder",
-        Search("log", start=0.001, low=1e-7),
+    _own("damping", "viscous friction", "Nm s/rad", FAST, Search("log", start=0.01, low=1e-6), brakes=True),
+    _own("frictionloss", "Coulomb friction", "Nm", SLOW, Search("log", start=0.02, low=1e-6), brakes=True),
+    _own(
+        "armature", "rotor inertia at the joint", "kg m2", _HARDER, Search("log", start=1e-3, low=1e-7), cause="inertia"
     ),
     *(_quantity(number, law) for law in LAWS.values() for number in law.numbers if number.excite),
 )
