@@ -11,7 +11,6 @@ from trueup.align.limits import limits_in_log as limits_in_log
 from trueup.align.quality import check_quality as check_quality
 from trueup.align.quality_config import QualityConfig as QualityConfig
 from trueup.align.resample import common_grid as common_grid
-from trueup.align.resample import differentiate as differentiate
 from trueup.align.resample import resample as resample
 from trueup.align.rest import cut_rest as cut_rest
 from trueup.align.rest import moving_span as moving_span
@@ -33,7 +32,6 @@ __all__ = [
     "cut_rest",
     "detect_motion_start",
     "detect_start",
-    "differentiate",
     "estimate_delay",
     "failed_execution",
     "limits_in_log",

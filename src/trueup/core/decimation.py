@@ -61,15 +61,3 @@ def _bucket_rows(
         holes = padded_holes.reshape(curves, buckets, width)
         kept[(starts + holes.argmax(axis=2))[holes.any(axis=2)]] = True
     return np.flatnonzero(kept)
-
-
-def decimate(
-    time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T"], max_points: int
-) -> tuple[Float[np.ndarray, "K"], Float[np.ndarray, "K"]]:
-    """Thin one curve to at most `max_points`, keeping the smallest and largest value of each bucket.
-
-    Raises:
-        ConfigError: `max_points` is smaller than 4.
-    """
-    rows = decimation_rows(values[None], max_points)
-    return time_s[rows], values[rows]

@@ -193,7 +193,7 @@ class Search:
             raise DataError("no candidate could be simulated", got=result.stop.text)
         search = self._derivatives(GaussNewtonState(result.z))
         jacobian = search.final_jacobian()
-        stop = "converged" if result.stop.kind in ("converged", "stalled", "target") else result.stop.kind
+        stop = "converged" if result.stop.kind in ("converged", "stalled") else result.stop.kind
         return self._solution(name, stop, len(steps), search, jacobian)
 
     def _open(self, phase: str) -> tuple[Checkpoint, dict[str, Any]]:

@@ -20,7 +20,6 @@ from trueup.sim.stepping import engine_step
 # Rows of the log.
 POSITION, VELOCITY, TORQUE, MOTOR_POSITION, MOTOR_TORQUE, RISE = range(6)
 LOGGED = 6
-NEVER = 2**62
 
 # A joint with its brake on: stiff enough not to be seen, soft enough for the physics step.
 _BRAKE_STIFFNESS, _BRAKE_DAMPING = 2e4, 50.0

@@ -29,9 +29,9 @@ def difference_cell(estimate: Estimate) -> Cell:
     return Cell(text, note=interval(estimate, sign=True))
 
 
-def percent_cell(ratio: float, *, tone: str = "") -> Cell:
+def percent_cell(ratio: float) -> Cell:
     """A signed percentage."""
-    return Cell(percent(ratio), tone=tone)
+    return Cell(percent(ratio))
 
 
 def verdict_cell(verdict: str) -> Cell:
