@@ -35,7 +35,7 @@ HARDLY = 0.01
 _LONGER, _SAME = 10.0, 0.5
 
 
-class Clock:
+class Stopwatch:
     """Seconds of a search, those before an interruption included."""
 
     def __init__(self) -> None:
@@ -88,7 +88,7 @@ class Search:
         self,
         problem: Problem,
         settings: SolveSettings,
-        clock: Clock,
+        clock: Stopwatch,
         *,
         checkpoint: Path | None,
         on_progress: OnProgress | None,

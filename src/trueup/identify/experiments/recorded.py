@@ -13,7 +13,7 @@ from trueup.errors import DataError, NotIdentifiable, TrueupError
 from trueup.identify.experiments.findings import Finding, Rejection, reasons_in_short, said
 from trueup.identify.experiments.joint_log import disturbances, excited_joints, joint_log, reason_of
 from trueup.identify.experiments.motion_fit import MotionFit
-from trueup.identify.experiments.slides import Motion, MotionSettings, Slide, motion
+from trueup.identify.experiments.slides import Motion, Slide, SlideSettings, motion
 
 _MISFIT = 3.0  # residual over the noise of the sensor, above which the model does not describe the motion
 _FAR_RAD = 0.5
@@ -144,7 +144,7 @@ class Recorded:
         )
 
 
-def read_motions(episodes: Sequence[Episode], joints: Sequence[str] | None, settings: MotionSettings) -> Recorded:
+def read_motions(episodes: Sequence[Episode], joints: Sequence[str] | None, settings: SlideSettings) -> Recorded:
     """Cut recordings into the motions of each joint.
 
     Raises:

@@ -24,7 +24,7 @@ _PUSH_SHARE = 0.2  # of the largest torque; less may be the noise of a measured 
 
 
 @dataclass(frozen=True)
-class MotionSettings:
+class SlideSettings:
     """How motions are cut and read.
 
     Attributes:
@@ -133,7 +133,7 @@ class Motion:
         return int(np.sign(self.torque))
 
 
-def motion(log: JointLog, settings: MotionSettings) -> Motion:
+def motion(log: JointLog, settings: SlideSettings) -> Motion:
     """Cut a log into slides.
 
     Left out are standing still, the neighborhood of position limits, motion beyond `max_travel_rad`, and motion

@@ -15,7 +15,7 @@ from trueup.identify.regression.inverse_dynamics import inverse_dynamics_from_ep
 from trueup.identify.regression.inverse_dynamics_result import BaseParameter as BaseParameter
 from trueup.identify.regression.inverse_dynamics_result import BodyEstimate as BodyEstimate
 from trueup.identify.regression.inverse_dynamics_result import InverseDynamicsFit as InverseDynamicsFit
-from trueup.identify.regression.inverse_dynamics_result import JointFriction as JointFriction
+from trueup.identify.regression.inverse_dynamics_result import JointTerms as JointTerms
 from trueup.identify.regression.torque_start import TorqueStart as TorqueStart
 from trueup.identify.regression.torque_start import torque_start as torque_start
 
@@ -30,7 +30,7 @@ __all__ = [
     "InverseDynamicsFit",
     "InverseDynamicsSettings",
     "JointFit",
-    "JointFriction",
+    "JointTerms",
     "Score",
     "TorqueStart",
     "base_structure",
