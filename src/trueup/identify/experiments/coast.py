@@ -53,24 +53,11 @@ def estimate_coast(
         MissingSignal: no episode has a torque command, or the signal that `settings` asks for.
         NotIdentifiable: no episode could be used; the message says why.
     """
-    settings = settings or SlideSettings()
-    recorded = read_motions(tuple(episodes), joints, settings)
-    findings, notes = {}, {}
-    for joint, motions in recorded.joints.items():
-        inertia = (inertia_kgm2 or {}).get(joint)
-        findings[joint], extra = _joint(motions, inertia, position_slope=position_slope)
-        notes[joint] = (*motions.notes(), *extra)
-    return ExperimentResult(
-        experiment="coast",
-        joints=findings,
-        notes=notes,
-        runs=recorded.runs(),
-        rejected=recorded.rejected,
-        settings={
-            **settings.to_json(),
-            "position_slope": position_slope,
-            "inertia_kgm2": dict(inertia_kgm2 or {}),
-        },
+    settings, known = settings or SlideSettings(), dict(inertia_kgm2 or {})
+    return read_motions(tuple(episodes), joints, settings).result(
+        "coast",
+        lambda motions: _joint(motions, known.get(motions.joint), position_slope=position_slope),
+        {**settings.to_json(), "position_slope": position_slope, "inertia_kgm2": known},
     )
 
 

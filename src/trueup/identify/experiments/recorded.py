@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from trueup.core.episode import Episode
 from trueup.core.results import Estimate
 from trueup.errors import DataError, NotIdentifiable, TrueupError
-from trueup.identify.experiments.findings import Finding, Rejection, reasons_in_short, said
+from trueup.identify.experiments.findings import (
+    Experiment,
+    ExperimentResult,
+    Finding,
+    Rejection,
+    reasons_in_short,
+    said,
+)
 from trueup.identify.experiments.joint_log import disturbances, excited_joints, joint_log, reason_of
 from trueup.identify.experiments.motion_fit import MotionFit
 from trueup.identify.experiments.slides import Motion, Slide, SlideSettings, motion
@@ -141,6 +148,23 @@ class Recorded:
             }
             for item in self.joints.values()
             for episode, own in zip(item.episodes, item.motions, strict=True)
+        )
+
+    def result(
+        self,
+        experiment: Experiment,
+        evaluate: Callable[[JointMotions], tuple[dict[str, Finding], tuple[str, ...]]],
+        settings: Mapping[str, Any],
+    ) -> ExperimentResult:
+        """All joints evaluated, each by `evaluate`, which returns findings and notes."""
+        found = {joint: evaluate(motions) for joint, motions in self.joints.items()}
+        return ExperimentResult(
+            experiment=experiment,
+            joints={joint: findings for joint, (findings, _) in found.items()},
+            notes={joint: (*self.joints[joint].notes(), *extra) for joint, (_, extra) in found.items()},
+            runs=self.runs(),
+            rejected=self.rejected,
+            settings=settings,
         )
 
 
