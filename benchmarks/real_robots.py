@@ -22,7 +22,7 @@ from trueup.core.provenance import provenance
 from trueup.core.results import Metrics
 from trueup.dataset import Dataset
 from trueup.identify import IdentifyConfig, Nominal
-from trueup.identify.bench import Bench
+from trueup.identify.model_search import ModelSearch
 from trueup.robots import find_model
 from trueup.stages.identifying import FITTED, Identified
 from trueup.stages.motions import motions_of
@@ -125,7 +125,7 @@ def _friction_models(data: Path, name: str) -> list[dict[str, Any]]:
     rows = []
     for label, (extra, hard) in _FRICTION.items():
         config = IdentifyConfig(fit={**_DRIVE, **dict.fromkeys(extra, "all")}, models={})
-        bench = Bench(
+        search = ModelSearch(
             Nominal(robot, path, hard_friction=hard),
             logs,
             config,
@@ -134,8 +134,8 @@ def _friction_models(data: Path, name: str) -> list[dict[str, Any]]:
             checkpoints=None,
             on_progress=None,
         )
-        best, _ = bench.climb()
-        row = _row(replace(bench.scored_row(best, chosen=False), name=label))
+        best, _ = search.climb()
+        row = _row(replace(search.scored_row(best, chosen=False), name=label))
         rows.append(row)
         errors = ", ".join(f"{split} {row['splits'][split]['value']:.5f}" for split in SPLITS)
         _say(f"{name}, friction {label}: {errors} rad, {row['seconds']:.0f} s")

@@ -19,6 +19,7 @@ import mujoco
 import numpy as np
 
 from benchmarks.table import Row, at_least, shown
+from benchmarks.thesis_panda import HOME, HiddenPanda, published_panda
 from trueup.core.atomic import make_folder, write_json
 from trueup.core.episode import Episode
 from trueup.core.provenance import provenance
@@ -26,7 +27,6 @@ from trueup.identify import Nominal, Problem, SegmentRule, Weights, make_segment
 from trueup.identify.config import SolverChoice, make_parameters
 from trueup.identify.experiments import PANDA_TORQUES_NM, Limits, run_coast
 from trueup.identify.inertial import COMPONENTS, inertial_of
-from trueup.lab.thesis_panda import HOME, HiddenPanda, published_panda
 from trueup.robots import JointFriction
 from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode
 

@@ -338,18 +338,15 @@ def test_a_robot_that_did_not_move_failed():
     time_s = np.arange(0.0, 10.0, 0.01)
     asked = 0.5 * np.sin(time_s)
     command = make_series(time_s, position=asked)
-    flag = failed_execution(make_episode(make_series(time_s, position=1e-4 * asked), command))
+    flag = failed_execution(make_episode(make_series(time_s, position=1e-4 * asked), command), QualityConfig())
     assert flag is not None
     assert flag.severity == "warning"
-    assert failed_execution(make_episode(make_series(time_s, position=0.8 * asked), command)) is None
-    assert (
-        failed_execution(make_episode(make_series(time_s, position=0.8 * asked), command), threshold=1e-4) is not None
-    )
+    assert failed_execution(make_episode(make_series(time_s, position=0.8 * asked), command), QualityConfig()) is None
     small = make_series(time_s, position=0.1 * asked)
-    assert failed_execution(make_episode(make_series(time_s, position=0.0 * asked), small)) is None
+    assert failed_execution(make_episode(make_series(time_s, position=0.0 * asked), small), QualityConfig()) is None
 
 
-def test_failed_against_a_simulated_run():
+def test_position_error_against_a_simulated_run():
     from dataclasses import replace
 
     time_s = np.arange(0.0, 10.0, 0.01)
@@ -357,8 +354,6 @@ def test_failed_against_a_simulated_run():
     good = make_series(time_s[::2], position=move[::2] + 0.01)
     episode = replace(make_episode(make_series(time_s, position=move)), simulated={"good": good})
     assert position_mse(episode, run="good") == pytest.approx(1e-4, rel=0.01)
-    assert failed_execution(episode, run="good") is None
-    assert failed_execution(episode, run="good", threshold=5e-5) is not None
     with pytest.raises(MissingSignal):
         position_mse(episode, run="other")
     with pytest.raises(MissingSignal):

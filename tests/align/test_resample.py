@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from align.align_cases import make_series
-from trueup.align import common_grid, differentiate, resample
+from trueup.align import common_grid, resample
 from trueup.core.timeseries import TimeSeries
 from trueup.errors import DataError
 
@@ -133,13 +133,3 @@ def test_common_grid_reaches_an_end_that_is_on_it():
     resample(short, common_grid(short, rate_hz=10.0))
     with pytest.raises(DataError):
         common_grid(series, rate_hz=0.0)
-
-
-def test_derivative_of_a_parabola_is_exact_inside_on_uneven_stamps():
-    clock = uneven(np.random.default_rng(2), 30)
-    values = np.stack([clock**2, -3.0 * clock**2 + clock], axis=1)
-    derivative = differentiate(values, clock)
-    np.testing.assert_allclose(derivative[1:-1, 0], 2.0 * clock[1:-1], atol=1e-9)
-    np.testing.assert_allclose(derivative[1:-1, 1], -6.0 * clock[1:-1] + 1.0, atol=1e-9)
-    with pytest.raises(DataError):
-        differentiate(values[:1], clock[:1])

@@ -11,7 +11,7 @@ from trueup.cli.identify import _UNUSABLE
 from trueup.core.fit_result import FitStatus
 from trueup.identify import QUANTITIES, IdentifyConfig, Nominal
 from trueup.identify.config import _CHOICE_KEYS, DataChoice, SolverChoice
-from trueup.identify.experiments import MotionSettings, PulsePlan, RampPlan, RunSettings
+from trueup.identify.experiments import PulsePlan, RampPlan, RunSettings, SlideSettings
 from trueup.identify.experiments.findings import Status
 from trueup.identify.export import ISAAC_FILE, MODEL_FILE, ROBOT_FILE, SAMPLES_FILE
 from trueup.identify.regression.graybox_terms import BLOCKS
@@ -123,5 +123,5 @@ def test_every_status_and_setting_of_an_experiment_is_explained():
         names, defaults = code(row[1]), row[2].split(", ")
         values = defaults if len(defaults) == len(names) else defaults * len(names)
         said.setdefault(owner, {}).update(zip(names, values, strict=True))
-    for kind in (RampPlan, PulsePlan, RunSettings, MotionSettings):
+    for kind in (RampPlan, PulsePlan, RunSettings, SlideSettings):
         check_defaults(kind, said[kind.__name__])

@@ -13,11 +13,11 @@ from trueup.errors import ConfigError, DataError, MissingSignal, NotIdentifiable
 from trueup.identify.experiments import (
     ExperimentResult,
     Limits,
-    MotionSettings,
     PoseHold,
     PulsePlan,
     RampPlan,
     RunSettings,
+    SlideSettings,
     estimate_breakaway,
     estimate_coast,
     estimate_constant_torque,
@@ -218,7 +218,7 @@ def test_velocity_alone_says_the_same_as_position_alone():
     (episodes,) = pulses(position_noise=1e-5, velocity_noise=1e-3)
     by_position = estimate_constant_torque(without(episodes, "velocity"))
     by_velocity = estimate_constant_torque(without(episodes, "position"))
-    chosen = estimate_constant_torque(episodes, settings=MotionSettings(signal="velocity"))
+    chosen = estimate_constant_torque(episodes, settings=SlideSettings(signal="velocity"))
     assert value(by_velocity, "mirror_offset").value == pytest.approx(
         value(by_position, "mirror_offset").value, abs=1e-3
     )
@@ -231,7 +231,7 @@ def test_a_delay_of_the_torque_is_found_and_does_no_harm():
     result = estimate_constant_torque(late)
     assert value(result, "torque_delay").value == pytest.approx(0.006, abs=0.001)
     assert value(result, "viscous_positive").value == pytest.approx(0.2, abs=0.006)
-    stated = estimate_constant_torque(late, settings=MotionSettings(delay_s=0.006))
+    stated = estimate_constant_torque(late, settings=SlideSettings(delay_s=0.006))
     assert value(stated, "torque_delay").value == pytest.approx(0.0, abs=0.001)
 
 
@@ -281,9 +281,9 @@ def test_a_rebound_from_an_end_stop_is_left_out_or_can_be():
         stopped.append(log(item.id, 500.0, item.commanded()["torque"][:, 0], np.clip(bounced, -0.5, 0.5)))
     plain = estimate_constant_torque(stopped)
     assert any("against their torque" in note for note in plain.notes["joint1"])
-    limited = estimate_constant_torque(stopped, settings=MotionSettings(position_rad={"joint1": (-0.5, 0.5)}))
+    limited = estimate_constant_torque(stopped, settings=SlideSettings(position_rad={"joint1": (-0.5, 0.5)}))
     assert value(limited, "mirror_offset").value == pytest.approx(MIRROR, abs=0.01)
-    near = estimate_constant_torque(stopped, settings=MotionSettings(max_travel_rad=0.4))
+    near = estimate_constant_torque(stopped, settings=SlideSettings(max_travel_rad=0.4))
     assert value(near, "mirror_offset").value == pytest.approx(MIRROR, abs=0.01)
 
 
@@ -299,7 +299,7 @@ def test_a_saturated_drive_is_said_and_its_own_torque_can_be_used():
     result = estimate_constant_torque(episodes)
     assert any("did not deliver" in note for note in result.notes["joint1"])
     assert any("times the noise" in note for note in result.notes["joint1"])
-    own = estimate_constant_torque(episodes, settings=MotionSettings(torque="measured"))
+    own = estimate_constant_torque(episodes, settings=SlideSettings(torque="measured"))
     assert value(own, "mirror_offset").value == pytest.approx(MIRROR, abs=0.002)
     assert value(own, "effective_inertia").value == pytest.approx(0.1, abs=0.001)
 
@@ -313,13 +313,13 @@ def test_bad_recordings_are_refused_with_the_reason():
         with pytest.raises(NotIdentifiable, match="torque is zero throughout"):
             estimate(silent)
     with pytest.raises(NotIdentifiable, match="no velocity"):
-        estimate_constant_torque(without(episodes, "velocity"), settings=MotionSettings(signal="velocity"))
+        estimate_constant_torque(without(episodes, "velocity"), settings=SlideSettings(signal="velocity"))
     with pytest.raises(MissingSignal):
         estimate_coast([replace(episodes[0], command=None, meta=replace(episodes[0].meta, id="x"))])
     with pytest.raises(ConfigError):
-        MotionSettings(min_speed=-1.0)
+        SlideSettings(min_speed=-1.0)
     with pytest.raises(ConfigError):
-        MotionSettings(delay_s=-0.1)
+        SlideSettings(delay_s=-0.1)
 
 
 def test_coasting_alone_gives_friction_over_inertia():

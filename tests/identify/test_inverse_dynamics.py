@@ -431,7 +431,6 @@ def test_start_values_for_torque_driven_logs_are_near_the_truth(source):
         assert start.damping[name] == pytest.approx(true.dof_damping[number], rel=0.1)
         assert start.frictionloss[name] == pytest.approx(true.dof_frictionloss[number], rel=0.15)
         assert start.armature[name] == pytest.approx(true.dof_armature[number], rel=0.3)
-        assert start.rmse[name] < 0.2 * start.rmse_nominal[name]
     assert start.mass_scale["column"] == pytest.approx(1.0, abs=0.01)  # no torque depends on it
     assert start.mass_scale["forearm"] > 1.2
 
@@ -490,13 +489,6 @@ def test_start_values_name_what_is_missing():
         torque_start([], true)
     with pytest.raises(NameMismatch):
         torque_start(log, two_links())
-    position = log[0].measured["position"].copy()
-    position[:, 0] = 0.0
-    still = replace(
-        log[0], measured=replace(log[0].measured, signals={**log[0].measured.signals, "position": position})
-    )
-    start = torque_start([still], true)
-    assert any("'yaw' hardly moved" in note for note in start.notes)
 
 
 def test_start_values_of_a_real_pendulum_are_of_the_size_that_its_makers_found(double_pendulum_logs, tmp_path):
@@ -512,4 +504,3 @@ def test_start_values_of_a_real_pendulum_are_of_the_size_that_its_makers_found(d
     # README: identified by the makers with their own tools; friction 0.093 and 0.078 Nm.
     assert all(0.8 < scale < 1.2 for scale in start.mass_scale.values())
     assert all(0.03 < value < 0.15 for value in start.frictionloss.values())
-    assert all(start.rmse[name] < start.rmse_nominal[name] for name in start.rmse)

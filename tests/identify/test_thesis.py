@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.thesis_panda import HiddenPanda, published_panda
 
 from trueup.identify import Nominal, Problem, SegmentRule, make_segments, solve
 from trueup.identify.config import SolverChoice, make_parameters
 from trueup.identify.experiments import PANDA_TORQUES_NM, Limits, PulsePlan, run_coast
-from trueup.lab.thesis_panda import HiddenPanda, published_panda
 from trueup.robots import JointFriction
 from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode
 

@@ -99,7 +99,7 @@ def test_a_spline_of_order_0_is_steps_and_one_of_order_1_a_polyline():
 @pytest.mark.parametrize(("order", "count"), [(5, 8), (-1, 8), (4, 4), (0, 1)])
 def test_splines_that_are_none_are_refused(order, count):
     with pytest.raises(ConfigError):
-        random_spline(panda_scene(), order, np.random.default_rng(0), velocity_share=1.0, points=count)
+        b_spline(np.zeros((count, 3)), order)
 
 
 def test_the_jerk_limit_of_the_panda_is_kept_too():

@@ -496,7 +496,8 @@ def make_graybox(joints):
             }
         )
     short = [{**blocks[0]}, {**blocks[1], "left_out": "the joint never moved", "splits": {}, "payloads": {}}]
-    fits = {joint: {"blocks": blocks if joint != joints[-1] else short, "notes": []} for joint in joints}
+    about = {"interval_method": "cluster", "motions": 4, "samples": 900, "notes": []}
+    fits = {joint: {"blocks": blocks if joint != joints[-1] else short, **about} for joint in joints}
     return {"schema": "trueup.graybox/1", "joints": fits, "settings": {}, "notes": ["payload not recorded in 1 motion"]}
 
 

@@ -28,6 +28,7 @@ from report.run_folders import (
 )
 from trueup.core.attribution import UNEXPLAINED, Attribution, AttributionStep, shares_of
 from trueup.core.fit_result import Direction, FitResult
+from trueup.core.graybox_result import GrayboxResult
 from trueup.core.results import Estimate
 from trueup.errors import DataError, FormatError, TrueupError
 from trueup.report import build_report
@@ -42,13 +43,12 @@ from trueup.report.fit_words import (
     sure_sentence,
 )
 from trueup.report.folder import RunFolder
-from trueup.report.graybox import ALL_MOTIONS, Graybox
 from trueup.report.interval_figures import factor_span, factor_ticks, interval_panels, intervals_figure
 from trueup.report.numbers import plain
 from trueup.report.open_words import direction_rows, direction_words, gain_words, strongest, suggestions
 from trueup.report.palette import KIND_STYLES, cause_styles
 from trueup.report.sections.attribution import attribution_sentence, cause_titles, stacked
-from trueup.report.sections.graybox import graybox_chooser, payload_bars, reductions_table
+from trueup.report.sections.graybox import ALL_MOTIONS, graybox_chooser, payload_bars, reductions_table, scores_of
 from trueup.report.sections.left import above_zero, left_summary, models_chooser, tried_models
 from trueup.report.sections.parameters import parameter_groups
 from trueup.report.sections.usage import recipes
@@ -603,22 +603,22 @@ def test_groups_follow_the_causes():
 
 def test_the_gray_box_shows_payloads_and_what_a_block_is_worth(tmp_path):
     (tmp_path / "graybox.json").write_text(json.dumps(make_graybox(JOINTS)))
-    graybox = Graybox.load(tmp_path / "graybox.json")
-    blocks = graybox.joints[JOINTS[0]]
-    assert [block.name for block in blocks] == ["pd", "friction", "payload", "posture"]
-    assert blocks[1].scores["test"][ALL_MOTIONS].reduction.value == 0.2
+    graybox = GrayboxResult.load(tmp_path / "graybox.json")
+    blocks = graybox.joints[JOINTS[0]].blocks
+    assert [block.block for block in blocks] == ["pd", "friction", "payload", "posture"]
+    assert scores_of(blocks[1], "test")[ALL_MOTIONS].reduction.value == 0.2
     bars = payload_bars(blocks, "test")
     assert [title.replace("\N{NO-BREAK SPACE}", " ") for title in bars] == ["all motions", "0 kg", "1.5 kg"]
     table = reductions_table(blocks, "test")
     assert [row.cells[1].tone for row in table.rows] == ["better", "better", "", "better"]
     assert table.rows[2].cells[1].text.startswith("−0.0100")
     assert table.rows[1].cells[1].extra.startswith("40")
-    last = reductions_table(graybox.joints[JOINTS[-1]], "test")
+    last = reductions_table(graybox.joints[JOINTS[-1]].blocks, "test")
     assert last.rows[1].note == "left out: the joint never moved"
     chooser = graybox_chooser(graybox, JOINTS)
     assert list(chooser.default) == [JOINTS[0], "test"]
     go.Figure(chooser.shown.figures["graybox"])
-    assert graybox_chooser(Graybox({}), JOINTS) is None
+    assert graybox_chooser(GrayboxResult({}, {}), JOINTS) is None
 
 
 # --- lines to copy ---

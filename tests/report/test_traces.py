@@ -53,7 +53,9 @@ def test_every_bucket_keeps_its_own_extremes():
 def test_a_spike_of_one_sample_survives():
     values = np.zeros(5000)
     values[3217] = 9.0
-    assert 3217 in decimation_rows(values[None], 50)
+    rows = decimation_rows(values[None], 50)
+    assert rows.size <= 50
+    assert 3217 in rows
 
 
 def test_room_left_by_shared_rows_is_used():

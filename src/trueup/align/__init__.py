@@ -7,7 +7,7 @@ from trueup.align.joints import JointMap
 from trueup.align.limits import limits_in_log
 from trueup.align.quality import check_quality
 from trueup.align.quality_config import QualityConfig
-from trueup.align.resample import common_grid, differentiate, resample
+from trueup.align.resample import common_grid, resample
 from trueup.align.rest import cut_rest, moving_span
 from trueup.align.start import (
     StartDetection,
@@ -29,7 +29,6 @@ __all__ = [
     "cut_rest",
     "detect_motion_start",
     "detect_start",
-    "differentiate",
     "estimate_delay",
     "failed_execution",
     "limits_in_log",

@@ -48,11 +48,11 @@ def position_mse(episode: Episode, *, run: str | None = None) -> float:
     return float(np.mean(known**2))
 
 
-def robust_threshold(values: Sequence[float], *, factor: float = 6.0) -> float:
+def robust_threshold(values: Sequence[float]) -> float:
     """MSE above which an episode is an outlier among its like.
 
     Errors of good executions spread over a factor, not over a sum, so the spread is taken of their logarithms:
-    median plus `factor` scaled median absolute deviations, and at least four times the median, so that a set of
+    median plus six scaled median absolute deviations, and at least four times the median, so that a set of
     nearly equal errors loses nobody. Half of the episodes may be bad.
 
     Raises:
@@ -64,44 +64,34 @@ def robust_threshold(values: Sequence[float], *, factor: float = 6.0) -> float:
     logs = np.log(np.maximum(errors, 1e-12))
     center = float(np.median(logs))
     spread = 1.4826 * float(np.median(np.abs(logs - center)))
-    return float(np.exp(center + max(factor * spread, np.log(4.0))))
+    return float(np.exp(center + max(6.0 * spread, np.log(4.0))))
 
 
-def failed_execution(
-    episode: Episode,
-    *,
-    run: str | None = None,
-    threshold: float | None = None,
-    config: QualityConfig | None = None,
-) -> Flag | None:
+def failed_execution(episode: Episode, config: QualityConfig) -> Flag | None:
     """The flag `failed_execution` if the position MSE is too large, as in the LSTM thesis, 4.2.
 
-    A warning, but where torques are commanded a note: they drive the robot, and its path is only a wish.
+    Too large is more than half of the commanded motion's variance (a robot that never moved has at least all of it),
+    and an RMSE of more than 0.1 rad. A warning, but where torques are commanded a note: they drive the robot, and its
+    path is only a wish.
 
     Args:
-        episode: with commanded positions, or with the simulated run.
-        run: compare with this run instead of the command.
-        threshold: MSE above which the execution failed [rad^2], e.g. `robust_threshold` over a data set. None: more
-            than half of the commanded motion's variance (a robot that never moved has at least all of it), and an
-            RMSE of more than 0.1 rad.
+        episode: with commanded positions.
         config: where those two numbers are.
 
     Raises:
-        MissingSignal: there are no positions to compare.
+        MissingSignal: there are no commanded positions to compare with.
     """
-    config = config or QualityConfig()
-    error = position_mse(episode, run=run)
-    if threshold is None:
-        commanded = [float(np.var(track.command)) for track in tracks(episode) if track.command is not None]
-        asked = float(np.mean(commanded)) if commanded else 0.0
-        threshold = max(config.failed_rad**2, config.failed_share * asked)
+    error = position_mse(episode)
+    asked = float(np.mean([np.var(track.command) for track in tracks(episode) if track.command is not None]))
+    threshold = max(config.failed_rad**2, config.failed_share * asked)
     if error <= threshold:
         return None
-    source = "the command" if run is None else run
     return Flag(
         kind="failed_execution",
         signal="position",
-        detail=f"position MSE against {source} is {error:.3g} rad^2 (RMSE {error**0.5:.3g} rad), above {threshold:.3g}",
+        detail=(
+            f"position MSE against the command is {error:.3g} rad^2 (RMSE {error**0.5:.3g} rad), above {threshold:.3g}"
+        ),
         severity="note" if episode.command is not None and "torque" in episode.command else "warning",
         start_s=float(episode.measured.time_s[0]),
         end_s=float(episode.measured.time_s[-1]),

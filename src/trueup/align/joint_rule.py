@@ -74,22 +74,6 @@ class JointRule:
         target = self.unit or ("rad" if source == "1" and not plain else source)
         return source, target
 
-    def inverse(self) -> JointRule:
-        """The rule that leads back from the robot to the log, in SI units.
-
-        Only a rule with a `log_unit` can undo a change of dimension (a ratio that became an angle).
-        """
-        source, target = (None, None) if self.log_unit is None else self.units(self.log_unit)
-        return JointRule(
-            joint=self.log,
-            log=self.joint,
-            sign=self.sign,
-            scale=1.0 / self.scale,
-            offset=-self.sign * self.offset / self.scale,
-            log_unit=target,
-            unit=source,
-        )
-
     def factor(self, signal: str, unit: str, position_unit: str) -> tuple[float, str]:
         """Factor of one signal of the log into the robot's SI unit, and that unit.
 

@@ -54,13 +54,6 @@ class JointMap:
         """The map that only orders the joints and converts their units to SI."""
         return JointMap(tuple(JointRule(joint=name, log=name) for name in joints))
 
-    def invert(self) -> JointMap:
-        """The map from the robot back to the log: `invert().apply(apply(x))` is x, in SI units.
-
-        Ignored joints do not come back, and a change of dimension is undone only where the rule has a `log_unit`.
-        """
-        return JointMap(tuple(rule.inverse() for rule in self.rules))
-
     def for_series(self, series: TimeSeries) -> JointMap:
         """This map if the series carries the log's names; the identity if it is in the robot's already.
 

@@ -71,5 +71,5 @@ def check_quality(
             flags += frozen_flags(track, config)
         flags += position_limit_flags(track, limits or {}, config)
     flags += saturation_flags(measured, torque_limits, command, config)
-    failed = failed_execution(episode, config=config) if followed else None
+    failed = failed_execution(episode, config) if followed else None
     return tuple(flags if failed is None else [*flags, failed])

@@ -1,4 +1,4 @@
-"""Series on other clocks: interpolation, holding, common grids, derivatives."""
+"""Series on other clocks: interpolation, holding, common grids."""
 
 from __future__ import annotations
 
@@ -75,19 +75,6 @@ def common_grid(*series: TimeSeries, rate_hz: float) -> Float64[np.ndarray, "N"]
         )
     grid = start + np.arange(int((end - start) * rate_hz + 1e-6) + 1) / rate_hz
     return np.asarray(np.minimum(grid, end), dtype=np.float64)
-
-
-def differentiate(
-    values: Float[np.ndarray, "T *rest"], time_s: Float64[np.ndarray, "T"]
-) -> Float[np.ndarray, "T *rest"]:
-    """Time derivative by central differences that are second-order accurate on uneven stamps; one-sided at the ends.
-
-    Raises:
-        DataError: there are fewer than two samples.
-    """
-    if time_s.size < 2:
-        raise DataError("a derivative needs two samples", got=time_s.size)
-    return np.asarray(np.gradient(values, time_s, axis=0))
 
 
 def _brackets(

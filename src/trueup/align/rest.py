@@ -14,18 +14,20 @@ from trueup.errors import DataError
 
 # Fewer samples are commands sent now and then: all motion and no noise.
 _LEAST = 20
+# A joint this far from its first pose has left it [rad, m or share of the range].
+_TOLERANCE = 0.005
 
 
-def moving_span(series: TimeSeries, *, tolerance: float = 0.005) -> tuple[float, float] | None:
+def moving_span(series: TimeSeries) -> tuple[float, float] | None:
     """First and last time at which the series is away from its first and from its last pose [s]; None if never.
 
-    A joint is away when its position differs by more than `tolerance` (rad, m or share of the range) or eight
+    A joint is away when its position differs by more than 0.005 (rad, m or share of the range) or eight
     standard deviations of its noise, whatever is more. Unlike the mean-shift test this never takes a part of a motion
     without rests for a rest. Without positions every signal is looked at, with 2 % of its span as the tolerance.
     """
     if "position" in series:
         values = _filled(series["position"])
-        limit = np.maximum(tolerance, 8.0 * _noise(values))
+        limit = np.maximum(_TOLERANCE, 8.0 * _noise(values))
     else:
         joint = [_filled(values) for name, values in series.signals.items() if not name.startswith(BODY_PREFIX)]
         values = np.concatenate(joint, axis=1) if joint else np.zeros((len(series), 1))
@@ -41,7 +43,7 @@ def moving_span(series: TimeSeries, *, tolerance: float = 0.005) -> tuple[float,
     return float(series.time_s[first]), float(series.time_s[last])
 
 
-def cut_rest(episode: Episode, *, margin_s: float = 0.5, tolerance: float = 0.005) -> Episode:
+def cut_rest(episode: Episode, *, margin_s: float = 0.5) -> Episode:
     """The episode without the rest at its two ends, cut at the same times in all of its series.
 
     It starts `margin_s` before the command or the measurement first moves and ends as long after both have come to
@@ -51,7 +53,6 @@ def cut_rest(episode: Episode, *, margin_s: float = 0.5, tolerance: float = 0.00
     Args:
         episode: command, measured and simulated series are all cut; simulated ones have no say in where.
         margin_s: rest to keep on either side [s].
-        tolerance: see `moving_span`.
 
     Raises:
         DataError: the margin is negative.
@@ -59,7 +60,7 @@ def cut_rest(episode: Episode, *, margin_s: float = 0.5, tolerance: float = 0.00
     if margin_s < 0.0:
         raise DataError("margin_s", got=margin_s, expected="0 or more")
     deciding = [one for one in (episode.measured, episode.command) if one is not None]
-    spans = [span for one in deciding if (span := moving_span(one, tolerance=tolerance)) is not None]
+    spans = [span for one in deciding if (span := moving_span(one)) is not None]
     if not spans:
         return episode
     start = min(first for first, _ in spans) - margin_s

@@ -15,6 +15,11 @@ Indicator = Literal["first", "mean", "norm"]
 
 # Of the largest travel of a joint: what moves less does not start. A simulation without noise never rests exactly.
 _SLIGHTEST = 2e-5
+# Shortest rest before a motion, and length of the window [s], at least 10 samples each: those of the thesis at 100 Hz.
+_REST_S = 0.1
+# Standard deviations. The thesis's 1.6 is left by chance once in ten samples; where the sample before the start does,
+# the start is dated too early.
+_FACTOR = 4.0
 
 
 @dataclass(frozen=True)
@@ -83,14 +88,7 @@ def detect_start(
     return StartDetection(row, float(mean[last] + values[0]), float(deviation[last]))
 
 
-def detect_motion_start(
-    series: TimeSeries,
-    *,
-    signal: str = "position",
-    indicator: Indicator = "first",
-    rest_s: float = 0.1,
-    factor: float = 4.0,
-) -> StartDetection:
+def detect_motion_start(series: TimeSeries, *, indicator: Indicator = "first") -> StartDetection:
     """Row at which a robot leaves its rest.
 
     The thesis averages the positions over the joints first (`mean`), in which joints that move against each other
@@ -99,37 +97,32 @@ def detect_motion_start(
     steps, so that a reading that flickers between two steps is a rest, and beyond 0.002 % of the largest travel.
 
     Args:
-        series: with the signal, (T, J).
-        signal: what is looked at; positions are the least noisy.
+        series: with positions, (T, J).
         indicator: `first`, `mean` or `norm`.
-        rest_s: length of the shortest rest before the motion and of the window [s], at least 10 samples each
-            (0.1 s is 10 samples at the thesis's 100 Hz).
-        factor: standard deviations, see `detect_start`. The thesis's 1.6 is left by chance once in ten samples; where
-            the sample before the start does, the start is dated too early.
 
     Raises:
-        MissingSignal: there is no such signal.
-        DataError: the signal starts with NaN.
+        MissingSignal: there are no positions.
+        DataError: they start with NaN.
     """
-    values = held_over_nan(series[signal].astype(np.float64))
+    values = held_over_nan(series["position"].astype(np.float64))
     if indicator == "mean":
         columns = values.mean(axis=1, keepdims=True)
     elif indicator == "norm":
         columns = np.linalg.norm(values - values[:1], axis=1, keepdims=True)
     else:
         columns = values
-    samples = max(10, round(rest_s * series.rate_hz))
+    samples = max(10, round(_REST_S * series.rate_hz))
     slightest = _SLIGHTEST * float(np.ptp(columns, axis=0).max())
     found = [
         detect_start(
-            column, initial=samples, window=samples, factor=factor, resolution=max(1.5 * quantum(column), slightest)
+            column, initial=samples, window=samples, factor=_FACTOR, resolution=max(1.5 * quantum(column), slightest)
         )
         for column in columns.T
     ]
     return min(found, key=lambda start: len(series) if start.row is None else start.row)
 
 
-def align_starts(measured: TimeSeries, simulated: TimeSeries, *, indicator: Indicator = "first") -> float:
+def align_starts(measured: TimeSeries, simulated: TimeSeries) -> float:
     """How much later the measured motion starts than the simulated one [s]; subtract it from the measured clock.
 
     Raises:
@@ -137,7 +130,7 @@ def align_starts(measured: TimeSeries, simulated: TimeSeries, *, indicator: Indi
     """
     starts = {}
     for name, series in (("measured", measured), ("simulated", simulated)):
-        start = detect_motion_start(series, indicator=indicator)
+        start = detect_motion_start(series)
         if start.row is None:
             hint = "Without a rest before the motion use shift_by_cross_correlation or estimate_delay."
             raise NotIdentifiable(f"the {name} series has no start of motion", hint=hint)

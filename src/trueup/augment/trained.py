@@ -15,7 +15,7 @@ from trueup.deploy import Network, Predictor, Stream, StreamSettings
 
 
 class Trained:
-    """A model folder: an `Augmenter`, a stream for control loops, and what makes a simulator a corrected one.
+    """A model folder: whole motions corrected, a stream for control loops, and what makes a simulator a corrected one.
 
     Args:
         network: an opened model folder.

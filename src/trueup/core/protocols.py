@@ -8,7 +8,6 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from trueup.core.episode import Episode
 from trueup.core.timeseries import TimeSeries
 
 
@@ -77,15 +76,6 @@ class Simulator(Protocol):
 
     def step(self, command: dict[str, Float[np.ndarray, "B J"]]) -> dict[str, Float[np.ndarray, "B J"]]:
         """Advance every copy by one physics step; returns `position`, `velocity` after it and `torque` in it."""
-        ...
-
-
-@runtime_checkable
-class Augmenter(Protocol):
-    """A learned correction that turns simulated signals into what the robot would have measured."""
-
-    def predict(self, episode: Episode, run: str) -> TimeSeries:
-        """The corrected series of one run of an episode, on that run's clock."""
         ...
 
 

@@ -1,7 +1,6 @@
 """Identification: what the simulator has wrong, and how sure that is."""
 
 from trueup.identify.attribution import explain as explain
-from trueup.identify.bench import OnModel as OnModel
 from trueup.identify.candidate import Candidate as Candidate
 from trueup.identify.candidate import Nominal as Nominal
 from trueup.identify.config import IdentifyConfig as IdentifyConfig
@@ -18,6 +17,7 @@ from trueup.identify.quantities import QUANTITIES as QUANTITIES
 from trueup.identify.scoring import judged as judged
 from trueup.identify.segments import SegmentRule as SegmentRule
 from trueup.identify.segments import make_segments as make_segments
+from trueup.identify.solution import OnModel as OnModel
 from trueup.identify.solution import Progress as Progress
 from trueup.identify.solution import SolveSettings as SolveSettings
 from trueup.identify.solve import solve as solve

@@ -12,15 +12,14 @@ from trueup.core.episode import Episode
 from trueup.core.parameters import ParameterSet
 from trueup.core.provenance import provenance
 from trueup.errors import NotIdentifiable
-from trueup.identify.bench import OnModel, usable
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import IdentifyConfig, make_parameters
 from trueup.identify.excitation import excitation_of, freeze_still
 from trueup.identify.problem import Problem, Weights
 from trueup.identify.quantities import Cause, quantity
 from trueup.identify.scoring import Scorer, judged
-from trueup.identify.segments import SegmentRule, left_out, make_segments
-from trueup.identify.solution import OnProgress
+from trueup.identify.segments import left_out, make_segments, usable
+from trueup.identify.solution import OnModel, OnProgress
 from trueup.identify.solve import solve
 from trueup.identify.start import off_bounds, swept_start
 from trueup.robots import RobotSpec
@@ -75,72 +74,23 @@ def explain(
     if not given.fit:
         fit.setdefault("mass", "all")
     sorted_out = {split: usable(own, keep_flagged=settled.data.keep_flagged) for split, own in episodes.items()}
-    logs = {split: own for split, (own, _) in sorted_out.items()}
-    first = Scorer(soft, logs, jobs=jobs, seed=seed)
-    split = next((name for name in ("test", "val", "train") if name in first.splits), None)
-    if split is None or not logs.get("train"):
-        raise NotIdentifiable("there is no motion to fit", hint="Give --splits at import.")
-    scorers = {id(soft): first, id(hard): Scorer(hard, {split: logs[split]}, jobs=jobs, seed=seed)}
-    seen = excitation_of(
-        logs["train"], soft.robot.scored_joints, soft.robot.controller.signal, soft.simulator.torque_limits
-    )
-    data = settled.data
-    rule = SegmentRule(data.window_s, data.cut_s, data.budget_s / 2, data.burn_in_s, seed, soft.robot.replay.settle_s)
-    segments, refused = make_segments(logs["train"], soft.simulator, rule)
-    motions = [segment.episode_id for segment in segments]
-    settings = replace(settled.solver.settings(seed), solver="gauss-newton", starts=1)
-
-    scores = first.score(ParameterSet(()), {}, split)
-    unit = first.unit
-    steps = [AttributionStep("", "the model as it came", (), 0, scores.pooled, scores.estimate(unit))]
-    chosen: dict[str, object] = {}
-    values: dict[str, float] = {}
+    nested = _NestedFits(soft, hard, {split: own for split, (own, _) in sorted_out.items()}, settled, jobs, seed)
+    steps = [nested.nominal_step()]
     for cause, label in _LABELS.items():
         own = {name: choice for name, choice in fit.items() if quantity(name).cause == cause}
-        if not own:
-            continue
-        began = time.perf_counter()
-        chosen |= own
-        nominal = soft if cause in ("delay", "gains") else hard
-        parameters = freeze_still(make_parameters(chosen, nominal, motions), seen)
-        weights = Weights(settled.signals, settled.joints)
-        problem = Problem(nominal, off_bounds(parameters.at(values)), segments, weights=weights, jobs=jobs)
-        # Only what is new is looked for from afar.
-        new = problem.parameters.hold(name for name in problem.parameters.names if name.partition("[")[0] not in own)
-        if new.free:
-            swept = swept_start(problem.with_parameters(new))
-            problem = problem.with_parameters(
-                problem.parameters.at({item.name: item.value for item in swept if not item.frozen})
-            )
-        if problem.parameters.free:
+        if own:
             report = None if on_progress is None else _named(on_progress, label)
-            values = solve(problem, settings, on_progress=report).values
-        scores = scorers[id(nominal)].score(problem.parameters, values, split)
-        steps.append(
-            AttributionStep(
-                cause,
-                label,
-                tuple(own),
-                len(problem.parameters.free),
-                scores.pooled,
-                scores.estimate(unit),
-                time.perf_counter() - began,
-            )
-        )
-    unused: dict[str, dict[str, str]] = {name: dict(own[1]) for name, own in sorted_out.items()}
-    unused["train"] |= {name: error.summary for name, error in refused.items()}
-    for name, own_refused in first.refused.items():
-        unused[name] |= own_refused
+            steps.append(nested.step(cause, label, own, report))
     statements = [
-        *left_out(unused),
-        *seen.statements,
+        *left_out(nested.unused({split: why for split, (_, why) in sorted_out.items()})),
+        *nested.seen.statements,
         "each cause is taken away after those to its left; another order would share the gap differently",
     ]
-    if split == "train":
+    if nested.split == "train":
         statements.insert(0, "scored on the motions that it was fitted to: there are no others")
     return Attribution.of(
-        split,
-        unit,
+        nested.split,
+        nested.unit,
         steps,
         statements=statements,
         provenance=provenance(
@@ -149,6 +99,76 @@ def explain(
             data_hash=data_hash,
         ),
     )
+
+
+class _NestedFits:
+    """Fits of which each has one more cause than the one before, and begins where that one has ended."""
+
+    def __init__(
+        self,
+        soft: Nominal,
+        hard: Nominal,
+        logs: Mapping[str, Sequence[Episode]],
+        config: IdentifyConfig,
+        jobs: int,
+        seed: int,
+    ) -> None:
+        self._soft, self._hard, self._jobs = soft, hard, jobs
+        first = Scorer(soft, logs, jobs=jobs, seed=seed)
+        split = next((name for name in ("test", "val", "train") if name in first.splits), None)
+        if split is None or not logs.get("train"):
+            raise NotIdentifiable("there is no motion to fit", hint="Give --splits at import.")
+        self.split, self.unit, self._unscored = split, first.unit, first.refused
+        self._scorers = {id(soft): first, id(hard): Scorer(hard, {split: logs[split]}, jobs=jobs, seed=seed)}
+        robot = soft.robot
+        self.seen = excitation_of(
+            logs["train"], robot.scored_joints, robot.controller.signal, soft.simulator.torque_limits
+        )
+        rule = replace(config.data, budget_s=config.data.budget_s / 2).rule(robot, seed)
+        self._segments, self._refused = make_segments(logs["train"], soft.simulator, rule)
+        self._weights = Weights(config.signals, config.joints)
+        self._settings = replace(config.solver.settings(seed), solver="gauss-newton", starts=1)
+        self._chosen: dict[str, object] = {}
+        self._values: dict[str, float] = {}
+
+    def nominal_step(self) -> AttributionStep:
+        """The model as it came."""
+        scores = self._scorers[id(self._soft)].score(ParameterSet(()), {}, self.split)
+        return AttributionStep("", "the model as it came", (), 0, scores.pooled, scores.estimate(self.unit))
+
+    def step(
+        self, cause: Cause, label: str, own: Mapping[str, object], on_progress: OnProgress | None
+    ) -> AttributionStep:
+        """Fit the quantities of one more cause and all those before."""
+        began = time.perf_counter()
+        self._chosen |= own
+        nominal = self._soft if cause in ("delay", "gains") else self._hard
+        motions = [segment.episode_id for segment in self._segments]
+        parameters = off_bounds(
+            freeze_still(make_parameters(self._chosen, nominal, motions), self.seen).at(self._values)
+        )
+        problem = Problem(nominal, parameters, self._segments, weights=self._weights, jobs=self._jobs)
+        # Only what is new is looked for from afar.
+        new = parameters.hold(item.name for item in parameters if item.quantity not in own)
+        if new.free:
+            swept = swept_start(problem.with_parameters(new))
+            problem = problem.with_parameters(
+                parameters.at({item.name: item.value for item in swept if not item.frozen})
+            )
+        if parameters.free:
+            self._values = solve(problem, self._settings, on_progress=on_progress).values
+        scores = self._scorers[id(nominal)].score(problem.parameters, self._values, self.split)
+        seconds = time.perf_counter() - began
+        count = len(parameters.free)
+        return AttributionStep(cause, label, tuple(own), count, scores.pooled, scores.estimate(self.unit), seconds)
+
+    def unused(self, flagged: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, str]]:
+        """Split -> motion -> why it was neither fitted nor scored."""
+        found = {name: dict(why) for name, why in flagged.items()}
+        found["train"] |= {name: error.summary for name, error in self._refused.items()}
+        for name, own in self._unscored.items():
+            found[name] |= own
+        return found
 
 
 def _named(on_progress: OnModel, label: str) -> OnProgress:

@@ -13,6 +13,7 @@ from trueup.core.parameters import Parameter, ParameterSet
 from trueup.errors import ConfigError
 from trueup.identify.candidate import Nominal
 from trueup.identify.quantities import Quantity, quantity
+from trueup.identify.segments import SegmentRule
 from trueup.identify.solution import SolverName, SolveSettings
 from trueup.identify.solvers.gauss_newton import GaussNewtonSettings
 from trueup.robots import RobotSpec
@@ -64,6 +65,10 @@ class DataChoice:
     budget_s: float = 200.0
     burn_in_s: float = 1.0
     keep_flagged: bool = False
+
+    def rule(self, robot: RobotSpec, seed: int) -> SegmentRule:
+        """How to cut logs accordingly."""
+        return SegmentRule(self.window_s, self.cut_s, self.budget_s, self.burn_in_s, seed, robot.replay.settle_s)
 
 
 @dataclass(frozen=True)

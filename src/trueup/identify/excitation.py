@@ -22,12 +22,12 @@ class Excitation:
     """What the logs show of each joint.
 
     Attributes:
-        frozen: joints that do not move although they are commanded.
+        stalled: joints that do not move although they are commanded.
         idle: joints that are never told to move, and do not.
         statements: the same in words, and what else is wrong with the logs.
     """
 
-    frozen: tuple[str, ...]
+    stalled: tuple[str, ...]
     idle: tuple[str, ...]
     statements: tuple[str, ...]
 
@@ -63,18 +63,18 @@ def excitation_of(
                 share = float(np.mean(np.abs(asked) >= 0.999 * limit))
                 saturated[joint] += share * episode.measured.duration_s
     still = [joint for joint in joints if moved[joint] < _STILL]
-    frozen = tuple(joint for joint in still if commanded[joint] > 0)
+    stalled = tuple(joint for joint in still if commanded[joint] > 0)
     idle = tuple(joint for joint in still if commanded[joint] == 0)
     if len(still) == len(joints):
         raise NotIdentifiable(
             "no joint moves in these motions",
-            got="a constant command" if not frozen else f"less than {_STILL:g} rad everywhere",
+            got="a constant command" if not stalled else f"less than {_STILL:g} rad everywhere",
             hint="Record motions in which every joint that matters moves and reverses.",
         )
     statements = [
         *(
             f"{joint} does not move although it is commanded: is it stalled? Nothing is fitted for it"
-            for joint in frozen
+            for joint in stalled
         ),
         *(f"{joint} is never moved: nothing is fitted for it" for joint in idle),
         *(
@@ -84,12 +84,12 @@ def excitation_of(
             if share > _SATURATED * seconds
         ),
     ]
-    return Excitation(frozen, idle, tuple(statements))
+    return Excitation(stalled, idle, tuple(statements))
 
 
 def freeze_still(parameters: ParameterSet, excitation: Excitation) -> ParameterSet:
     """The same parameters, those of joints that do not move kept at their value."""
-    still = {*excitation.frozen, *excitation.idle}
+    still = {*excitation.stalled, *excitation.idle}
     return parameters.freeze(
         parameter.name
         for parameter in parameters

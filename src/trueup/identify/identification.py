@@ -10,11 +10,12 @@ from trueup.core.episode import Episode
 from trueup.core.fit_result import FitResult
 from trueup.core.parameters import ParameterSet
 from trueup.core.provenance import provenance
-from trueup.identify.bench import Bench, OnModel
 from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.config import IdentifyConfig
+from trueup.identify.model_search import ModelSearch
 from trueup.identify.problem import Problem
 from trueup.identify.scoring import Scorer, judged
+from trueup.identify.solution import OnModel
 from trueup.identify.uncertainty import Posterior, fitted_parameters, open_directions, whiteness_of
 from trueup.identify.verdict import correlations, verdict
 from trueup.robots import RobotSpec
@@ -78,12 +79,14 @@ def identify(
     """
     robot = judged(robot, config)
     nominal = Nominal(robot, model)
-    bench = Bench(nominal, episodes, config, jobs=jobs, seed=seed, checkpoints=checkpoints, on_progress=on_progress)
-    best, attempts = bench.climb()
-    solution, problem, posterior = best.solution, bench.problem_of(best), bench.posterior_of(best).of_model()
+    search = ModelSearch(
+        nominal, episodes, config, jobs=jobs, seed=seed, checkpoints=checkpoints, on_progress=on_progress
+    )
+    best, tried = search.climb()
+    solution, problem, posterior = best.solution, search.problem_of(best), search.posterior_of(best).of_model()
     parameters = fitted_parameters(posterior)
-    rows = tuple(bench.scored_row(item, chosen=item is best) for item in attempts)
-    soft = Scorer(Nominal(robot, model, hard_friction=False), bench.usable, jobs=jobs, seed=seed)
+    rows = tuple(search.scored_row(item, chosen=item is best) for item in tried)
+    soft = Scorer(Nominal(robot, model, hard_friction=False), search.usable, jobs=jobs, seed=seed)
     errors = {
         "nominal": {split: soft.score(ParameterSet(()), {}, split).estimate(soft.unit) for split in soft.splits},
         "fitted": dict(next(row for row in rows if row.chosen).splits),
@@ -92,23 +95,23 @@ def identify(
         solution,
         parameters,
         errors,
-        (*bench.seen.statements, *bench.notes),
-        chosen_by_user=bench.chosen_by_user,
-        torque_seen=bench.torque_seen,
+        (*search.seen.statements, *search.notes),
+        chosen_by_user=search.chosen_by_user,
+        torque_seen=search.torque_seen,
     )
     result = FitResult(
         status=status,
         statements=statements,
-        solver={**solution.solver, "why": bench.why},
+        solver={**solution.solver, "why": search.why},
         parameters=parameters,
         correlation=correlations(posterior),
         directions=open_directions(posterior),
         whiteness=whiteness_of(problem, solution.residual),
         models=rows,
         errors=errors,
-        data={**bench.data, "encoder_zeros": bench.encoder_zeros(best)},
+        data={**search.data, "encoder_zeros": search.encoder_zeros(best)},
         provenance=provenance(
-            config={"robot": robot.to_dict(), "model": model.name, "identify": bench.config.to_json()},
+            config={"robot": robot.to_dict(), "model": model.name, "identify": search.config.to_json()},
             seed=seed,
             data_hash=data_hash,
         ),

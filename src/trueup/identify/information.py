@@ -15,7 +15,7 @@ from trueup.core.units import joint_unit
 from trueup.errors import ConfigError, NotIdentifiable
 from trueup.identify.candidate import Nominal
 from trueup.identify.problem import Problem, Weights
-from trueup.identify.search import Clock, Search
+from trueup.identify.search import Search, Stopwatch
 from trueup.identify.segments import SegmentRule, make_segments
 from trueup.identify.solution import SolveSettings
 from trueup.identify.uncertainty import model_part, of_model
@@ -120,7 +120,7 @@ class PlannedInformation:
         std = np.empty(problem.size)
         for _, signal, rows in problem.by_segment(std):
             rows[:] = self._std[signal][problem.columns] * problem.scale
-        search = Search(problem, SolveSettings(), Clock(), checkpoint=None, on_progress=None)
+        search = Search(problem, SolveSettings(), Stopwatch(), checkpoint=None, on_progress=None)
         jacobian = search.start_jacobian() / std
         return of_model(self._all, jacobian @ jacobian.T)
 

@@ -35,7 +35,7 @@ HARDLY = 0.01
 _LONGER, _SAME = 10.0, 0.5
 
 
-class Clock:
+class Stopwatch:
     """Seconds of a search, those before an interruption included."""
 
     def __init__(self) -> None:
@@ -88,7 +88,7 @@ class Search:
         self,
         problem: Problem,
         settings: SolveSettings,
-        clock: Clock,
+        clock: Stopwatch,
         *,
         checkpoint: Path | None,
         on_progress: OnProgress | None,
@@ -193,7 +193,7 @@ class Search:
             raise DataError("no candidate could be simulated", got=result.stop.text)
         search = self._derivatives(GaussNewtonState(result.z))
         jacobian = search.final_jacobian()
-        stop = "converged" if result.stop.kind in ("converged", "stalled", "target") else result.stop.kind
+        stop = "converged" if result.stop.kind in ("converged", "stalled") else result.stop.kind
         return self._solution(name, stop, len(steps), search, jacobian)
 
     def _open(self, phase: str) -> tuple[Checkpoint, dict[str, Any]]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Int
 
-from trueup.core.episode import Episode
+from trueup.core.episode import Episode, warning_kinds
 from trueup.core.hold import held_rows
 from trueup.core.protocols import Simulator
 from trueup.errors import DataError, TrueupError
@@ -115,6 +115,14 @@ def make_segments(
         first = next(iter(refused.values()), "there are no episodes")
         raise DataError("there is nothing to fit", got=first, expected="at least one motion with commands")
     return segments, refused
+
+
+def usable(logs: Sequence[Episode], *, keep_flagged: bool) -> tuple[list[Episode], dict[str, str]]:
+    """The motions without quality warnings, and why the others are left out."""
+    flagged = (
+        {} if keep_flagged else {log.id: ", ".join(warning_kinds(log.meta.flags)) for log in logs if log.meta.warned}
+    )
+    return [log for log in logs if log.id not in flagged], flagged
 
 
 def left_out(reasons: Mapping[str, Mapping[str, str]], *, most: int = 4) -> list[str]:

@@ -46,6 +46,8 @@ class Progress:
 
 
 OnProgress = Callable[[Progress], None]
+# Name of the model, then how its search goes on.
+OnModel = Callable[[str, Progress], None]
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from trueup.errors import DataError
 from trueup.identify.problem import Problem
-from trueup.identify.search import HARDLY, Clock, Search, space_of
+from trueup.identify.search import HARDLY, Search, Stopwatch, space_of
 from trueup.identify.solution import OnProgress, Solution, SolveSettings
 from trueup.identify.solvers import compare_ends, draw_starts
 
@@ -47,7 +47,7 @@ def solve(
 
     def from_start(own: Problem, name: str) -> Solution:
         path = checkpoint.with_name(f"{checkpoint.stem}{name}.json") if checkpoint else None
-        search = Search(own, settings, Clock(), checkpoint=path, on_progress=on_progress)
+        search = Search(own, settings, Stopwatch(), checkpoint=path, on_progress=on_progress)
         match settings.solver:
             case "cma-es" | "evolution":
                 return search.derivative_free(settings.solver)

@@ -20,7 +20,6 @@ from trueup.sim.stepping import engine_step
 # Rows of the log.
 POSITION, VELOCITY, TORQUE, MOTOR_POSITION, MOTOR_TORQUE, RISE = range(6)
 LOGGED = 6
-NEVER = 2**62
 
 # A joint with its brake on: stiff enough not to be seen, soft enough for the physics step.
 _BRAKE_STIFFNESS, _BRAKE_DAMPING = 2e4, 50.0
@@ -156,8 +155,9 @@ def compiled() -> tuple[Any, Any]:
     knows.
     """
     weigh = numba.njit(nogil=True)(_plain(_weigh))
-    friction = numba.njit(**_INNER)(_plain(friction_level))
-    return numba.njit(nogil=True)(_plain(_loop(engine_step(), weigh, friction))), weigh
+    friction, receive, control = (numba.njit(**_INNER)(_plain(own)) for own in (friction_level, _receive, _control))
+    joint = numba.njit(**_INNER)(_plain(_joint_of(friction)))
+    return numba.njit(nogil=True)(_plain(_loop(engine_step(), weigh, receive, control, joint))), weigh
 
 
 def _plain(function: Any) -> Any:
@@ -223,64 +223,63 @@ def _weigh(engine: Engine, numbers: np.ndarray, state: State) -> None:
         ].gravity_offset_nm
 
 
-def _loop(step: Any, weigh: Any, friction: Any) -> Any:
-    """The loop over control steps, with the functions that it calls."""
-    brake_stiffness, brake_damping, bristle_s = _BRAKE_STIFFNESS, _BRAKE_DAMPING, _BRISTLE_S
-    position, velocity, torque = POSITION, VELOCITY, TORQUE
-    motor_position, motor_torque, rise = MOTOR_POSITION, MOTOR_TORQUE, RISE
-
-    def receive(settings: Settings, state: State, orders: Orders, k: int) -> None:
-        """Send this step's command on its way, and take those that have arrived."""
-        counters, slots = state.counters, state.arrival.size
-        tick = counters[0]
-        slot = tick % slots
-        lag = math.ceil(settings.delay + settings.jitter * orders.jitter[k] - 1e-9)
-        counters[2] = max(counters[2], tick + lag)
-        # Element by element: for a whole row numba compiles the text of an error about shapes, which takes seconds.
+def _receive(settings: Settings, state: State, orders: Orders, k: int) -> None:
+    """Send this step's command on its way, and take those that have arrived."""
+    counters, slots = state.counters, state.arrival.size
+    tick = counters[0]
+    slot = tick % slots
+    lag = math.ceil(settings.delay + settings.jitter * orders.jitter[k] - 1e-9)
+    counters[2] = max(counters[2], tick + lag)
+    # Element by element: for a whole row numba compiles the text of an error about shapes, which takes seconds.
+    for signal in range(2):
+        for j in range(state.joints.size):
+            state.ring[slot, signal, j] = orders.command[k, signal, j]
+    state.ring_velocity[slot] = orders.with_velocity
+    state.arrival[slot] = counters[2]
+    while counters[1] <= tick and state.arrival[counters[1] % slots] <= tick:
+        slot = counters[1] % slots
         for signal in range(2):
             for j in range(state.joints.size):
-                state.ring[slot, signal, j] = orders.command[k, signal, j]
-        state.ring_velocity[slot] = orders.with_velocity
-        state.arrival[slot] = counters[2]
-        while counters[1] <= tick and state.arrival[counters[1] % slots] <= tick:
-            slot = counters[1] % slots
-            for signal in range(2):
-                for j in range(state.joints.size):
-                    state.active[signal, j] = state.ring[slot, signal, j]
-            state.follows_velocity[0] = state.ring_velocity[slot]
-            counters[1] += 1
+                state.active[signal, j] = state.ring[slot, signal, j]
+        state.follows_velocity[0] = state.ring_velocity[slot]
+        counters[1] += 1
 
-    def control(engine: Engine, numbers: np.ndarray, settings: Settings, state: State, stopped: bool) -> None:  # noqa: FBT001
-        """Motor torques from commands and from what the motors' own sensors say."""
-        control_step_s = settings.physics_step_s * settings.steps
-        for j in range(engine.column.size):
-            rate = 0.0
-            if settings.torque_control:
-                wanted = state.active[0, j] + state.joints[j].weight
+
+def _control(engine: Engine, numbers: np.ndarray, settings: Settings, state: State, stopped: bool) -> None:  # noqa: FBT001
+    """Motor torques from commands and from what the motors' own sensors say."""
+    control_step_s = settings.physics_step_s * settings.steps
+    for j in range(engine.column.size):
+        rate = 0.0
+        if settings.torque_control:
+            wanted = state.active[0, j] + state.joints[j].weight
+        else:
+            if state.follows_velocity[0]:
+                state.joints[j].reference = state.active[0, j]
+                rate = state.active[1, j]
             else:
-                if state.follows_velocity[0]:
-                    state.joints[j].reference = state.active[0, j]
-                    rate = state.active[1, j]
-                else:
-                    way = settings.smoothing * (state.active[0, j] - state.joints[j].reference)
-                    state.joints[j].reference += way
-                    rate = way / control_step_s
-                place = state.joints[j].motor_position
-                if numbers[j].stiffness > 0.0:
-                    place -= state.joints[j].weight / numbers[j].stiffness
-                wanted = (
-                    numbers[j].kp * (state.joints[j].reference - place)
-                    + numbers[j].kd * (rate - state.joints[j].motor_velocity)
-                    + state.joints[j].weight
-                )
-            if stopped:
-                wanted = state.joints[j].weight
-            change = numbers[j].torque_rate
-            wanted = min(max(wanted, state.joints[j].drive - change), state.joints[j].drive + change)
-            limit = numbers[j].torque_limit
-            if wanted * state.joints[j].motor_velocity > 0.0:
-                limit *= max(0.0, 1.0 - abs(state.joints[j].motor_velocity) / numbers[j].no_load_speed)
-            state.joints[j].drive = min(max(wanted, -limit), limit)
+                way = settings.smoothing * (state.active[0, j] - state.joints[j].reference)
+                state.joints[j].reference += way
+                rate = way / control_step_s
+            place = state.joints[j].motor_position
+            if numbers[j].stiffness > 0.0:
+                place -= state.joints[j].weight / numbers[j].stiffness
+            wanted = (
+                numbers[j].kp * (state.joints[j].reference - place)
+                + numbers[j].kd * (rate - state.joints[j].motor_velocity)
+                + state.joints[j].weight
+            )
+        if stopped:
+            wanted = state.joints[j].weight
+        change = numbers[j].torque_rate
+        wanted = min(max(wanted, state.joints[j].drive - change), state.joints[j].drive + change)
+        limit = numbers[j].torque_limit
+        if wanted * state.joints[j].motor_velocity > 0.0:
+            limit *= max(0.0, 1.0 - abs(state.joints[j].motor_velocity) / numbers[j].no_load_speed)
+        state.joints[j].drive = min(max(wanted, -limit), limit)
+
+
+def _joint_of(friction: Any) -> Any:
+    """The physics of one joint, with the friction that it calls."""
 
     def joint(
         engine: Engine, numbers: np.ndarray, settings: Settings, state: State, j: int, brake: float
@@ -331,11 +330,11 @@ def _loop(step: Any, weigh: Any, friction: Any) -> Any:
         else:
             pull = drive
             total = level + held
-        stiff, damp = numbers[j].bristle_stiffness, bristle_s * numbers[j].bristle_stiffness
+        stiff, damp = numbers[j].bristle_stiffness, _BRISTLE_S * numbers[j].bristle_stiffness
         if not elastic and brake > 0.0:
-            stiff, damp = brake_stiffness, brake_damping
+            stiff, damp = _BRAKE_STIFFNESS, _BRAKE_DAMPING
         elif not elastic and stiff == 0.0 and total > 0.0:
-            stiff, damp = brake_stiffness, 0.0
+            stiff, damp = _BRAKE_STIFFNESS, 0.0
         # A spring that slips when it carries all that friction can: no creep below that, and stable at any speed.
         most_bent = total / stiff if stiff > 0.0 else 0.0
         after = min(max(bent, -most_bent), most_bent)
@@ -347,9 +346,11 @@ def _loop(step: Any, weigh: Any, friction: Any) -> Any:
             state.joints[j].spring = drive - (brakes * held / total if total > 0.0 else 0.0)
         return pull - brakes, lost
 
-    compiled_joint = numba.njit(**_INNER)(_plain(joint))
-    compiled_control = numba.njit(**_INNER)(_plain(control))
-    compiled_receive = numba.njit(**_INNER)(_plain(receive))
+    return joint
+
+
+def _loop(step: Any, weigh: Any, receive: Any, control: Any, joint: Any) -> Any:
+    """The loop over control steps, with the functions that it calls."""
 
     def advance(
         engine: Engine, numbers: np.ndarray, settings: Settings, state: State, orders: Orders, log: np.ndarray
@@ -361,7 +362,7 @@ def _loop(step: Any, weigh: Any, friction: Any) -> Any:
             stopped = tick >= orders.stop
             if stopped and orders.until_stop:
                 return k
-            compiled_receive(settings, state, orders, k)
+            receive(settings, state, orders, k)
             for j in range(joints):
                 brake[j] = numbers[j].brake_nm if stopped else 0.0
                 power[j] = 0.0
@@ -370,12 +371,10 @@ def _loop(step: Any, weigh: Any, friction: Any) -> Any:
                 if orders.stalls[f, 1] <= tick < orders.stalls[f, 2]:
                     brake[orders.stalls[f, 0]] = numbers[orders.stalls[f, 0]].brake_nm
             weigh(engine, numbers, state)
-            compiled_control(engine, numbers, settings, state, stopped)
+            control(engine, numbers, settings, state, stopped)
             for _ in range(settings.steps):
                 for j in range(joints):
-                    engine.applied[engine.column[j]], lost = compiled_joint(
-                        engine, numbers, settings, state, j, brake[j]
-                    )
+                    engine.applied[engine.column[j]], lost = joint(engine, numbers, settings, state, j, brake[j])
                     power[j] += lost / settings.steps
                 step(engine.model, engine.data)
                 for j in range(joints):
@@ -393,12 +392,12 @@ def _loop(step: Any, weigh: Any, friction: Any) -> Any:
                 watts = power[j] + numbers[j].copper * state.joints[j].drive ** 2
                 warm = settings.rise_k_per_w * watts - state.joints[j].rise
                 state.joints[j].rise += dt * settings.steps / settings.time_constant_s * warm
-                log[k, position, j] = engine.qpos[i]
-                log[k, velocity, j] = engine.qvel[i]
-                log[k, torque, j] = state.joints[j].spring
-                log[k, motor_position, j] = state.joints[j].motor_position
-                log[k, motor_torque, j] = state.joints[j].drive
-                log[k, rise, j] = state.joints[j].rise
+                log[k, POSITION, j] = engine.qpos[i]
+                log[k, VELOCITY, j] = engine.qvel[i]
+                log[k, TORQUE, j] = state.joints[j].spring
+                log[k, MOTOR_POSITION, j] = state.joints[j].motor_position
+                log[k, MOTOR_TORQUE, j] = state.joints[j].drive
+                log[k, RISE, j] = state.joints[j].rise
             state.counters[0] = tick + 1
         return int(orders.command.shape[0])
 

@@ -197,11 +197,11 @@ class AnalysisBuilder:
         return curves
 
 
-def lags_of(result: GapResult, *, split: str = "all", signal: str = "position") -> dict[str, dict[str, Lag]]:
+def lags_of(result: GapResult) -> dict[str, dict[str, Lag]]:
     """Run (also `command`) -> joint -> mean lag of the measured motion behind it, from the metric `phase_lag`."""
     lags = {}
     for label, splits in result.runs.items():
-        found = splits.get(split, {}).get(signal, {}).get("phase_lag")
+        found = splits.get("all", {}).get("position", {}).get("phase_lag")
         if found is not None:
             lags[label] = {
                 joint: Lag(value_s=item.value, low_s=item.low, high_s=item.high)

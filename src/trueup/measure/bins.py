@@ -9,6 +9,8 @@ from jaxtyping import Float, Float64, Int
 
 from trueup.measure.columns import quantiles
 
+_FEWEST = 5  # samples of a bin that has a median
+
 
 class BinnedError(NamedTuple):
     """The distribution of |residual| of one joint in bins of another quantity.
@@ -46,19 +48,17 @@ class HorizonError(NamedTuple):
         return np.asarray(np.sqrt(result))
 
 
-def binned_error(
-    driver: Float[np.ndarray, "T"], residual: Float[np.ndarray, "T"], *, bins: int = 12, min_count: int = 5
-) -> BinnedError:
+def binned_error(driver: Float[np.ndarray, "T"], residual: Float[np.ndarray, "T"], *, bins: int = 12) -> BinnedError:
     """Median and quartiles of |residual| in bins of equal width of a driver, e.g. velocity, position or load.
 
     The bins span the 1st to the 99th percentile of the driver, so that a few spikes do not push everything into
-    one bin; what lies outside counts in the outermost bins. A driver that does not vary has one bin.
+    one bin; what lies outside counts in the outermost bins. Bins with
+    fewer than five samples have no median. A driver that does not vary has one bin.
 
     Args:
         driver: shape (T,); samples that are not finite here or in the residual are left out.
         residual: shape (T,), measured - simulated.
         bins: number of bins; more of them show more detail and are noisier.
-        min_count: bins with fewer samples than this have no median.
     """
     valid = np.isfinite(driver) & np.isfinite(residual)
     x = driver[valid].astype(np.float64)
@@ -75,7 +75,7 @@ def binned_error(
     count = np.bincount(slot, minlength=bins)
     quartiles = np.full((3, bins), np.nan)
     for number, part in enumerate(np.split(size[order], np.cumsum(count)[:-1])):
-        if part.size >= max(min_count, 1):
+        if part.size >= _FEWEST:
             quartiles[:, number] = quantiles(part[:, None], (0.25, 0.5, 0.75))[:, 0]
     return BinnedError(0.5 * (edges[1:] + edges[:-1]), quartiles[1], quartiles[0], quartiles[2], count)
 

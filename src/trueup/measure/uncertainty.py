@@ -45,7 +45,7 @@ _CELLS = 4_000_000  # size of a block of draws x episodes
 
 
 def bootstrap_interval(
-    values: Float64[np.ndarray, "E K"], *, draws: int = 2000, seed: int = 0, level: float = LEVEL
+    values: Float64[np.ndarray, "E K"], *, draws: int = 2000, seed: int = 0
 ) -> tuple[Float64[np.ndarray, "K"], Float64[np.ndarray, "K"]]:
     """Intervals of the means of K columns over E episodes.
 
@@ -56,7 +56,6 @@ def bootstrap_interval(
             of this column.
         draws: number of resamples B; fewer make the ends noisy.
         seed: seed of the resamples.
-        level: nominal coverage.
 
     Returns:
         Lower and upper ends, shape (K,) each; NaN for columns with fewer than two values.
@@ -72,9 +71,9 @@ def bootstrap_interval(
     if not enough.any():
         return np.full(len(count), np.nan), np.full(len(count), np.nan)
     means = np.sort(_resampled_means(values, valid, draws, seed), axis=1)  # NaN goes last
-    low, high = _percentiles(means, np.maximum(count, 2), level)
+    low, high = _percentiles(means, np.maximum(count, 2))
 
-    center, half = _student(values, valid, level)
+    center, half = _student(values, valid)
     few = count < FEW_EPISODES
     low = np.where(few, np.minimum(low, center - half), low)
     high = np.where(few, np.maximum(high, center + half), high)
@@ -138,7 +137,6 @@ def ratio_interval(
     *,
     draws: int = 2000,
     seed: int = 0,
-    level: float = LEVEL,
 ) -> tuple[Float64[np.ndarray, "K"], Float64[np.ndarray, "K"], Float64[np.ndarray, "K"]]:
     """K ratios of sums over E episodes, e.g. a squared error pooled over samples, with intervals.
 
@@ -151,7 +149,6 @@ def ratio_interval(
         denominator: likewise, shape (E, K), none negative; 0 where an episode has no say in a column.
         draws: number of resamples B.
         seed: seed of the resamples; equal seeds and E give equal draws.
-        level: nominal coverage.
 
     Returns:
         Ratios, lower and upper ends, shape (K,) each. A ratio is NaN where no episode has a say, its ends where fewer
@@ -171,11 +168,11 @@ def ratio_interval(
     both = np.concatenate([numerator, denominator], axis=1)
     means = _resampled_means(both, np.ones_like(both, dtype=bool), draws, seed)
     ratios = np.sort(_quotient(means[: len(count)], means[len(count) :]), axis=1)
-    low, high = _percentiles(ratios, np.maximum(count, 2), level)
+    low, high = _percentiles(ratios, np.maximum(count, 2))
 
     pull = np.where(known, numerator - np.where(enough, value, 0.0) * denominator, 0.0)
     pull /= np.where(enough, denominator.sum(axis=0), 1.0) / np.maximum(count, 1)
-    _, half = _student(pull, known, level)
+    _, half = _student(pull, known)
     few = count < FEW_EPISODES
     low = np.where(few, np.fmin(low, value - half), low)
     high = np.where(few, np.fmax(high, value + half), high)
@@ -199,10 +196,10 @@ def _quotient(above: np.ndarray, below: np.ndarray) -> np.ndarray:
 
 
 def _percentiles(
-    ordered: Float64[np.ndarray, "K B"], count: np.ndarray, level: float
+    ordered: Float64[np.ndarray, "K B"], count: np.ndarray
 ) -> tuple[Float64[np.ndarray, "K"], Float64[np.ndarray, "K"]]:
     """The expanded percentiles of sorted draws from `count` episodes; draws that are NaN come last and do not count."""
-    tail = _expanded_tail(count, level)
+    tail = _expanded_tail(count)
     last = np.maximum((~np.isnan(ordered)).sum(axis=1) - 1, 0)
     return _interpolate(ordered, tail * last), _interpolate(ordered, (1.0 - tail) * last)
 
@@ -228,21 +225,21 @@ def _resampled_means(
     return means
 
 
-def _expanded_tail(count: np.ndarray, level: float) -> Float64[np.ndarray, "K"]:
+def _expanded_tail(count: np.ndarray) -> Float64[np.ndarray, "K"]:
     """The tail probability at which a quantile of the bootstrap means is taken, for n values."""
-    quantile = stdtrit(count - 1, 0.5 * (1.0 - level))
+    quantile = stdtrit(count - 1, 0.5 * (1.0 - LEVEL))
     return np.asarray(ndtr(np.sqrt(count / (count - 1)) * quantile))
 
 
 def _student(
-    values: Float64[np.ndarray, "E K"], valid: Bool[np.ndarray, "E K"], level: float
+    values: Float64[np.ndarray, "E K"], valid: Bool[np.ndarray, "E K"]
 ) -> tuple[Float64[np.ndarray, "K"], Float64[np.ndarray, "K"]]:
     """Mean and half width of Student's t interval; columns with fewer than two values get anything."""
     count = np.maximum(valid.sum(axis=0), 2)
     center = np.where(valid, values, 0.0).sum(axis=0) / count
     squares = np.where(valid, values - center, 0.0) ** 2
     deviation = np.sqrt(squares.sum(axis=0) / (count - 1))
-    return center, -stdtrit(count - 1, 0.5 * (1.0 - level)) * deviation / np.sqrt(count)
+    return center, -stdtrit(count - 1, 0.5 * (1.0 - LEVEL)) * deviation / np.sqrt(count)
 
 
 def _interpolate(ordered: Float64[np.ndarray, "K B"], position: Float64[np.ndarray, "K"]) -> Float64[np.ndarray, "K"]:

@@ -51,10 +51,6 @@ class JointLimits:
                 row = int(np.argmax(wrong))
                 raise ConfigError(f"the {name} limit of joint {self.joints[row]!r} must be positive", got=values[row])
 
-    def shrunk(self, margin: float) -> JointLimits:
-        """The same with position ranges that are smaller by a margin [rad or m] at both ends."""
-        return replace(self, low=self.low + margin, high=self.high - margin)
-
     def scaled(self, velocity: float, acceleration: float) -> JointLimits:
         """The same with shares of the speeds and accelerations.
 

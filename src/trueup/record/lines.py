@@ -91,7 +91,6 @@ def random_line(
     velocity_share: float,
     length_m: tuple[float, float] = (0.1, 0.4),
     settings: MotionSettings | None = None,
-    id: str = "",
 ) -> Plan:
     """A line of random start, direction and length in a plane of the world.
 
@@ -111,7 +110,7 @@ def random_line(
         start, angle, length = drawn
         displacement = np.zeros(3)
         displacement[axes] = length * np.cos(angle), length * np.sin(angle)
-        line = cartesian_line(scene, start, displacement, velocity_share=velocity_share, settings=settings, id=id)
+        line = cartesian_line(scene, start, displacement, velocity_share=velocity_share, settings=settings)
         return replace(line, details={**line.details, "plane": plane, "length_m": length})
 
     return first_plan(draw, plan, settings.attempts, f"line in the {plane} plane")

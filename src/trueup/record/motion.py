@@ -59,8 +59,8 @@ def as_plan(
     *,
     kind: str,
     moving: Sequence[str],
-    id: str = "",
-    details: Mapping[str, Any] | None = None,
+    id: str,
+    details: Mapping[str, Any],
 ) -> Plan:
     """A profile with rest around it, as a plan that has passed every check.
 
@@ -82,7 +82,7 @@ def as_plan(
         start_s=rest * clock.timestep_s,
         end_s=(count - 1 - rest) * clock.timestep_s,
         condition=kind,
-        details=dict(details or {}),
+        details=dict(details),
         length_units=scene.length_units,
     )
     return require_valid(plan, scene.limits, scene)
@@ -185,7 +185,6 @@ def random_joint_motion(
     *,
     velocity_share: float,
     settings: MotionSettings | None = None,
-    id: str = "",
 ) -> Plan:
     """A motion of some joints from a random pose to a random goal (LSTM thesis, algorithm 3).
 
@@ -215,7 +214,7 @@ def random_joint_motion(
         if np.any(np.abs(goal - start)[columns] < 0.02 * (inner.high - inner.low)[columns]):
             return None
         return joint_motion(
-            scene, start, goal, moving=moving, velocity_share=velocity_share, seed=seed, settings=settings, id=id
+            scene, start, goal, moving=moving, velocity_share=velocity_share, seed=seed, settings=settings
         )
 
     return first_plan(draw, plan, settings.attempts, f"motion of {list(moving)}")

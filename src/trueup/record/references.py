@@ -187,7 +187,6 @@ def random_reference(
     velocity_share: float,
     reference: ReferenceSettings | None = None,
     settings: MotionSettings | None = None,
-    id: str = "",
 ) -> Plan:
     """Random functions of one kind around a random pose.
 
@@ -206,14 +205,7 @@ def random_reference(
     def plan(drawn: functions_of_pose) -> Plan:
         center, functions = drawn
         return function_reference(
-            scene,
-            functions,
-            center,
-            kind=kind,
-            velocity_share=velocity_share,
-            reference=reference,
-            settings=settings,
-            id=id,
+            scene, functions, center, kind=kind, velocity_share=velocity_share, reference=reference, settings=settings
         )
 
     return first_plan(draw, plan, settings.attempts, f"{kind} reference")

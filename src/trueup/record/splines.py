@@ -16,10 +16,14 @@ from trueup.record.profile import ClockSettings, Profile, averaged
 from trueup.record.scene import Scene
 
 ORDERS = (0, 1, 2, 3, 4)
+# Of random splines: control points, and half the length of the edges of the cube that they are drawn from [m].
+_CONTROL_POINTS, _EXTENT_M = 8, 0.2
 # Poses are computed at so many points of each span; a spline of degree 0 needs one.
 _POINTS = 24
 # What jumps or bends is smoothed over this share of a span, twice: velocities and accelerations have limits.
 _SMOOTHED = 0.5
+# Time from one knot to the next, at least [s].
+_SPAN_S = 0.6
 
 
 def b_spline(points: Float64[np.ndarray, "K 3"], order: int) -> Any:
@@ -44,7 +48,6 @@ def spline_reference(
     points: Float64[np.ndarray, "K 3"],
     order: int,
     *,
-    span_s: float = 0.6,
     velocity_share: float = 1.0,
     settings: MotionSettings | None = None,
     id: str = "",
@@ -59,26 +62,23 @@ def spline_reference(
         start: pose from which inverse kinematics begins, (J,) [rad or m].
         points: control points, relative to the end effector in `start` [m].
         order: degree of the spline, 0 to 4.
-        span_s: time from one knot to the next, at least [s].
         velocity_share: share of the velocity limits, above 0, up to 1.
         settings: clock and share of the acceleration limits.
         id: of the plan.
 
     Raises:
-        ConfigError: an unknown order, too few points, a time that is not positive.
+        ConfigError: an unknown order, too few points.
         NoPlan: a point is out of reach, or something is in the way.
     """
     settings = settings or MotionSettings()
     limits = scene.limits.scaled(velocity_share, settings.acceleration_share)
-    if not span_s > 0:
-        raise ConfigError("span_s must be positive", got=span_s)
     curve = b_spline(points, order)
     spans = len(points) - order
     origin, _ = scene.pose(start)
     solver = InverseKinematics(scene, hold_rotation=False)
     where = _parameters(spans, order)
     poses = solver.follow(start, origin + curve(where), jumps=True)
-    profile, span_s = _within(_reference(where, poses, order), limits, settings.clock, spans, span_s)
+    profile, span_s = _within(_reference(where, poses, order), limits, settings.clock, spans)
     details = {
         "velocity_share": velocity_share,
         "order": order,
@@ -104,10 +104,9 @@ def _reference(where: Float64[np.ndarray, "N"], poses: Float64[np.ndarray, "N J"
     return make_interp_spline(where, poses, k=1 if order == 1 else 3)
 
 
-def _within(
-    reference: Any, limits: JointLimits, clock: ClockSettings, spans: int, span_s: float
-) -> tuple[Profile, float]:
+def _within(reference: Any, limits: JointLimits, clock: ClockSettings, spans: int) -> tuple[Profile, float]:
     """The reference, smoothed, and slow enough for the limits; and the time of a span that this takes."""
+    span_s = _SPAN_S
     for _ in range(20):
         count = max(1, round(spans * span_s * clock.rate_hz))
         steps = max(1, round(_SMOOTHED * span_s * clock.rate_hz))
@@ -129,10 +128,7 @@ def random_spline(
     rng: np.random.Generator,
     *,
     velocity_share: float,
-    points: int = 8,
-    extent_m: float = 0.2,
     settings: MotionSettings | None = None,
-    id: str = "",
 ) -> Plan:
     """A B-spline whose control points are drawn from a cube around the end effector in a random pose.
 
@@ -141,25 +137,20 @@ def random_spline(
         order: degree of the spline, 0 to 4.
         rng: of all draws.
         velocity_share: share of the velocity limits.
-        points: number of control points.
-        extent_m: half the length of the cube's edges [m].
         settings: clock, share of the acceleration limits, attempts.
-        id: of the plan.
 
     Raises:
-        ConfigError: an unknown order, too few points, an extent that is not positive.
+        ConfigError: an unknown order.
         NoPlan: none of the attempts led to a motion.
     """
     settings = settings or MotionSettings()
-    if not extent_m > 0:
-        raise ConfigError("extent_m must be positive", got=extent_m)
-    b_spline(np.zeros((points, 3)), order)
+    b_spline(np.zeros((_CONTROL_POINTS, 3)), order)
 
     def draw() -> tuple[Float64[np.ndarray, "J"], Float64[np.ndarray, "K 3"]]:
-        return random_pose(scene, rng), rng.uniform(-extent_m, extent_m, (points, 3))
+        return random_pose(scene, rng), rng.uniform(-_EXTENT_M, _EXTENT_M, (_CONTROL_POINTS, 3))
 
     def plan(drawn: tuple[Float64[np.ndarray, "J"], Float64[np.ndarray, "K 3"]]) -> Plan:
         start, offsets = drawn
-        return spline_reference(scene, start, offsets, order, velocity_share=velocity_share, settings=settings, id=id)
+        return spline_reference(scene, start, offsets, order, velocity_share=velocity_share, settings=settings)
 
     return first_plan(draw, plan, settings.attempts, f"B-spline of order {order}")

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from trueup.core.augment_result import Cut, Reliability, joint_title
+from trueup.core.results import Estimate
 from trueup.core.step_times import StepTimes
 from trueup.core.traces import MEASURED, Trace
 from trueup.report.augment_words import factor_interval, factor_words
@@ -153,16 +154,8 @@ def reliability_figure(curves: Mapping[str, Reliability], styles: Mapping[str, S
                 "mode": "lines+markers",
                 "name": plot_text(name),
                 "x": [rounded(100.0 * value) for value in curve.predicted],
-                "y": [rounded(item["value"]) for item in observed],
-                "error_y": {
-                    "type": "data",
-                    "symmetric": False,
-                    "array": [rounded(item["up"]) for item in observed],
-                    "arrayminus": [rounded(item["down"]) for item in observed],
-                    "thickness": 1.5,
-                    "width": 3,
-                    "color": style.color,
-                },
+                "y": [rounded(item.value) for item in observed],
+                "error_y": whiskers(observed) | {"color": style.color},
                 "line": {"color": style.color, "dash": style.dash, "width": 1.5},
                 "marker": {"color": style.color, "symbol": style.symbol, "size": 8},
                 "text": [
@@ -273,16 +266,11 @@ def _corner(number: int, rows: int) -> tuple[float, float]:
     return 0.54 * column, 1.0 - (row + 0.08) / rows
 
 
-def _in_percent(item: Any) -> dict[str, float | None]:
-    value = 100.0 * item.value
-    return {
-        "value": value,
-        "up": 0.0 if item.high is None else 100.0 * item.high - value,
-        "down": 0.0 if item.low is None else value - 100.0 * item.low,
-    }
+def _in_percent(item: Estimate) -> Estimate:
+    return Estimate(100.0 * item.value, "%", *(None if end is None else 100.0 * end for end in (item.low, item.high)))
 
 
-def _ends(item: Any) -> str:
+def _ends(item: Estimate) -> str:
     if item.low is None or item.high is None:
         return ""
     return f" ({percent(item.low, sign=False)} to {percent(item.high, sign=False)})"

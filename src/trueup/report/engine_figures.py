@@ -11,9 +11,8 @@ import numpy as np
 from trueup.core.engines import MEASURED, Envelope, JointPlane, Trend
 from trueup.core.results import Estimate
 from trueup.report.chooser import Figure
-from trueup.report.figures import rounded, whiskers
+from trueup.report.figures import hint_of, rounded, whiskers
 from trueup.report.labels import plot_text, run_title
-from trueup.report.numbers import interval, quantity
 from trueup.report.palette import Style
 
 _MEASURED_STYLE = Style("#808080", "solid", "circle-open", "")
@@ -57,7 +56,7 @@ def payload_figure(
                 "y": [rounded(item.value) for item in known.values()],
                 "error_y": whiskers(list(known.values())) | {"color": style.color},
                 "marker": {"color": style.color, "symbol": style.symbol, "size": 9},
-                "text": [_hint(item) for item in known.values()],
+                "text": [hint_of(item) for item in known.values()],
                 "hovertemplate": "%{customdata} kg: %{text}",
             }
         )
@@ -159,8 +158,3 @@ def _ordered(sources: Mapping[str, object], styles: Mapping[str, Style]) -> list
 
 def _style(source: str, styles: Mapping[str, Style]) -> Style:
     return _MEASURED_STYLE if source == MEASURED else styles[source]
-
-
-def _hint(estimate: Estimate) -> str:
-    ends = interval(estimate)
-    return quantity(estimate.value, estimate.unit) + (f" ({ends})" if ends else "")

@@ -62,7 +62,7 @@ def bars_figure(
                 "x": [rounded(item.value) for item in estimates],
                 "error_x": whiskers(estimates),
                 "marker": hatched(style),
-                "text": [_bar_hint(item) for item in estimates],
+                "text": [hint_of(item) for item in estimates],
                 "textposition": "none",
                 "hovertemplate": "%{y}: %{text}",
             }
@@ -153,7 +153,7 @@ def lag_figure(joints: Sequence[str], lags: Mapping[str, Mapping[str, Lag]], sty
                 "y": [plot_text(joint) for joint in rows],
                 "error_x": whiskers(estimates) | {"color": style.color},
                 "marker": {"color": style.color, "symbol": style.symbol, "size": 9, "line": {"width": 1.5}},
-                "text": [_bar_hint(item) for item in estimates],
+                "text": [hint_of(item) for item in estimates],
                 "hovertemplate": "%{y}: %{text}",
             }
         )
@@ -239,7 +239,8 @@ def _transparent(color: str) -> str:
     return f"rgba({red},{green},{blue},0.16)"
 
 
-def _bar_hint(estimate: Estimate) -> str:
+def hint_of(estimate: Estimate) -> str:
+    """The number and its interval, as they appear over a mark."""
     ends = interval(estimate)
     return quantity(estimate.value, estimate.unit) + (f" ({ends})" if ends else "")
 

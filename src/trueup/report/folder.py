@@ -13,12 +13,12 @@ from trueup.core.attribution import Attribution
 from trueup.core.augment_result import AUGMENT_NAME, AugmentResult
 from trueup.core.engines import EngineComparison
 from trueup.core.fit_result import FitResult
+from trueup.core.graybox_result import GrayboxResult
 from trueup.core.quality import Quality
 from trueup.core.results import GapResult, Ladder
 from trueup.core.traces import TraceSet
 from trueup.errors import DataError, TrueupError
 from trueup.report.checks import check_attribution, check_augment, check_engines, check_fit, check_gap, check_ladder
-from trueup.report.graybox import Graybox
 from trueup.report.labels import COMMAND, ordered_runs
 from trueup.report.palette import Style, run_styles
 
@@ -57,7 +57,7 @@ class RunFolder:
     augment: AugmentResult | None = None
     fit: FitResult | None = None
     attribution: Attribution | None = None
-    graybox: Graybox | None = None
+    graybox: GrayboxResult | None = None
     fitted_files: tuple[str, ...] = ()
     friction_laws: bool = False
 
@@ -123,7 +123,7 @@ class RunFolder:
             ladder=ladder,
             fit=fit,
             attribution=attribution,
-            graybox=_optional(folder / "graybox.json", Graybox.load),
+            graybox=_optional(folder / "graybox.json", GrayboxResult.load),
             fitted_files=tuple(name for name in FITTED_FILES if (folder / name).is_file()),
             friction_laws=model.is_file() and _FRICTION_LAW.search(model.read_bytes()) is not None,
             traces=_optional(folder / "traces.json", lambda path: TraceSet.load(path.parent)),

@@ -46,8 +46,8 @@ def experiment(
     """
     from trueup.identify.experiments import (
         ExperimentResult,
-        MotionSettings,
         Rejection,
+        SlideSettings,
         estimate_breakaway,
         estimate_coast,
         estimate_constant_torque,
@@ -58,7 +58,7 @@ def experiment(
         raise next(iter(refused.values()))
     own_s = dict(zip(robot.joint_names, robot.delay_s, strict=True))
     delay = own_s if delay_s is None else dict.fromkeys(own_s, delay_s)
-    settings = MotionSettings(delay_s=delay)
+    settings = SlideSettings(delay_s=delay)
     match kind:
         case "breakaway":
             found = estimate_breakaway(episodes, joints=joints, delay_s=delay)

@@ -18,7 +18,7 @@ from trueup.errors import NotIdentifiable
 from trueup.identify.experiments.findings import ExperimentResult, Finding, in_words, of_friction, said
 from trueup.identify.experiments.motion_fit import fit_motion
 from trueup.identify.experiments.recorded import JointMotions, read_motions
-from trueup.identify.experiments.slides import MotionSettings, Slide
+from trueup.identify.experiments.slides import Slide, SlideSettings
 
 _QUIET = 0.05  # share of the largest torque below which a joint coasts
 
@@ -29,7 +29,7 @@ def estimate_coast(
     joints: Sequence[str] | None = None,
     inertia_kgm2: Mapping[str, float] | None = None,
     position_slope: bool = True,
-    settings: MotionSettings | None = None,
+    settings: SlideSettings | None = None,
 ) -> ExperimentResult:
     """Friction over inertia from the coasting after a torque, and friction itself where the inertia is known.
 
@@ -53,24 +53,11 @@ def estimate_coast(
         MissingSignal: no episode has a torque command, or the signal that `settings` asks for.
         NotIdentifiable: no episode could be used; the message says why.
     """
-    settings = settings or MotionSettings()
-    recorded = read_motions(tuple(episodes), joints, settings)
-    findings, notes = {}, {}
-    for joint, motions in recorded.joints.items():
-        inertia = (inertia_kgm2 or {}).get(joint)
-        findings[joint], extra = _joint(motions, inertia, position_slope=position_slope)
-        notes[joint] = (*motions.notes(), *extra)
-    return ExperimentResult(
-        experiment="coast",
-        joints=findings,
-        notes=notes,
-        runs=recorded.runs(),
-        rejected=recorded.rejected,
-        settings={
-            **settings.to_json(),
-            "position_slope": position_slope,
-            "inertia_kgm2": dict(inertia_kgm2 or {}),
-        },
+    settings, known = settings or SlideSettings(), dict(inertia_kgm2 or {})
+    return read_motions(tuple(episodes), joints, settings).result(
+        "coast",
+        lambda motions: _joint(motions, known.get(motions.joint), position_slope=position_slope),
+        {**settings.to_json(), "position_slope": position_slope, "inertia_kgm2": known},
     )
 
 

@@ -30,7 +30,7 @@ from trueup.errors import NotIdentifiable
 from trueup.identify.experiments.findings import ExperimentResult, Finding, in_words, of_friction, said
 from trueup.identify.experiments.motion_fit import MotionFit, fit_motion
 from trueup.identify.experiments.recorded import JointMotions, read_motions
-from trueup.identify.experiments.slides import MotionSettings
+from trueup.identify.experiments.slides import SlideSettings
 
 Coefficients = Mapping[str, float]
 
@@ -42,7 +42,7 @@ def estimate_constant_torque(
     inertia_kgm2: Mapping[str, float] | None = None,
     breakaway: ExperimentResult | None = None,
     position_slope: bool = True,
-    settings: MotionSettings | None = None,
+    settings: SlideSettings | None = None,
 ) -> ExperimentResult:
     """The torque to add so that both directions move alike, and what it may consist of.
 
@@ -67,24 +67,11 @@ def estimate_constant_torque(
         MissingSignal: no episode has a torque command, or the signal that `settings` asks for.
         NotIdentifiable: no episode could be used; the message says why.
     """
-    settings = settings or MotionSettings()
-    recorded = read_motions(tuple(episodes), joints, settings)
-    findings, notes = {}, {}
-    for joint, motions in recorded.joints.items():
-        inertia = (inertia_kgm2 or {}).get(joint)
-        findings[joint], extra = _joint(motions, inertia, breakaway, position_slope=position_slope)
-        notes[joint] = (*motions.notes(), *extra)
-    return ExperimentResult(
-        experiment="constant_torque",
-        joints=findings,
-        notes=notes,
-        runs=recorded.runs(),
-        rejected=recorded.rejected,
-        settings={
-            **settings.to_json(),
-            "position_slope": position_slope,
-            "inertia_kgm2": dict(inertia_kgm2 or {}),
-        },
+    settings, known = settings or SlideSettings(), dict(inertia_kgm2 or {})
+    return read_motions(tuple(episodes), joints, settings).result(
+        "constant_torque",
+        lambda motions: _joint(motions, known.get(motions.joint), breakaway, position_slope=position_slope),
+        {**settings.to_json(), "position_slope": position_slope, "inertia_kgm2": known},
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.protocols import Clock, RobotIO
 from trueup.errors import ConfigError
-from trueup.identify.experiments.drive import drive_and_return
+from trueup.identify.experiments.driver import Driver
 from trueup.identify.experiments.limits import Limits, RunSettings, check_joints
 from trueup.identify.experiments.onset import PERSISTENCE, STILL_SPEED, Stillness, least_rest
 
@@ -102,24 +102,17 @@ def run_breakaway(
             got=f"{plan.rest_s:g} s",
             expected=f"at least {least / settings.rate_hz:.3g} s at {settings.rate_hz:g} Hz",
         )
-    return _ramps(robot, clock, limits, slopes, plan, settings)
+    return _ramps(Driver(robot, clock, limits, settings), slopes, plan)
 
 
-def _ramps(
-    robot: RobotIO,
-    clock: Clock,
-    limits: Limits,
-    slopes: Mapping[str, float],
-    plan: RampPlan,
-    settings: RunSettings,
-) -> Iterator[Episode]:
+def _ramps(driver: Driver, slopes: Mapping[str, float], plan: RampPlan) -> Iterator[Episode]:
     for joint, slope in slopes.items():
         for repetition in range(plan.repetitions):
             # The direction that goes first changes, so that warming up does not look like an asymmetry.
             for sign in (1, -1) if repetition % 2 == 0 else (-1, 1):
-                ramp = _Ramp(plan, slope, sign, limits.torque_nm[joint])
+                ramp = _Ramp(plan, slope, sign, driver.limits.torque_nm[joint])
                 meta = EpisodeMeta(f"{joint}_ramp-{_NAMES[sign]}-{repetition + 1:02d}", condition="breakaway")
-                yield drive_and_return(robot, clock, joint, ramp, limits=limits, settings=settings, meta=meta)
+                yield driver.drive_and_return(joint, ramp, meta)
 
 
 class _Ramp:

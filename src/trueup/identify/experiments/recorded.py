@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from trueup.core.episode import Episode
 from trueup.core.results import Estimate
 from trueup.errors import DataError, NotIdentifiable, TrueupError
-from trueup.identify.experiments.findings import Finding, Rejection, reasons_in_short, said
+from trueup.identify.experiments.findings import (
+    Experiment,
+    ExperimentResult,
+    Finding,
+    Rejection,
+    reasons_in_short,
+    said,
+)
 from trueup.identify.experiments.joint_log import disturbances, excited_joints, joint_log, reason_of
 from trueup.identify.experiments.motion_fit import MotionFit
-from trueup.identify.experiments.slides import Motion, MotionSettings, Slide, motion
+from trueup.identify.experiments.slides import Motion, Slide, SlideSettings, motion
 
 _MISFIT = 3.0  # residual over the noise of the sensor, above which the model does not describe the motion
 _FAR_RAD = 0.5
@@ -143,8 +150,25 @@ class Recorded:
             for episode, own in zip(item.episodes, item.motions, strict=True)
         )
 
+    def result(
+        self,
+        experiment: Experiment,
+        evaluate: Callable[[JointMotions], tuple[dict[str, Finding], tuple[str, ...]]],
+        settings: Mapping[str, Any],
+    ) -> ExperimentResult:
+        """All joints evaluated, each by `evaluate`, which returns findings and notes."""
+        found = {joint: evaluate(motions) for joint, motions in self.joints.items()}
+        return ExperimentResult(
+            experiment=experiment,
+            joints={joint: findings for joint, (findings, _) in found.items()},
+            notes={joint: (*self.joints[joint].notes(), *extra) for joint, (_, extra) in found.items()},
+            runs=self.runs(),
+            rejected=self.rejected,
+            settings=settings,
+        )
 
-def read_motions(episodes: Sequence[Episode], joints: Sequence[str] | None, settings: MotionSettings) -> Recorded:
+
+def read_motions(episodes: Sequence[Episode], joints: Sequence[str] | None, settings: SlideSettings) -> Recorded:
     """Cut recordings into the motions of each joint.
 
     Raises:

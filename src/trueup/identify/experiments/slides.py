@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from trueup.align.tracks import runs
 from trueup.errors import ConfigError, MissingSignal
 from trueup.identify.experiments.joint_log import Delay, JointLog, TorqueSource, delay_to_json
 from trueup.identify.experiments.onset import STILL_SPEED, encoder_step
@@ -24,7 +25,7 @@ _PUSH_SHARE = 0.2  # of the largest torque; less may be the noise of a measured 
 
 
 @dataclass(frozen=True)
-class MotionSettings:
+class SlideSettings:
     """How motions are cut and read.
 
     Attributes:
@@ -90,7 +91,7 @@ class Slide:
 
     def part(self, mask: Bool[np.ndarray, "N"]) -> Slide | None:
         """The longest stretch of it in which `mask` holds; None if that is too short."""
-        stretches = _stretches(mask)
+        stretches = runs(mask)
         if not stretches:
             return None
         begin, end = max(stretches, key=lambda item: item[1] - item[0])
@@ -133,7 +134,7 @@ class Motion:
         return int(np.sign(self.torque))
 
 
-def motion(log: JointLog, settings: MotionSettings) -> Motion:
+def motion(log: JointLog, settings: SlideSettings) -> Motion:
     """Cut a log into slides.
 
     Left out are standing still, the neighborhood of position limits, motion beyond `max_travel_rad`, and motion
@@ -166,7 +167,7 @@ def motion(log: JointLog, settings: MotionSettings) -> Motion:
     for direction in (1, -1):
         moving = direction * speed > floor
         against += int((moving & (pushed == -direction)).sum())
-        for begin, end in _stretches(moving & used & (pushed != -direction)):
+        for begin, end in runs(moving & used & (pushed != -direction)):
             if end - begin >= _LEAST_ROWS:
                 slides.append(replace(whole, direction=direction).rows(slice(begin, end)))
     peak = float(log.torque[int(np.argmax(size))])
@@ -209,9 +210,3 @@ def _floor(
     else:
         apparent = _FLOOR_SIGMAS * _noise(values) / math.sqrt(rows)
     return max(STILL_SPEED, _PEAK_SHARE * float(np.abs(speed).max()), apparent)
-
-
-def _stretches(mask: Bool[np.ndarray, "T"]) -> list[tuple[int, int]]:
-    """Runs of True as (first row, row after the last)."""
-    edges = np.flatnonzero(np.diff(mask.astype(np.int8), prepend=0, append=0))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

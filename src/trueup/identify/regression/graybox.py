@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int
 
 from trueup.core.episode import Episode
+from trueup.core.graybox_result import BlockFit, Coefficient, GrayboxResult, IntervalMethod, JointFit
 from trueup.errors import ConfigError, DataError, MissingSignal
 from trueup.identify.regression import graybox_terms as terms
 from trueup.identify.regression.covariance import Covariance, robust_covariance
-from trueup.identify.regression.graybox_result import BlockFit, Coefficient, GrayboxResult, IntervalMethod, JointFit
 from trueup.identify.regression.graybox_scores import block_scores
 from trueup.identify.regression.graybox_terms import BLOCKS, JointRows
 from trueup.identify.regression.samples import CommandVelocity, Samples, SampleSettings, gather

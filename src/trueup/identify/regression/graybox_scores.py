@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float64, Int
 
-from trueup.identify.regression.graybox_result import Score
+from trueup.core.graybox_result import Score
 from trueup.identify.regression.samples import Motion
 from trueup.measure.uncertainty import bootstrap_interval, estimate
 

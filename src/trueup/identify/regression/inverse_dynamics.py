@@ -26,7 +26,7 @@ from trueup.identify.regression.inverse_dynamics_result import (
     BaseParameter,
     BodyEstimate,
     InverseDynamicsFit,
-    JointFriction,
+    JointTerms,
 )
 from trueup.identify.regression.linkage import Linkage
 from trueup.identify.regression.mass_regression import choose_cutoff
@@ -264,9 +264,9 @@ def _bodies(solution: Consistent) -> dict[str, BodyEstimate]:
     return result
 
 
-def _joints(linkage: Linkage, solution: Consistent) -> dict[str, JointFriction]:
+def _joints(linkage: Linkage, solution: Consistent) -> dict[str, JointTerms]:
     table = solution.extras.reshape(len(JOINT_TERMS), -1)
-    return {joint: JointFriction(*map(float, table[:, number])) for number, joint in enumerate(linkage.joints)}
+    return {joint: JointTerms(*map(float, table[:, number])) for number, joint in enumerate(linkage.joints)}
 
 
 def _rmse(

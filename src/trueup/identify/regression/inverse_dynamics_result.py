@@ -60,7 +60,7 @@ class BodyEstimate:
 
 
 @dataclass(frozen=True)
-class JointFriction:
+class JointTerms:
     """What acts in a joint besides the links, in MuJoCo's words.
 
     Attributes:
@@ -103,7 +103,7 @@ class InverseDynamicsFit:
     rmse: Mapping[str, float]
     rmse_consistent: Mapping[str, float]
     bodies: Mapping[str, BodyEstimate]
-    joints: Mapping[str, JointFriction]
+    joints: Mapping[str, JointTerms]
     largest_deviation: float
     interval_method: Literal["cluster", "hac"]
     samples: int

@@ -12,11 +12,12 @@ from scipy.optimize import lsq_linear
 
 from trueup.core.episode import Episode
 from trueup.errors import ConfigError, DataError, NameMismatch
+from trueup.identify.regression.equation import JOINT_TERMS
 from trueup.identify.regression.samples import Samples, SampleSettings, gather
 
-TERMS = ("armature", "damping", "frictionloss", "offset")
 _ROUNDS = 3
 _LEAST_SPEED = 0.2  # of a joint's RMS velocity; slower, dry friction is no function of the velocity
+_EPSILON = 0.05  # width of the smoothed Coulomb step [rad/s or m/s]
 _LEAST_SCALE = 0.05
 _SCALE_DEVIATION = 0.5  # of a body's mass, relative: what the torques do not tell stays at the model's
 _LOOSE = 100.0  # joint terms may go this many typical torques away
@@ -31,31 +32,24 @@ class MassRegression:
     Attributes:
         joints: names of the J columns.
         links: names of the B bodies that move on their own.
-        values: factor on each link's mass, then `TERMS` by joint, (B + 4 J,).
-        nominal: the same of the model.
+        values: factor on each link's mass, then `JOINT_TERMS` by joint, (B + 4 J,).
         table: what each value contributes, (T, J, B + 4 J).
         load: torques, (T, J).
-        travel: distance between the extreme positions of each joint, (J,).
     """
 
     joints: tuple[str, ...]
     links: tuple[str, ...]
     values: Float64[np.ndarray, "P"]
-    nominal: Float64[np.ndarray, "P"]
     table: Float64[np.ndarray, "T J P"]
     load: Float64[np.ndarray, "T J"]
-    travel: Float64[np.ndarray, "J"]
-
-    def rmse(self, values: Float64[np.ndarray, "P"]) -> Float64[np.ndarray, "J"]:
-        """RMSE of each joint's torque with some values."""
-        return np.asarray(np.sqrt(np.mean((self.load - self.table @ values) ** 2, axis=0)))
 
     @property
     def unexplained(self) -> float:
         """Residual over torque, geometric mean over the joints that have a torque."""
         size = self.load.std(axis=0)
         used = size > 0.0
-        ratio = np.maximum(self.rmse(self.values)[used] / size[used], 1e-12)
+        rmse = np.sqrt(np.mean((self.load - self.table @ self.values) ** 2, axis=0))
+        ratio = np.maximum(rmse[used] / size[used], 1e-12)
         return float(np.exp(np.mean(np.log(ratio)))) if used.any() else 1.0
 
 
@@ -78,17 +72,16 @@ def choose_cutoff(
     left: dict[float, float] = {}
     for cutoff in candidates:
         samples = gather(episodes, replace(settings, cutoff_hz=cutoff), joints=joints)
-        left[cutoff] = regress_masses(samples, model, epsilon=0.05, max_rows=_ROWS_TO_CHOOSE).unexplained
+        left[cutoff] = regress_masses(samples, model, max_rows=_ROWS_TO_CHOOSE).unexplained
     return min(left, key=lambda cutoff: left[cutoff])
 
 
-def regress_masses(samples: Samples, model: mujoco.MjModel, *, epsilon: float, max_rows: int) -> MassRegression:
+def regress_masses(samples: Samples, model: mujoco.MjModel, *, max_rows: int) -> MassRegression:
     """Least squares within what is possible.
 
     Args:
         samples: low-passed rows with torques.
         model: with the nominal bodies.
-        epsilon: width of the smoothed Coulomb step [rad/s or m/s].
         max_rows: rows are thinned evenly to about this number.
 
     Raises:
@@ -100,24 +93,23 @@ def regress_masses(samples: Samples, model: mujoco.MjModel, *, epsilon: float, m
     states = [samples.position, samples.velocity, samples.acceleration, samples.torque]
     complete = np.flatnonzero(np.all([np.isfinite(values).all(axis=1) for values in states], axis=0))
     complete = complete[:: max(1, complete.size // max_rows)]
-    if complete.size < 10 * len(TERMS):
-        raise DataError("too few rows for a regression", got=complete.size, expected=f"at least {10 * len(TERMS)}")
+    if complete.size < 10 * len(JOINT_TERMS):
+        raise DataError(
+            "too few rows for a regression", got=complete.size, expected=f"at least {10 * len(JOINT_TERMS)}"
+        )
     q, dq, ddq, tau = (values[complete] for values in states)
     links, shares = _body_shares(model, columns, q, dq, ddq)
     own = np.eye(len(columns))
-    extra = [term[:, :, None] * own for term in (ddq, dq, np.tanh(dq / epsilon), np.ones_like(dq))]
+    extra = [term[:, :, None] * own for term in (ddq, dq, np.tanh(dq / _EPSILON), np.ones_like(dq))]
     table = np.concatenate([shares, *extra], axis=2)
     load = tau + model.jnt_stiffness[columns] * (model.qpos_spring[columns] - q)
     moving = np.abs(dq) >= _LEAST_SPEED * np.sqrt(np.mean(dq**2, axis=0))
-    joint_terms = (model.dof_armature, model.dof_damping, model.dof_frictionloss)
     return MassRegression(
         joints=samples.joints,
         links=tuple(links),
         values=_bounded(table * moving[:, :, None], load * moving, len(links)),
-        nominal=np.concatenate([np.ones(len(links)), *(term[columns] for term in joint_terms), np.zeros(len(columns))]),
         table=table,
         load=load,
-        travel=np.ptp(q, axis=0),
     )
 
 

@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Float64, Int
 
-from trueup.align import differentiate
 from trueup.core.episode import Episode
 from trueup.core.hold import held_rows
 from trueup.core.timeseries import TimeSeries
@@ -226,7 +225,7 @@ def _commanded(
     times = measured.time_s - settings.delay_s
     position = _held(command, "position", times)
     if settings.command_velocity == "derived" and len(command) > 1:
-        slope = differentiate(np.asarray(command["position"], np.float64), command.time_s)
+        slope = np.gradient(np.asarray(command["position"], np.float64), command.time_s, axis=0)
         velocity = _held(command, slope, times)
     elif settings.command_velocity == "signal" and "velocity" in command:
         velocity = _held(command, "velocity", times)

@@ -15,10 +15,11 @@ from jaxtyping import Float64
 
 from trueup.core.episode import Episode
 from trueup.errors import DataError
-from trueup.identify.regression.mass_regression import TERMS, choose_cutoff, regress_masses
+from trueup.identify.regression.equation import JOINT_TERMS
+from trueup.identify.regression.mass_regression import choose_cutoff, regress_masses
 from trueup.identify.regression.samples import SampleSettings, TorqueSource, gather
 
-_LEAST_TRAVEL = 0.01  # rad or m
+_ROWS = 1500  # that are regressed, about
 
 
 @dataclass(frozen=True)
@@ -31,10 +32,7 @@ class TorqueStart:
         frictionloss: joint -> [Nm or N], >= 0.
         offset: joint -> constant torque that the motor brings up [Nm or N].
         mass_scale: body -> factor on mass and inertia; a body and what is welded to it share one.
-        rmse: joint -> torque RMSE with these values.
-        rmse_nominal: joint -> torque RMSE with the model as it is.
         cutoff_hz: the low-pass that was used [Hz].
-        notes: what the motions do not tell.
     """
 
     armature: Mapping[str, float]
@@ -42,10 +40,7 @@ class TorqueStart:
     frictionloss: Mapping[str, float]
     offset: Mapping[str, float]
     mass_scale: Mapping[str, float]
-    rmse: Mapping[str, float]
-    rmse_nominal: Mapping[str, float]
     cutoff_hz: float
-    notes: tuple[str, ...] = ()
 
 
 def torque_start(
@@ -54,10 +49,7 @@ def torque_start(
     *,
     joints: Sequence[str] | None = None,
     torque: TorqueSource = "command",
-    delay_s: float = 0.0,
     cutoff_hz: float | None = None,
-    epsilon: float = 0.05,
-    max_rows: int = 1500,
 ) -> TorqueStart:
     """Regress the torque on each body's share of it and on armature, damping, Coulomb friction and offset.
 
@@ -69,10 +61,7 @@ def torque_start(
         model: with the nominal bodies; hinges and slides.
         joints: joints of the log that are used; those of the first episode if None. Others rest at their reference.
         torque: the commanded torque, which the simulation will be driven by, or the measured one.
-        delay_s: the commanded torque acts this much later [s].
         cutoff_hz: low-pass of position and torque [Hz]; None takes the one that explains most of the torque.
-        epsilon: width of the smoothed Coulomb step [rad/s or m/s].
-        max_rows: rows are thinned evenly to about this number.
 
     Raises:
         ConfigError: a joint is neither hinge nor slide.
@@ -83,20 +72,16 @@ def torque_start(
     logs = list(episodes)
     if not logs:
         raise DataError("there are no episodes to fit", expected="at least one")
-    settings = SampleSettings(delay_s=delay_s, smooth_torque=True, torque=torque)
+    settings = SampleSettings(smooth_torque=True, torque=torque)
     if cutoff_hz is None:
         cutoff_hz = choose_cutoff(logs, model, settings, joints)
     samples = gather(logs, replace(settings, cutoff_hz=cutoff_hz), joints=joints)
-    found = regress_masses(samples, model, epsilon=epsilon, max_rows=max_rows)
-    parts = found.values[len(found.links) :].reshape(len(TERMS), -1)
-    still = [joint for joint, travel in zip(found.joints, found.travel, strict=True) if travel < _LEAST_TRAVEL]
+    found = regress_masses(samples, model, max_rows=_ROWS)
+    parts = found.values[len(found.links) :].reshape(len(JOINT_TERMS), -1)
     return TorqueStart(
-        **{term: _by(found.joints, parts[number]) for number, term in enumerate(TERMS)},
+        **{term: _by(found.joints, parts[number]) for number, term in enumerate(JOINT_TERMS)},
         mass_scale=_by(found.links, found.values[: len(found.links)]),
-        rmse=_by(found.joints, found.rmse(found.values)),
-        rmse_nominal=_by(found.joints, found.rmse(found.nominal)),
         cutoff_hz=cutoff_hz,
-        notes=tuple(f"joint {joint!r} hardly moved: its values are not told by these logs" for joint in still),
     )
 
 

@@ -42,7 +42,7 @@ class Evaluation:
         return failed
 
 
-StopKind = Literal["converged", "stalled", "failed", "target", "evaluations", "time"]
+StopKind = Literal["converged", "stalled", "failed", "evaluations", "time"]
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Stop:
 
     Attributes:
         kind: `converged` (the solver's own tolerance), `stalled` (no better candidate for long), `failed` (no
-            candidate could be evaluated), `target` (good enough), `evaluations` or `time` (a budget ran out).
+            candidate could be evaluated), `evaluations` or `time` (a budget ran out).
         text: the same as a sentence, with numbers.
     """
 
@@ -140,7 +140,6 @@ def minimize(
     on_step: Callable[[Step], None] | None = None,
     max_evaluations: int | None = None,
     max_seconds: float | None = None,
-    target_cost: float | None = None,
     history: Sequence[Step] = (),
     clock: Callable[[], float] = time.perf_counter,
 ) -> SolverResult:
@@ -154,7 +153,6 @@ def minimize(
         on_step: called after every batch; the place to save `solver.state()`.
         max_evaluations: stop when so many candidates were evaluated.
         max_seconds: stop after so much time, that of `history` included [s].
-        target_cost: stop when the best cost is not above it.
         history: steps before the checkpoint.
         clock: seconds from any origin.
 
@@ -164,10 +162,9 @@ def minimize(
     began = clock() - (history[-1].seconds if history else 0.0)
     steps = list(history)
     while True:
-        cost, seconds = solver.best[1], clock() - began
-        stop = solver.stop
+        seconds, stop = clock() - began, solver.stop
         if stop is None and solver.evaluations:
-            stop = _spent(solver.evaluations, cost, seconds, max_evaluations, max_seconds, target_cost)
+            stop = _spent(solver.evaluations, seconds, max_evaluations, max_seconds)
         if stop is not None:
             break
         z = solver.ask()
@@ -179,16 +176,7 @@ def minimize(
     return SolverResult(best, cost, solver.evaluations, stop, tuple(steps))
 
 
-def _spent(
-    evaluations: int,
-    cost: float,
-    seconds: float,
-    max_evaluations: int | None,
-    max_seconds: float | None,
-    target_cost: float | None,
-) -> Stop | None:
-    if target_cost is not None and cost <= target_cost:
-        return Stop("target", f"the cost {cost:.6g} is not above the target {target_cost:.6g}")
+def _spent(evaluations: int, seconds: float, max_evaluations: int | None, max_seconds: float | None) -> Stop | None:
     if max_evaluations is not None and evaluations >= max_evaluations:
         return Stop("evaluations", f"{evaluations} candidates evaluated, {max_evaluations} allowed")
     if max_seconds is not None and seconds >= max_seconds:

@@ -11,13 +11,14 @@ What the thesis leaves open, and what is taken here:
   `acceptance: group`. It is right as far as a joint's trajectories do not depend on the parameters of the others,
   so parameters put together from several candidates are evaluated as a whole before they replace the best, and
   only if the total is lower. `acceptance: total` accepts or reverts the whole candidate.
-- Positive eigenvalues: a candidate that is not feasible is drawn again, a limited number of times.
+- Positive eigenvalues: in the coordinates that are searched here every candidate is a possible body, so that none has
+  to be drawn again.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -75,11 +76,10 @@ class EvolutionStrategy:
         space: bounds, start and typical scale.
         roles: group and effect of each parameter; without, the search is blind (`total`, not smart).
         settings: how to search.
-        feasible: whether a candidate (P,) can exist at all, e.g. by the eigenvalues of its inertias.
         seed: of the steps.
 
     Raises:
-        ConfigError: roles that do not fit the space, or a start that is not feasible.
+        ConfigError: roles that do not fit the space.
     """
 
     def __init__(
@@ -88,12 +88,10 @@ class EvolutionStrategy:
         roles: Roles | None = None,
         settings: EvolutionSettings | None = None,
         *,
-        feasible: Callable[[Float[np.ndarray, "P"]], bool] | None = None,
         seed: int = 0,
     ) -> None:
         self._space = space
         self._settings = settings or EvolutionSettings()
-        self._feasible = feasible
         self._seed = seed
         if roles is None:
             roles = Roles(np.full(space.size, -1), np.zeros(space.size, dtype=int))
@@ -101,8 +99,6 @@ class EvolutionStrategy:
             raise ConfigError("roles", got=f"{roles.group.size} and {roles.effect.size}", expected=f"{space.size} each")
         if roles.group.min() < -1 or not set(roles.effect.tolist()) <= {-1, 0, 1}:
             raise ConfigError("roles", expected="groups from -1 up, effects of -1, 0 or 1")
-        if feasible is not None and not feasible(space.start.copy()):
-            raise ConfigError("the start of the evolution strategy is not feasible")
         self._roles = roles
         self._groups = int(roles.group.max()) + 1
         by_group = self._settings.acceptance == "group" and self._groups > 0
@@ -139,11 +135,6 @@ class EvolutionStrategy:
         """Candidates told so far."""
         return self._evaluations
 
-    @property
-    def worse_counters(self) -> Int[np.ndarray, "B"]:
-        """Steps without anything better, per block: each group and the shared parameters, or one for all."""
-        return self._worse.copy()
-
     def ask(self) -> Float[np.ndarray, "C P"]:
         """The candidates of one step, (population, P); a point that was put together from several comes first."""
         if self._asked is None:
@@ -157,16 +148,12 @@ class EvolutionStrategy:
         settings = self._settings
         direction = self._direction()
         wide = np.where(self._worse > settings.widen_after, settings.widen, 1.0)
-        for _ in range(settings.max_redraws):
-            finer = 10.0 ** -rng.uniform(0.0, settings.finer_decades, self._blocks)
-            width = settings.step * self._space.scale * (wide * finer)[self._block]
-            step = rng.uniform(-1.0, 1.0, self._space.size)
-            step = np.where(direction == 0, step, direction * np.abs(step))
-            # Cut at the bounds: a reflection would turn the direction around.
-            z = self._space.clip(self._center + width * step)
-            if self._feasible is None or self._feasible(z.copy()):
-                return z
-        return self._center.copy()
+        finer = 10.0 ** -rng.uniform(0.0, settings.finer_decades, self._blocks)
+        width = settings.step * self._space.scale * (wide * finer)[self._block]
+        step = rng.uniform(-1.0, 1.0, self._space.size)
+        step = np.where(direction == 0, step, direction * np.abs(step))
+        # Cut at the bounds: a reflection would turn the direction around.
+        return self._space.clip(self._center + width * step)
 
     def _direction(self) -> Int[np.ndarray, "P"]:
         """Where each parameter may move: +1 up, -1 down, 0 both ways."""
@@ -227,8 +214,7 @@ class EvolutionStrategy:
         """Surround the best parameters of every block next; what no candidate was yet has to be evaluated."""
         picks = np.argmin([point.errors for point in points], axis=0)
         center = np.array([point.z for point in points])[picks[self._block], np.arange(self._space.size)]
-        known = any(np.array_equal(center, point.z) for point in [self._current, *points])
-        self._pending = not known and (self._feasible is None or self._feasible(center.copy()))
+        self._pending = not any(np.array_equal(center, point.z) for point in [self._current, *points])
         self._center, self._center_signed = self._current.z, self._current.signed
         if self._pending:
             groups = np.arange(self._groups)

@@ -41,7 +41,6 @@ class EvolutionSettings:
         widen_after: beyond so many, the neighborhood is wider.
         widen: by this factor.
         patience: stop after so many steps in a row without anything better.
-        max_redraws: draws of a candidate until it is feasible; after that the point it starts from takes its place.
         failed_limit: give up when every candidate failed in so many steps from the start.
     """
 
@@ -54,11 +53,10 @@ class EvolutionSettings:
     widen_after: int = 30
     widen: float = 3.0
     patience: int = 300
-    max_redraws: int = 100
     failed_limit: int = 50
 
     def __post_init__(self) -> None:
-        for name, least in (("population", 1), ("patience", 1), ("max_redraws", 1), ("failed_limit", 1)):
+        for name, least in (("population", 1), ("patience", 1), ("failed_limit", 1)):
             if getattr(self, name) < least:
                 raise ConfigError(f"{name} of the evolution strategy", got=getattr(self, name), expected="at least 1")
         if not (self.step > 0.0 and self.widen > 0.0 and self.finer_decades >= 0.0):

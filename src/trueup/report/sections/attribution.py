@@ -12,7 +12,7 @@ from trueup.report.labels import ordered, split_title
 from trueup.report.numbers import percent
 from trueup.report.palette import cause_styles
 from trueup.report.sections.base import Section
-from trueup.report.sections.cells import estimate_cell, seconds_cell
+from trueup.report.sections.cells import change_cell, seconds_cell
 from trueup.report.share_figures import shares_figure
 
 ALL_JOINTS = "all joints"
@@ -85,11 +85,7 @@ def steps_table(attribution: Attribution) -> Table:
     """The nested fits behind the shares."""
     rows = []
     for before, step in zip((None, *attribution.steps), attribution.steps, strict=False):
-        cell = estimate_cell(step.total)
-        if before is not None and before.total.value > 0:
-            cell = Cell(cell.text, note=cell.note, extra=percent(step.total.value / before.total.value - 1.0))
-        else:
-            cell = Cell(cell.text, note=cell.note)
+        cell = change_cell(step.total, None if before is None else before.total)
         head = f"+ {step.label or step.cause}" if step.cause else "model as it came"
         cells = [Cell(str(step.parameters)), cell, seconds_cell(step.seconds) if step.cause else Cell("–")]
         rows.append(TableRow(head, cells, note=", ".join(step.quantities)))

@@ -23,15 +23,23 @@ def estimate_cell(estimate: Estimate | None) -> Cell:
     )
 
 
+def change_cell(estimate: Estimate | None, first: Estimate | None) -> Cell:
+    """An error with its interval, and its change against the first one; without degrees, whose place that takes."""
+    cell = estimate_cell(estimate)
+    if estimate is None or first is None or not (math.isfinite(estimate.value) and first.value > 0):
+        return Cell(cell.text, note=cell.note)
+    return Cell(cell.text, note=cell.note, extra=percent(estimate.value / first.value - 1.0))
+
+
 def difference_cell(estimate: Estimate) -> Cell:
     """A signed difference with its interval."""
     text = with_unit(significant(estimate.value, sign=True), estimate.unit)
     return Cell(text, note=interval(estimate, sign=True))
 
 
-def percent_cell(ratio: float, *, tone: str = "") -> Cell:
+def percent_cell(ratio: float) -> Cell:
     """A signed percentage."""
-    return Cell(percent(ratio), tone=tone)
+    return Cell(percent(ratio))
 
 
 def verdict_cell(verdict: str) -> Cell:

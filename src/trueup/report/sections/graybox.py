@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from trueup.core.graybox_result import BlockFit, GrayboxResult, Score
 from trueup.core.results import Estimate
 from trueup.report.chooser import Cell, Chooser, Menu, Table, TableRow, Variant, make_chooser
 from trueup.report.figures import bars_figure
 from trueup.report.folder import RunFolder
-from trueup.report.graybox import ALL_MOTIONS, Block, BlockScore, Graybox
 from trueup.report.labels import SPLITS, ordered, split_title
 from trueup.report.numbers import NOTHING, interval, percent, pretty_unit, significant, with_unit
 from trueup.report.palette import cycled_styles
@@ -17,6 +17,8 @@ from trueup.report.sections.base import Section
 from trueup.report.sections.cells import estimate_cell
 from trueup.report.sections.groups import group_order
 
+# In place of a payload: all motions of a split together.
+ALL_MOTIONS = ""
 # Short enough for the figure on a phone, and what is meant.
 BLOCKS = {
     "pd": ("PD servo", "position and velocity error, constant torque"),
@@ -37,21 +39,21 @@ def graybox_section(run: RunFolder) -> Section | None:
     return Section("graybox", "Gray box: what each term is worth", {"chooser": chooser, "notes": run.graybox.notes})
 
 
-def graybox_chooser(graybox: Graybox, joints: Sequence[str]) -> Chooser | None:
+def graybox_chooser(graybox: GrayboxResult, joints: Sequence[str]) -> Chooser | None:
     """Figure and table per joint and split."""
-    splits = ordered({s for blocks in graybox.joints.values() for block in blocks for s in block.scores}, SPLITS)
+    splits = ordered({s for fit in graybox.joints.values() for block in fit.blocks for s in block.splits}, SPLITS)
     names = ordered(graybox.joints, joints)
 
     def make(joint: str, split: str) -> Variant | None:
-        blocks = graybox.joints[joint]
-        if not any(split in block.scores for block in blocks):
+        blocks = graybox.joints[joint].blocks
+        if not any(split in block.splits for block in blocks):
             return None
         bars = payload_bars(blocks, split)
         if not bars:
             return None
         unit = next(item.unit for values in bars.values() for item in values.values())
         title = f"torque RMSE [{pretty_unit(unit)}]"
-        rows = [block_title(block.name) for block in blocks if not block.left_out]
+        rows = [block_title(block.block) for block in blocks if not block.left_out]
         figure = bars_figure(rows, bars, cycled_styles(bars), title=title)
         return Variant(tables={"graybox": reductions_table(blocks, split)}, figures={"graybox": figure})
 
@@ -63,39 +65,45 @@ def graybox_chooser(graybox: Graybox, joints: Sequence[str]) -> Chooser | None:
     return make_chooser("graybox-chooser", menus, make, preferred=preferred)
 
 
-def payloads_of(blocks: Sequence[Block], split: str) -> list[str]:
+def scores_of(block: BlockFit, split: str) -> dict[str, Score]:
+    """Payload in kg as text, or `ALL_MOTIONS` -> score."""
+    total = {ALL_MOTIONS: block.splits[split]} if split in block.splits else {}
+    return {**total, **block.payloads.get(split, {})}
+
+
+def payloads_of(blocks: Sequence[BlockFit], split: str) -> list[str]:
     """All motions, then each payload where there are several."""
-    found = {load for block in blocks for load in block.scores.get(split, {})} - {ALL_MOTIONS}
+    found = {load for block in blocks for load in block.payloads.get(split, {})}
     return [ALL_MOTIONS, *(group_order(list(found)) if len(found) > 1 else [])]
 
 
-def payload_bars(blocks: Sequence[Block], split: str) -> dict[str, dict[str, Estimate]]:
+def payload_bars(blocks: Sequence[BlockFit], split: str) -> dict[str, dict[str, Estimate]]:
     """Payload -> block -> RMSE."""
     bars = {
         payload_title(load): {
-            block_title(block.name): block.scores[split][load].rmse
+            block_title(block.block): scores_of(block, split)[load].rmse
             for block in blocks
-            if load in block.scores.get(split, {}) and not block.left_out
+            if load in scores_of(block, split) and not block.left_out
         }
         for load in payloads_of(blocks, split)
     }
     return {title: values for title, values in bars.items() if values}
 
 
-def reductions_table(blocks: Sequence[Block], split: str) -> Table:
+def reductions_table(blocks: Sequence[BlockFit], split: str) -> Table:
     """By how much each block lowers the error, per payload."""
     loads = payloads_of(blocks, split)
     rows = []
     for block in blocks:
-        scores = block.scores.get(split, {})
+        scores = scores_of(block, split)
         if block.left_out:
             cells = [Cell(NOTHING) for _ in range(len(loads) + 1)]
         else:
             total = scores.get(ALL_MOTIONS)
             cells = [estimate_cell(total.rmse if total else None)]
             cells += [reduction_cell(scores.get(load)) for load in loads]
-        note = f"left out: {block.left_out}" if block.left_out else BLOCKS.get(block.name, ("", ""))[1]
-        rows.append(TableRow(block_title(block.name), cells, note=note))
+        note = f"left out: {block.left_out}" if block.left_out else BLOCKS.get(block.block, ("", ""))[1]
+        rows.append(TableRow(block_title(block.block), cells, note=note))
     columns = ["Model up to", "RMSE, all motions", *(f"Lowered by, {payload_title(load)}" for load in loads)]
     caption = (
         f"By how much each block lowers the RMSE of the torque on {split_title(split)}, against the model without it "
@@ -104,7 +112,7 @@ def reductions_table(blocks: Sequence[Block], split: str) -> Table:
     return Table(columns, rows, caption)
 
 
-def reduction_cell(score: BlockScore | None) -> Cell:
+def reduction_cell(score: Score | None) -> Cell:
     """What a block is worth, also as a percentage of the error without it."""
     if score is None:
         return Cell(NOTHING)

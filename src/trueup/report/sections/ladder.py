@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
 from trueup.core.results import Estimate, Ladder, Rung
-from trueup.report.chooser import Cell, Chooser, Menu, Table, TableRow, Variant, make_chooser
+from trueup.report.chooser import Chooser, Menu, Table, TableRow, Variant, make_chooser
 from trueup.report.figures import bars_figure
 from trueup.report.folder import RunFolder
 from trueup.report.labels import MAIN_METRIC, METRICS, SIGNALS, SPLITS, axis_title, metric_title, ordered, split_title
-from trueup.report.numbers import percent
 from trueup.report.palette import split_styles
 from trueup.report.sections.base import Section
-from trueup.report.sections.cells import estimate_cell, seconds_cell
+from trueup.report.sections.cells import change_cell, seconds_cell
 
 
 def ladder_section(run: RunFolder) -> Section | None:
@@ -84,11 +81,3 @@ def _variant(ladder: Ladder, signal: str, metric: str) -> Variant:
 
 def _name(rung: Rung) -> str:
     return f"★ {rung.name}" if rung.chosen else rung.name
-
-
-def change_cell(estimate: Estimate | None, first: Estimate | None) -> Cell:
-    """The error of a rung and its change against the first rung."""
-    cell = estimate_cell(estimate)
-    if estimate is None or first is None or not (math.isfinite(estimate.value) and first.value > 0):
-        return Cell(cell.text, note=cell.note)
-    return Cell(cell.text, note=cell.note, extra=percent(estimate.value / first.value - 1.0))

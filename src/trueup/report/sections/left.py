@@ -12,10 +12,10 @@ from trueup.report.figures import bars_figure
 from trueup.report.fit_words import as_sentence
 from trueup.report.folder import RunFolder
 from trueup.report.labels import SPLITS, ordered, split_title
-from trueup.report.numbers import percent, plural, pretty_unit, quantity, significant
+from trueup.report.numbers import plural, pretty_unit, quantity, significant
 from trueup.report.palette import cycled_styles
 from trueup.report.sections.base import Section
-from trueup.report.sections.cells import estimate_cell, seconds_cell
+from trueup.report.sections.cells import change_cell, estimate_cell, seconds_cell
 
 NOMINAL = "model as it came"
 ALL_JOINTS = "mean of scored joints"
@@ -190,11 +190,7 @@ def above_zero(estimate: Estimate) -> Estimate:
 def _error_cell(row: ModelRow, first: ModelRow, split: str) -> Cell:
     if split not in row.splits:
         return Cell("–")
-    cell = estimate_cell(above_zero(row.splits[split]))
-    before = first.splits.get(split)
-    if row is first or before is None or not before.value > 0:
-        return Cell(cell.text, note=cell.note)
-    return Cell(cell.text, note=cell.note, extra=percent(row.splits[split].value / before.value - 1.0))
+    return change_cell(above_zero(row.splits[split]), None if row is first else first.splits.get(split))
 
 
 def _unit(models: Sequence[ModelRow], split: str) -> str:

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.protocols import Clock, RobotIO
 from trueup.errors import ConfigError
-from trueup.identify.experiments.drive import drive_and_return
+from trueup.identify.experiments.driver import Driver
 from trueup.identify.experiments.limits import Limits, RunSettings, check_joints
 
 # ES thesis, Table 3.3: the 28 trajectories of a Franka Emika Panda, joint -> torques [Nm].
@@ -90,7 +90,7 @@ def run_constant_torque(
     """
     plan = plan or PulsePlan(rest_s=0.2, max_travel_rad=0.3)
     ordered = {joint: tuple(sorted(values, key=lambda tau: (abs(tau), -tau))) for joint, values in torques_nm.items()}
-    return _pulses(robot, clock, ordered, limits, plan, settings or RunSettings(), "constant_torque")
+    return _pulses(Driver(robot, clock, limits, settings or RunSettings()), ordered, plan, "constant_torque")
 
 
 def run_coast(
@@ -109,47 +109,32 @@ def run_coast(
     `run_constant_torque`, the torques in the order in which they are given.
     """
     ordered = {joint: tuple(values) for joint, values in torques_nm.items()}
-    return _pulses(robot, clock, ordered, limits, plan or PulsePlan(), settings or RunSettings(), "coast")
+    return _pulses(Driver(robot, clock, limits, settings or RunSettings()), ordered, plan or PulsePlan(), "coast")
 
 
 def _pulses(
-    robot: RobotIO,
-    clock: Clock,
-    torques_nm: Mapping[str, tuple[float, ...]],
-    limits: Limits,
-    plan: PulsePlan,
-    settings: RunSettings,
-    condition: str,
+    driver: Driver, torques_nm: Mapping[str, tuple[float, ...]], plan: PulsePlan, condition: str
 ) -> Iterator[Episode]:
     """Refuse at once what cannot be run; the pulses come as they are asked for."""
-    check_joints(robot, tuple(torques_nm), limits, settings)
+    check_joints(driver.robot, tuple(torques_nm), driver.limits, driver.settings)
     for joint, values in torques_nm.items():
-        wrong = [torque for torque in values if not 0.0 < abs(torque) <= limits.torque_nm[joint]]
+        most = driver.limits.torque_nm[joint]
+        wrong = [torque for torque in values if not 0.0 < abs(torque) <= most]
         if wrong:
             raise ConfigError(
-                f"torques of {joint!r} that are zero or beyond the limit",
-                got=wrong,
-                expected=f"up to {limits.torque_nm[joint]:g} in size",
+                f"torques of {joint!r} that are zero or beyond the limit", got=wrong, expected=f"up to {most:g} in size"
             )
-    return _recorded_pulses(robot, clock, torques_nm, limits, plan, settings, condition)
+    return _recorded_pulses(driver, torques_nm, plan, condition)
 
 
 def _recorded_pulses(
-    robot: RobotIO,
-    clock: Clock,
-    torques_nm: Mapping[str, tuple[float, ...]],
-    limits: Limits,
-    plan: PulsePlan,
-    settings: RunSettings,
-    condition: str,
+    driver: Driver, torques_nm: Mapping[str, tuple[float, ...]], plan: PulsePlan, condition: str
 ) -> Iterator[Episode]:
     for joint, values in torques_nm.items():
         for repetition in range(plan.repetitions):
             for torque in values:
                 name = f"{joint}_torque{float(torque)}" + (f"_{repetition + 1:02d}" if repetition else "")
-                meta = EpisodeMeta(name, condition=condition)
-                pulse = _Pulse(plan, torque)
-                yield drive_and_return(robot, clock, joint, pulse, limits=limits, settings=settings, meta=meta)
+                yield driver.drive_and_return(joint, _Pulse(plan, torque), EpisodeMeta(name, condition=condition))
 
 
 class _Pulse:

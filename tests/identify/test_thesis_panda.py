@@ -5,15 +5,15 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-
-from trueup.identify.experiments import Limits, run_coast
-from trueup.lab.thesis_panda import (
+from benchmarks.thesis_panda import (
     FOUND_INERTIA_SCALES,
     HOME,
     PUBLISHED_FRICTION,
     HiddenPanda,
     published_panda,
 )
+
+from trueup.identify.experiments import Limits, run_coast
 from trueup.robots import JointFriction
 from trueup.sim import MujocoSimulator
 

@@ -1,14 +1,14 @@
-"""The workbench of an identification: what the models that are tried share, and how one of them is chosen."""
+"""The models that an identification tries: what they share, and how one of them is chosen."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from trueup.core.episode import Episode, warning_kinds
+from trueup.core.episode import Episode
 from trueup.core.fit_result import ModelRow
 from trueup.core.parameters import ParameterSet
 from trueup.errors import NotIdentifiable
@@ -18,8 +18,8 @@ from trueup.identify.excitation import excitation_of, freeze_still
 from trueup.identify.problem import Problem, Weights
 from trueup.identify.quantities import quantity
 from trueup.identify.scoring import Scorer, Scores
-from trueup.identify.segments import SegmentRule, make_segments
-from trueup.identify.solution import Progress, Solution
+from trueup.identify.segments import make_segments, usable
+from trueup.identify.solution import OnModel, Solution
 from trueup.identify.solve import solve
 from trueup.identify.start import idle_names, off_bounds, regressed_start, swept_start
 from trueup.identify.uncertainty import Posterior, absent_names, noise_of, open_names, posterior_of, rounded
@@ -29,12 +29,9 @@ _WORTH = 0.01
 # A search of a model that is only compared ends when an iteration lowers the cost by less than this share.
 _ROUGH = 0.005
 
-# Name of the model, then how its search goes on.
-OnModel = Callable[[str, Progress], None]
-
 
 @dataclass(frozen=True, eq=False)
-class Attempt:
+class TriedModel:
     """One model that was fitted."""
 
     row: ModelRow
@@ -42,8 +39,8 @@ class Attempt:
     val: Scores | None
 
 
-class Bench:
-    """What the attempts of one identification share: motions, pieces of them, weights, judge and settings."""
+class ModelSearch:
+    """Tries models on the same motions, pieces of them, weights, judge and settings."""
 
     def __init__(
         self,
@@ -77,10 +74,7 @@ class Bench:
         self.seen = excitation_of(
             self._train, nominal.robot.scored_joints, self._signal, nominal.simulator.torque_limits
         )
-        data = self.config.data
-        rule = SegmentRule(
-            data.window_s, data.cut_s, data.budget_s, data.burn_in_s, seed, nominal.robot.replay.settle_s
-        )
+        rule = self.config.data.rule(nominal.robot, seed)
         self._segments, refused = make_segments(self._train, nominal.simulator, rule)
         self._unfitted = {name: error.summary for name, error in refused.items()}
         self.motions = [segment.episode_id for segment in self._segments]
@@ -88,17 +82,17 @@ class Bench:
         self._scorer = Scorer(nominal, self.usable, jobs=jobs, seed=seed)
         self._settings = self.config.solver.settings(seed)
 
-    def climb(self) -> tuple[Attempt, list[Attempt]]:
+    def climb(self) -> tuple[TriedModel, list[TriedModel]]:
         """Fit the base model, then richer ones, then without what the motions do not show; the best, and all."""
         models = self.config.models or {}
-        best = self._attempt("base", self.config.fit, rough=bool(models))
+        best = self._try("base", self.config.fit, rough=bool(models))
         attempts, fit = [best], dict(self.config.fit)
         # What changes nothing near the solution is left out from here on; far from it, nothing can be told.
         idle = self._idle(best)
         for name, extra in models.items():
             richer = {**fit, **dict.fromkeys(extra, "all")}
             joined = name if best.row.name == "base" else f"{best.row.name}+{name}"
-            attempts.append(self._attempt(joined, richer, best.solution, left_out=idle, rough=True))
+            attempts.append(self._try(joined, richer, best.solution, left_out=idle, rough=True))
             if _better(attempts[-1], best):
                 best, fit = attempts[-1], richer
         if models:
@@ -110,7 +104,7 @@ class Bench:
         absent = absent_names(known)
         surplus = [] if self.chosen_by_user else open_names(known)
         if surplus and len(surplus) + len(absent) < len(known.parameters.free):
-            leaner = self._attempt(
+            leaner = self._try(
                 f"{best.row.name}, known only", fit, best.solution, left_out=[*idle, *surplus], absent=absent
             )
             attempts.append(leaner)
@@ -118,7 +112,7 @@ class Bench:
                 best = leaner
         return best, attempts
 
-    def encoder_zeros(self, item: Attempt) -> dict[str, float]:
+    def encoder_zeros(self, item: TriedModel) -> dict[str, float]:
         """What single recordings were off by, where that was fitted: `MOTION:JOINT` -> [rad or m]."""
         return {
             parameter.target: rounded(item.solution.values[parameter.name])
@@ -126,16 +120,16 @@ class Bench:
             if parameter.quantity == "encoder_zero" and not parameter.frozen
         }
 
-    def problem_of(self, item: Attempt) -> Problem:
+    def problem_of(self, item: TriedModel) -> Problem:
         """The problem that an attempt has solved."""
         return self._problem(item.solution.parameters)
 
-    def posterior_of(self, item: Attempt) -> Posterior:
+    def posterior_of(self, item: TriedModel) -> Posterior:
         """What is known after an attempt."""
         found = item.solution
         return posterior_of(self.problem_of(item), found.z, found.residual, found.jacobian)
 
-    def scored_row(self, item: Attempt, *, chosen: bool) -> ModelRow:
+    def scored_row(self, item: TriedModel, *, chosen: bool) -> ModelRow:
         """The row of the table of models, with errors on every split."""
         values = item.solution.values
         scores = {
@@ -191,7 +185,7 @@ class Bench:
     def _problem(self, parameters: ParameterSet) -> Problem:
         return Problem(self.nominal, parameters, self._segments, weights=self._weights, jobs=self._jobs)
 
-    def _attempt(
+    def _try(
         self,
         name: str,
         fit: Mapping[str, Any],
@@ -201,7 +195,7 @@ class Bench:
         absent: Sequence[str] = (),
         rough: bool = False,
         starts: int | None = None,
-    ) -> Attempt:
+    ) -> TriedModel:
         """Fit one model; `left_out` stays as the nominal model has it, `absent` at zero; `rough` to compare with."""
         began = time.perf_counter()
         parameters = freeze_still(make_parameters(fit, self.nominal, self.motions), self.seen).freeze(left_out)
@@ -232,7 +226,7 @@ class Bench:
         if start is not None and "remark" in start.solver:
             # It holds for all that goes on from there.
             solution = replace(solution, solver={"remark": start.solver["remark"], **solution.solver})
-        return Attempt(
+        return TriedModel(
             ModelRow(
                 name=name,
                 quantities=tuple(fit),
@@ -249,10 +243,10 @@ class Bench:
         begin = regressed_start(problem, self._train) if self._signal == "torque" else swept_start(problem)
         return problem.with_parameters(begin)
 
-    def _to_the_end(self, rough: Attempt, fit: Mapping[str, Any], left_out: Sequence[str]) -> Attempt:
+    def _to_the_end(self, rough: TriedModel, fit: Mapping[str, Any], left_out: Sequence[str]) -> TriedModel:
         """The same model from where a rough search ended; what is told of both is told as of one."""
         name = rough.row.name
-        end = self._attempt(f"{name}, to the end", fit, rough.solution, left_out=left_out, starts=1)
+        end = self._try(f"{name}, to the end", fit, rough.solution, left_out=left_out, starts=1)
         first, last = rough.solution, end.solution
         spent = {key: first.solver[key] + last.solver[key] for key in ("iterations", "evaluations", "seconds")}
         begun = {item.name: item.value for item in first.parameters.free}
@@ -265,7 +259,7 @@ class Bench:
         seconds = round(rough.row.seconds + end.row.seconds, 2)
         return replace(end, row=replace(end.row, name=name, seconds=seconds), solution=solution)
 
-    def _idle(self, item: Attempt) -> list[str]:
+    def _idle(self, item: TriedModel) -> list[str]:
         """Parameters that change next to nothing in these motions, even if all others were known.
 
         None where the user has chosen what is fitted, and none where nothing would be left.
@@ -289,22 +283,14 @@ def _payload_note(logs: Sequence[Episode]) -> tuple[str, ...]:
     return (note,)
 
 
-def usable(logs: Sequence[Episode], *, keep_flagged: bool) -> tuple[list[Episode], dict[str, str]]:
-    """The motions without quality warnings, and why the others are left out."""
-    flagged = (
-        {} if keep_flagged else {log.id: ", ".join(warning_kinds(log.meta.flags)) for log in logs if log.meta.warned}
-    )
-    return [log for log in logs if log.id not in flagged], flagged
-
-
-def _better(richer: Attempt, best: Attempt) -> bool:
+def _better(richer: TriedModel, best: TriedModel) -> bool:
     """Whether a richer model earns its parameters on motions that it was not fitted to."""
     if richer.val is None or best.val is None:
         return False
     return richer.val.mean < (1.0 - _WORTH) * best.val.mean
 
 
-def _as_good(leaner: Attempt, best: Attempt) -> bool:
+def _as_good(leaner: TriedModel, best: TriedModel) -> bool:
     """Whether a model with fewer parameters is no worse, on motions that it was not fitted to if there are any."""
     if leaner.val is None or best.val is None:
         return leaner.solution.rms <= (1.0 + _WORTH) * best.solution.rms
