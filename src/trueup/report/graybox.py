@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from trueup.core.atomic import read_json
+from trueup.core.config import read_versioned
 from trueup.core.results import Estimate
-from trueup.errors import DataError, FormatError
 
 GRAYBOX_SCHEMA = "trueup.graybox/1"
 # In place of a payload: all motions of a split together.
@@ -66,33 +66,21 @@ class Graybox:
             FormatError: another kind of file or version.
             DataError: missing or broken.
         """
-        data = read_json(path)
-        if not isinstance(data, Mapping) or data.get("schema") != GRAYBOX_SCHEMA:
-            raise FormatError("this file holds no gray-box regression, or another version", expected=GRAYBOX_SCHEMA)
-        try:
-            joints = {str(name): tuple(_block(item) for item in fit["blocks"]) for name, fit in data["joints"].items()}
-            notes = tuple(str(note) for note in data.get("notes", ()))
-        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise DataError("a gray-box regression is broken", got=f"{type(error).__name__}: {error}") from error
-        return Graybox(joints, notes)
+        what = "gray-box regression"
+        return read_versioned(Graybox._read, read_json(path), str(path), schema=GRAYBOX_SCHEMA, what=what)
+
+    @staticmethod
+    def _read(data: Mapping[str, Any]) -> Graybox:
+        joints = {name: tuple(_block(item) for item in fit["blocks"]) for name, fit in data["joints"].items()}
+        return Graybox(joints, tuple(data.get("notes", ())))
 
 
 def _block(data: Mapping[str, Any]) -> Block:
-    scores = {str(split): {ALL_MOTIONS: _score(item)} for split, item in data["splits"].items()}
+    scores = {split: {ALL_MOTIONS: _score(item)} for split, item in data["splits"].items()}
     for split, payloads in data["payloads"].items():
-        scores.setdefault(str(split), {}).update({str(load): _score(item) for load, item in payloads.items()})
-    return Block(str(data["block"]), str(data["left_out"]), scores)
+        scores.setdefault(split, {}).update({load: _score(item) for load, item in payloads.items()})
+    return Block(data["block"], data["left_out"], scores)
 
 
 def _score(data: Mapping[str, Any]) -> BlockScore:
-    return BlockScore(_estimate(data["rmse"]), _estimate(data["reduction"]), int(data["motions"]))
-
-
-def _estimate(data: Mapping[str, Any]) -> Estimate:
-    estimate = Estimate.from_json(data)
-    for end in (estimate.low, estimate.high):
-        if not isinstance(end, int | float | None):
-            raise TypeError(f"{end!r} is no number")
-    if not isinstance(estimate.unit, str):
-        raise TypeError(f"{estimate.unit!r} is no unit")
-    return estimate
+    return BlockScore(Estimate.from_json(data["rmse"]), Estimate.from_json(data["reduction"]), data["motions"])
