@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import io
 import json
@@ -221,7 +222,7 @@ def edit_tree(tree: Any, rng: random.Random) -> Any:
     for _ in range(rng.choice((1, 1, 1, 2, 4))):
         places = _places(tree)
         if not places or rng.random() < 0.02:
-            return rng.choice((rng.choice(VALUES), [tree], {"a": tree}))
+            return rng.choice((copy.deepcopy(rng.choice(VALUES)), [tree], {"a": tree}))
         node, key = rng.choice(places)
         kind = rng.randrange(10)
         if kind == 0:
@@ -242,9 +243,9 @@ def edit_tree(tree: Any, rng: random.Random) -> Any:
             scale = rng.choice((-1, 0, 10, 1e6, 1e-9, 1e200))
             node[key] = float(node[key]) * scale if abs(node[key]) < 1e100 else 0
         elif kind == 6 and isinstance(node, dict):
-            node[rng.choice(("extra", "nan", "name", "id", "unit"))] = rng.choice(VALUES)
+            node[rng.choice(("extra", "nan", "name", "id", "unit"))] = copy.deepcopy(rng.choice(VALUES))
         else:
-            node[key] = rng.choice(VALUES)
+            node[key] = copy.deepcopy(rng.choice(VALUES))
     return tree
 
 
