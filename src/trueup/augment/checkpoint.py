@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -14,7 +15,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
-from trueup.core.atomic import replacing
+from trueup.core.atomic import regular, replacing
 from trueup.errors import DataError, OutputExists
 
 
@@ -64,9 +65,20 @@ def save_checkpoint(
     steps = optimizer.state_dict()
     for number, slots in steps["state"].items():
         tensors |= {f"optimizer.{number}.{name}": torch.as_tensor(value) for name, value in slots.items()}
-    metadata = {"state": json.dumps(asdict(state)), "groups": json.dumps(steps["param_groups"])}
+    tensors = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    said, groups = json.dumps(asdict(state)), json.dumps(steps["param_groups"])
+    metadata = {"state": said, "groups": groups, "sha256": digest_of(tensors, said, groups)}
     with replacing(path) as temporary:
-        save_file({name: value.detach().cpu().contiguous() for name, value in tensors.items()}, temporary, metadata)
+        save_file(tensors, temporary, metadata)
+
+
+def digest_of(tensors: Mapping[str, Tensor], *texts: str) -> str:
+    """SHA-256 of all that a checkpoint holds: a training that went on from other weights would not be told from one."""
+    digest = hashlib.sha256(json.dumps(texts).encode())
+    for name in sorted(tensors):
+        digest.update(f"{name} {tensors[name].dtype} {tuple(tensors[name].shape)}".encode())
+        digest.update(tensors[name].contiguous().numpy().tobytes())
+    return digest.hexdigest()
 
 
 def read_checkpoint(
@@ -79,13 +91,15 @@ def read_checkpoint(
         DataError: the file is broken.
     """
     try:
-        with safe_open(path, framework="pt") as file:
+        with safe_open(regular(path), framework="pt") as file:
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  # it has no __iter__
         tree = json.loads(metadata["state"])
         groups = json.loads(metadata["groups"])
         asked = tree["inputs"]
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
+        if metadata["sha256"] != digest_of(tensors, metadata["state"], metadata["groups"]):
+            raise ValueError("its content is not what was written")
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise DataError(f"{path} is no checkpoint", got=error, hint=_ANEW) from error
     if asked != inputs:
         raise OutputExists(

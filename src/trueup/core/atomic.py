@@ -92,6 +92,17 @@ def json_hash(value: Any) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
+def regular(path: Path) -> Path:
+    """The path of a file, unless it is a pipe, which would be waited for, a device, which never ends, or a folder.
+
+    Raises:
+        DataError: it is there, and no regular file.
+    """
+    if path.exists() and not path.is_file():
+        raise DataError(f"cannot read {path}", got="a folder" if path.is_dir() else "no regular file")
+    return path
+
+
 # What may become a number that is not finite, or half a character; few files have any.
 _ODD = re.compile(r"NaN|Infinity|\d[eE]\+?\d{3,}\s*[,\]}]|\d{300}|\\u[dD][89a-fA-F]")
 
@@ -110,7 +121,7 @@ def read_json(path: Path) -> Any:
         DataError: the file is missing, not UTF-8 or not JSON, or holds a number that is too large, or none.
     """
     try:
-        text = path.read_bytes().decode()
+        text = regular(path).read_bytes().decode()
         if _ODD.search(text) is None:
             return json.loads(text)
         tree = json.loads(text, parse_float=_number, parse_int=_number, parse_constant=_number)

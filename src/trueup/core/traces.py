@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Float64, Int
 
-from trueup.core.atomic import read_json, replacing, write_json
+from trueup.core.atomic import read_json, regular, replacing, write_json
 from trueup.core.decimation import decimation_rows
 from trueup.core.hold import held_rows
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
@@ -240,7 +240,7 @@ class TraceSet:
         path = folder / "traces.npz"
         try:
             traces = TraceSet(max_points=index["max_points"])
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            with regular(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 for item in index["episodes"]:
                     episode = EpisodeTraces.unpack(np.asarray(archive[item["array"]], np.float32), item)
                     traces.episodes[episode.id] = episode
