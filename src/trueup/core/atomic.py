@@ -91,6 +91,17 @@ def json_hash(value: Any) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
+def regular(path: Path) -> Path:
+    """The path of a file, unless it is a pipe, which would be waited for, a device, which never ends, or a folder.
+
+    Raises:
+        DataError: it is there, and no regular file.
+    """
+    if path.exists() and not path.is_file():
+        raise DataError(f"cannot read {path}", got="a folder" if path.is_dir() else "no regular file")
+    return path
+
+
 def read_json(path: Path) -> Any:
     """Read JSON.
 
@@ -98,7 +109,7 @@ def read_json(path: Path) -> Any:
         DataError: the file is missing, not UTF-8 or not JSON.
     """
     try:
-        return json.loads(path.read_bytes())
+        return json.loads(regular(path).read_bytes())
     except FileNotFoundError:
         raise DataError(f"{path} does not exist") from None
     except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:

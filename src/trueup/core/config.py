@@ -11,6 +11,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 import yaml
 
+from trueup.core.atomic import regular
 from trueup.errors import ConfigError, DataError, FormatError
 
 T = TypeVar("T")
@@ -23,10 +24,10 @@ def read_yaml(path: Path) -> dict[str, Any]:
         ConfigError: missing, not UTF-8, not YAML, a tag that would build objects, or no mapping at the top.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = regular(path).read_text(encoding="utf-8")
     except FileNotFoundError:
         raise ConfigError(f"{path} does not exist") from None
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, DataError) as error:
         raise ConfigError(f"{path} cannot be read", got=error) from error
     tree = parse_yaml(text, str(path))
     if not isinstance(tree, dict):
