@@ -5,12 +5,13 @@ found, what was expected, what is available and what to do next; the command lin
 lines and exits with the class's `exit_code`.
 """
 
+import re
 from collections.abc import Iterable
 
 
 def _plain(value: object, limit: int) -> str:
     """On one line, printable and short: names and values come from files that anybody may have written."""
-    text = " ".join(str(value)[: 4 * limit].split())
+    text = re.sub(r"\s*\n\s*", " ", str(value)[: 4 * limit])
     text = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
     return text if len(text) <= limit else f"{text[:limit]}…"
 

@@ -565,7 +565,7 @@ def _displace(folder: Path, file: Path, rng: random.Random) -> str:
             "pipe",
             "loop",
             "nowhere",
-            "passwd",
+            "sentinel",
             "zero",
             "outside",
             "moved",
@@ -573,7 +573,7 @@ def _displace(folder: Path, file: Path, rng: random.Random) -> str:
             "swapped",
         )
     )
-    others = [path for path in folder.rglob("*") if path.is_file() and path != file]
+    others = [path for path in folder.rglob("*") if path.is_file() and not path.is_symlink() and path != file]
     content = file.read_bytes()
     file.unlink()
     if kind == "folder":
@@ -582,8 +582,15 @@ def _displace(folder: Path, file: Path, rng: random.Random) -> str:
         file.touch()
     elif kind == "pipe":
         os.mkfifo(file)
-    elif kind in ("loop", "nowhere", "passwd", "zero"):
-        file.symlink_to({"loop": file.name, "nowhere": "no", "passwd": "/etc/passwd", "zero": "/dev/zero"}[kind])
+    elif kind in ("loop", "nowhere", "sentinel", "zero"):
+        file.symlink_to(
+            {
+                "loop": file.name,
+                "nowhere": "no",
+                "sentinel": str(folder.parent / "outside" / "sentinel"),
+                "zero": "/dev/zero",
+            }[kind]
+        )
     elif kind == "outside":
         parent = file.parent
         if parent == folder or rng.random() < 0.5:

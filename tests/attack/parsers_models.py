@@ -2,84 +2,62 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import hashlib
 import json
 import random
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import yaml
 
 from attack.harness import Parser, Unsound
 from attack.mutations import VALUES, change, edit_tree, mutate
-from augment.augment_cases import RUN, make_dataset
+from augment.augment_cases import JOINTS, RUN, make_dataset
+from augment.evaluation_cases import card_of, shift_folder
+from trueup import zoo
+from trueup.augment.config import CHECKPOINT_NAME, AugmentConfig
 from trueup.core.atomic import json_hash
 from trueup.core.model_card import CARD_NAME, ONNX_NAME, WEIGHTS_NAME, ModelCard
-from trueup.deploy import Predictor, Stream, StreamSettings
+from trueup.dataset import Dataset
+from trueup.deploy import Predictor, Status, Stream, StreamSettings
 from trueup.errors import ConfigError
 from trueup.stages.correcting import correct_unless_same
 from trueup.stages.model_folder import ModelFolder
 
+if TYPE_CHECKING:
+    from torch import nn
+    from torch.optim import Optimizer
+
+    from trueup.augment import Augmentation
+
 STEPS = 12
 
 
-@functools.cache
-def _scratch() -> tempfile.TemporaryDirectory[str]:
-    return tempfile.TemporaryDirectory(prefix="attack")
-
-
-@functools.cache
-def _data() -> Path:
-    """Made-up motions with a run."""
-    folder = Path(_scratch().name) / "data"
-    make_dataset(folder, counts=(4, 2, 2), samples=(40, 50))
-    return folder
-
-
-@functools.cache
-def _model() -> Path:
-    """A small network, and the checkpoint of its training beside it."""
-    from trueup.augment import AugmentConfig
-    from trueup.augment.config import CHECKPOINT_NAME, NetworkConfig, WindowConfig
-    from trueup.dataset import Dataset
-    from trueup.stages import augment
-
-    folder = Path(_scratch().name) / "model"
-    config = AugmentConfig(
-        network=NetworkConfig("lstm", (4, 3)), window=WindowConfig("fixed", samples=20, draws=1), batch=4, epochs=2
-    )
-    kept = folder.with_name("kept")
-
-    def keep(_: Any) -> None:
-        if (folder / CHECKPOINT_NAME).is_file():
-            shutil.copy(folder / CHECKPOINT_NAME, kept)
-
-    augment([Dataset(_data())], folder, run=RUN, config=config, jobs=1, on_progress=keep)
-    kept.rename(folder / CHECKPOINT_NAME)
-    return folder
-
-
-@functools.cache
-def _card() -> ModelCard:
-    return ModelCard.load(_model())
-
-
 def _copies(*names: str) -> Callable[[Path], None]:
+    """Files of a network of the zoo."""
+
     def make(folder: Path) -> None:
         for name in names:
-            shutil.copy(_model() / name, folder / name)
+            shutil.copy(zoo.folder(zoo.names()[0]) / name, folder / name)
 
     return make
 
 
+@functools.cache
+def _card() -> ModelCard:
+    return ModelCard.load(zoo.folder(zoo.names()[0]))
+
+
 def seal(folder: Path) -> None:
     """Hashes as if whoever changed the files had written them."""
+    if not (folder / CARD_NAME).is_file():
+        return  # a pipe, or nothing
     try:
         card = json.loads((folder / CARD_NAME).read_bytes())
         card["files"] = {
@@ -115,10 +93,28 @@ def read_network(folder: Path) -> Iterator[Exception]:
     rng = np.random.default_rng(0)
     for number in range(STEPS):
         answer = stream.step_vector(rng.normal(size=len(stream.card.inputs)), time_s=number / card.rate_hz)
-        if answer.is_ok and not np.isfinite(answer.values).all():
+        if answer.status is Status.OK and not np.isfinite(answer.values).all():
             raise Unsound("an answer that is not finite is called good")
     Predictor.load(folder).run(rng.normal(size=(STEPS, 2, len(stream.card.inputs))))
     yield from ()
+
+
+@functools.cache
+def _trained() -> Augmentation:
+    """A small network that has learned nothing."""
+    from augment.test_networks import corrector_of
+    from trueup.augment import Augmentation, AugmentConfig
+    from trueup.augment.config import NetworkConfig
+
+    config = AugmentConfig(network=NetworkConfig("lstm", (4, 3)))
+    corrector = corrector_of(config.network, np.random.default_rng(0), inputs=4, base=(0, 1, 2, 3))
+    card = replace(card_of(), provenance={"config": config.to_json()})
+    return Augmentation(card, corrector, config)
+
+
+def make_weights(folder: Path) -> None:
+    """A model folder with its weights."""
+    _trained().save(folder)
 
 
 def read_weights(folder: Path) -> Iterator[Exception]:
@@ -133,44 +129,44 @@ def read_weights(folder: Path) -> Iterator[Exception]:
     yield from ()
 
 
+def _optimizer() -> tuple[nn.Module, Optimizer]:
+    """A network and an optimizer that has made a step."""
+    import torch
+
+    from trueup.augment import training
+
+    network = copy.deepcopy(_trained().corrector.network)
+    optimizer = training._optimizer(list(network.parameters()), _trained().config.optimizer)
+    for parameter in network.parameters():
+        parameter.grad = torch.ones_like(parameter)
+    optimizer.step()
+    return network, optimizer
+
+
 def make_checkpoint(folder: Path) -> None:
-    """After the last epoch but one."""
-    from trueup.augment.config import CHECKPOINT_NAME
+    """After two epochs."""
+    from trueup.augment.checkpoint import Checkpoint, Epoch, save_checkpoint
 
-    shutil.copy(_model() / CHECKPOINT_NAME, folder / CHECKPOINT_NAME)
-
-
-@functools.cache
-def _trained() -> tuple[str, int]:
-    """The hash in the checkpoint of `_model`, and its number of epochs."""
-    from safetensors import safe_open
-
-    from trueup.augment.config import CHECKPOINT_NAME
-
-    with safe_open(_model() / CHECKPOINT_NAME, framework="pt") as file:
-        state = json.loads(file.metadata()["state"])
-    return state["inputs"], len(state["history"])
+    network, optimizer = _optimizer()
+    history = tuple(Epoch(number, 0.1, 0.2, 0.001, 3.0) for number in (1, 2))
+    save_checkpoint(
+        folder / CHECKPOINT_NAME,
+        Checkpoint("asked", history, 1),
+        network,
+        optimizer,
+        copy.deepcopy(network.state_dict()),
+    )
 
 
 def read_checkpoint(folder: Path) -> Iterator[Exception]:
     """As far as the next step of the optimizer."""
-    import torch
-
-    from trueup.augment import Augmentation
+    from trueup.augment.checkpoint import losses
     from trueup.augment.checkpoint import read_checkpoint as read
-    from trueup.augment.config import CHECKPOINT_NAME
-    from trueup.augment.training import _optimizer
 
-    model = Augmentation.load(_model())
-    network = model.corrector.network
-    optimizer = _optimizer(list(network.parameters()), model.config.optimizer)
-    inputs, epochs = _trained()
-    found, best = read(folder / CHECKPOINT_NAME, inputs, network, optimizer)
-    if len(found.history) > epochs or not 0 <= found.best <= len(found.history):
-        raise Unsound(f"epoch {found.best} of {len(found.history)}")
+    network, optimizer = _optimizer()
+    found, best = read(folder / CHECKPOINT_NAME, "asked", network, optimizer)
+    losses(found.history)
     network.load_state_dict(best)
-    for parameter in network.parameters():
-        parameter.grad = torch.zeros_like(parameter)
     optimizer.step()
     yield from ()
 
@@ -181,7 +177,6 @@ def change_checkpoint(folder: Path, rng: random.Random) -> str:
     from safetensors.torch import save_file
 
     from trueup.augment.checkpoint import digest_of
-    from trueup.augment.config import CHECKPOINT_NAME
 
     path = folder / CHECKPOINT_NAME
     with safe_open(path, framework="pt") as file:
@@ -195,17 +190,14 @@ def change_checkpoint(folder: Path, rng: random.Random) -> str:
     elif what == 2:
         tensors[name] = tensors[name].double()
     else:
-        key = rng.choice(("state", "groups"))
-        metadata[key] = json.dumps(edit_tree(json.loads(metadata[key]), rng))
-        name = key
-    metadata["sha256"] = digest_of(tensors, metadata["state"], metadata["groups"])
-    save_file(tensors, path, {key: str(value) for key, value in metadata.items()})
+        name, metadata["state"] = "state", json.dumps(edit_tree(json.loads(metadata["state"]), rng))
+    save_file(tensors, path, {"state": metadata["state"], "sha256": digest_of(tensors, metadata["state"])})
     return f"{name} changed, hash made anew"
 
 
 def make_folder(folder: Path) -> None:
     """A model that is being replaced."""
-    _copies(CARD_NAME, ONNX_NAME, WEIGHTS_NAME)(folder)
+    _copies(CARD_NAME)(folder)
     ModelFolder(folder, "asked").begin_anew()
 
 
@@ -220,16 +212,12 @@ def read_folder(folder: Path) -> Iterator[Exception]:
 
 def make_config(folder: Path) -> None:
     """Every key."""
-    from trueup.augment import AugmentConfig
-
     tree = {"base": "paper", **json.loads(json.dumps(AugmentConfig().to_json()))}
     (folder / "augment.yaml").write_text(yaml.safe_dump(tree, sort_keys=False))
 
 
 def read_config(folder: Path) -> Iterator[Exception]:
     """There and back."""
-    from trueup.augment import AugmentConfig
-
     config = AugmentConfig.load(folder / "augment.yaml")
     json.dumps(config.to_json(), allow_nan=False)
     yield from ()
@@ -248,7 +236,9 @@ def read_settings(folder: Path) -> Iterator[Exception]:
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         raise ConfigError("not the settings of a stream") from error
     card = _card()
-    stream = Stream.load(_model(), rate_hz=card.rate_hz, joints=card.joints, settings=StreamSettings(**values))
+    stream = Stream.load(
+        zoo.folder(zoo.names()[0]), rate_hz=card.rate_hz, joints=card.joints, settings=StreamSettings(**values)
+    )
     for number in range(STEPS):
         stream.step_vector(np.zeros(len(card.inputs)), time_s=number / card.rate_hz)
     yield from ()
@@ -263,30 +253,19 @@ def change_settings(folder: Path, rng: random.Random) -> str:
     return f"{name} is {str(tree[name])[:40]}"
 
 
-@functools.cache
-def _corrected() -> Path:
-    from trueup.dataset import Dataset
-
-    folder = Path(_scratch().name) / "corrected"
-    shutil.copytree(_data(), folder)
-    data = Dataset(folder)
-    correct_unless_same(data, Predictor.load(_model()), run=RUN, ids=list(data.ids)[:-1])
-    return folder
-
-
 def make_corrected(folder: Path) -> None:
     """A dataset with a run, and its correction of all motions but one."""
-    shutil.copytree(_corrected(), folder, dirs_exist_ok=True)
+    data = make_dataset(folder / "data", counts=(2, 1, 1), samples=(40, 50))
+    shift_folder(folder / "model", card_of(joints=JOINTS, signals=("position",)), [0.1, 0.2])
+    correct_unless_same(data, Predictor.load(folder / "model"), run=RUN, ids=list(data.ids)[:-1])
 
 
 def read_corrected(folder: Path) -> Iterator[Exception]:
     """The correction is completed, and then there."""
-    from trueup.dataset import Dataset
-
-    data = Dataset(folder)
-    done = correct_unless_same(data, Predictor.load(_model()), run=RUN, ids=data.ids)
+    data = Dataset(folder / "data")
+    done = correct_unless_same(data, Predictor.load(folder / "model"), run=RUN, ids=list(data.ids))
     yield from done.failed.values()
-    if set(data.run_ids(done.label)) != set(data.ids) - set(done.failed):
+    if set(data.run_ids(done.label)) < set(data.ids) - set(done.failed):
         raise Unsound("a motion was lost")
 
 
@@ -300,7 +279,7 @@ def change_run(folder: Path, rng: random.Random) -> str:
 PARSERS = [
     Parser("model card", _copies(CARD_NAME), read_card, change_sealed),
     Parser("network", _copies(CARD_NAME, ONNX_NAME), read_network, change_sealed),
-    Parser("weights", _copies(CARD_NAME, WEIGHTS_NAME), read_weights, change_sealed),
+    Parser("weights", make_weights, read_weights, change_sealed),
     Parser("training checkpoint", make_checkpoint, read_checkpoint, change_checkpoint),
     Parser("training folder", make_folder, read_folder),
     Parser("augment config", make_config, read_config),

@@ -57,9 +57,7 @@ NUMBER = Estimate(0.1, "Nm", 0.05, 0.2)
 def _world() -> World:
     joints = ("pan", "lift", "grip")
     names, splits = ("a", "b", "c"), ("train", "val", "test")
-    return simulate(
-        World(joints=joints, scored=joints[:2], names=names, splits=splits, samples=40, max_points=100)
-    )
+    return simulate(World(joints=joints, scored=joints[:2], names=names, splits=splits, samples=40, max_points=100))
 
 
 @functools.cache
@@ -71,7 +69,9 @@ def _gap() -> GapResult:
         name: {value: {label: _positions(item) for label, item in runs.items()} for value, runs in values.items()}
         for name, values in gap.groups.items()
     }
-    episodes = {label: {name: _positions(item) for name, item in items.items()} for label, items in gap.episodes.items()}
+    episodes = {
+        label: {name: _positions(item) for name, item in items.items()} for label, items in gap.episodes.items()
+    }
     return replace(gap, runs=runs, groups=groups, episodes=episodes)
 
 
@@ -171,7 +171,9 @@ def _filled(kind: type) -> dict[str, Any]:
 def make_graybox(folder: Path) -> None:
     """One joint, one block."""
     score = Score(NUMBER, NUMBER, 3, 100)
-    block = BlockFit("pd", "", {"K_p": Coefficient("Nm/rad", 40.0, 30.0, 50.0, 2.0)}, {"train": score}, {"train": {"0": score}})
+    block = BlockFit(
+        "pd", "", {"K_p": Coefficient("Nm/rad", 40.0, 30.0, 50.0, 2.0)}, {"train": score}, {"train": {"0": score}}
+    )
     result = GrayboxResult({"pan": JointFit((block,), "hac", 3, 100)}, {"delay_s": 0.01}, ("a note",), {"seed": 0})
     result.save(folder / "graybox.json")
 
@@ -233,11 +235,76 @@ class _Page(HTMLParser):
         self._kind = ""
 
 
-_ALLOWED = set(
-    "html head meta title style script body header nav a main section h1 h2 h3 h4 p div span table thead tbody tr th td ul ol"
-    " li button select option label details summary pre code footer strong em small dl dt dd figure figcaption input svg"
-    " path line rect circle g text caption b i sub sup abbr br hr colgroup col noscript fieldset legend optgroup link".split()
-)
+_ALLOWED = {
+    "html",
+    "head",
+    "meta",
+    "title",
+    "style",
+    "script",
+    "body",
+    "header",
+    "nav",
+    "a",
+    "main",
+    "section",
+    "h1",
+    "h2",
+    "h3",
+    "h4",
+    "p",
+    "div",
+    "span",
+    "table",
+    "thead",
+    "tbody",
+    "tr",
+    "th",
+    "td",
+    "ul",
+    "ol",
+    "li",
+    "button",
+    "select",
+    "option",
+    "label",
+    "details",
+    "summary",
+    "pre",
+    "code",
+    "footer",
+    "strong",
+    "em",
+    "small",
+    "dl",
+    "dt",
+    "dd",
+    "figure",
+    "figcaption",
+    "input",
+    "svg",
+    "path",
+    "line",
+    "rect",
+    "circle",
+    "g",
+    "text",
+    "caption",
+    "b",
+    "i",
+    "sub",
+    "sup",
+    "abbr",
+    "br",
+    "hr",
+    "colgroup",
+    "col",
+    "noscript",
+    "fieldset",
+    "legend",
+    "optgroup",
+    "link",
+}
 
 
 def read_report(folder: Path) -> Iterator[Exception]:
@@ -284,14 +351,34 @@ def rename(folder: Path, rng: random.Random) -> str:
 PARSERS = [
     Parser("gap.json", make_gap_file, reader(GapResult, "gap.json")),
     Parser("ladder.json", make_ladder_file, reader(Ladder, "ladder.json")),
-    Parser("fit.json", lambda folder: make_fit(_world().joints, "at-bound").save(folder / "fit.json"), reader(FitResult, "fit.json")),
-    Parser("explain.json", lambda folder: _only(make_identification, folder, "explain.json"), reader(Attribution, "explain.json")),
-    Parser("graybox.json of a report", lambda folder: _only(make_identification, folder, "graybox.json"), reader(Graybox, "graybox.json")),
+    Parser(
+        "fit.json",
+        lambda folder: make_fit(_world().joints, "at-bound").save(folder / "fit.json"),
+        reader(FitResult, "fit.json"),
+    ),
+    Parser(
+        "explain.json",
+        lambda folder: _only(make_identification, folder, "explain.json"),
+        reader(Attribution, "explain.json"),
+    ),
+    Parser(
+        "graybox.json of a report",
+        lambda folder: _only(make_identification, folder, "graybox.json"),
+        reader(Graybox, "graybox.json"),
+    ),
     Parser("graybox.json", make_graybox, reader(GrayboxResult, "graybox.json")),
     Parser("inverse dynamics", make_inverse_dynamics, reader(InverseDynamicsFit, "inverse_dynamics.json")),
     Parser("experiment", make_experiment, reader(ExperimentResult, "experiment.json")),
-    Parser("quality.json", lambda folder: make_quality(_world()).save(folder / "quality.json"), reader(Quality, "quality.json")),
-    Parser("analysis.json", lambda folder: make_analysis(_world()).save(folder / "analysis.json"), reader(Analysis, "analysis.json")),
+    Parser(
+        "quality.json",
+        lambda folder: make_quality(_world()).save(folder / "quality.json"),
+        reader(Quality, "quality.json"),
+    ),
+    Parser(
+        "analysis.json",
+        lambda folder: make_analysis(_world()).save(folder / "analysis.json"),
+        reader(Analysis, "analysis.json"),
+    ),
     Parser("engines.json", make_engines, reader(EngineComparison, "engines.json")),
     Parser("augment.json", make_augment, reader(AugmentResult, "augment.json")),
     Parser("latency.json", make_latency, reader(StepTimes, "latency.json")),
