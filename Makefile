@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 TRUEUP := $(BIN)/trueup
 
-.PHONY: demo test test-all install lint bench acceptance pages docs lock clean
+.PHONY: demo test test-all attack install lint bench acceptance pages docs lock clean
 
 demo: $(VENV)/.base
 	$(TRUEUP) demo --out runs/demo --overwrite
@@ -17,6 +17,10 @@ test: install lint
 test-all: install lint
 	$(BIN)/python -m pytest -n 2
 	$(BIN)/mkdocs build --strict --quiet --site-dir $(VENV)/site
+
+# TRUEUP_MUTATIONS damaged files for every parser (10000 if not given); a parser that is done is not attacked again.
+attack: install
+	PYTHONPATH=.:tests $(BIN)/python -m attack
 
 lint: install
 	$(BIN)/ruff format --check .

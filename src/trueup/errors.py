@@ -5,11 +5,19 @@ found, what was expected, what is available and what to do next; the command lin
 lines and exits with the class's `exit_code`.
 """
 
+import re
 from collections.abc import Iterable
 
 
+def _plain(value: object, limit: int) -> str:
+    """On one line, printable and short: names and values come from files that anybody may have written."""
+    text = re.sub(r"\s*\n\s*", " ", str(value)[: 4 * limit])
+    text = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+    return text if len(text) <= limit else f"{text[:limit]}…"
+
+
 def _listing(names: Iterable[object], limit: int = 24) -> str:
-    shown = [str(name) for name in names]
+    shown = [_plain(name, 60) for name in names]
     more = f", … ({len(shown) - limit} more)" if len(shown) > limit else ""
     return ", ".join(shown[:limit]) + more if shown else "none"
 
@@ -43,13 +51,13 @@ class TrueupError(Exception):
         available: Iterable[object] | None = None,
         hint: str | None = None,
     ) -> None:
-        self.what = what
-        self.hint = hint
+        self.what = what = _plain(what, 3200)
+        self.hint = "\n".join(_plain(line, 2000) for line in hint.rstrip().split("\n")[:20]) if hint else None
         details = []
         if got is not None:
-            details.append(f"got {got}")
+            details.append(f"got {_plain(got, 400)}")
         if expected is not None:
-            details.append(f"expected {expected}")
+            details.append(f"expected {_plain(expected, 1000)}")
         if available is not None:
             details.append(f"available: {_listing(available)}")
         self.details = "; ".join(details)

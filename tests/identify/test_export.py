@@ -190,7 +190,7 @@ def test_fit_json_comes_back_and_broken_ones_are_refused(tmp_path):
     assert read.values == found.result.values
     assert read["damping[elbow]"].interval == found.result["damping[elbow]"].interval
     tree = read.to_json()
-    with pytest.raises(FormatError, match="not a fit"):
+    with pytest.raises(FormatError, match="holds no fit"):
         FitResult.from_json({**tree, "schema": "trueup.gap/1"})
     with pytest.raises(DataError, match="broken"):
         FitResult.from_json({**tree, "status": "splendid"})

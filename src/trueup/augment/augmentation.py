@@ -212,16 +212,17 @@ class Augmentation:
             FormatError: of another version.
         """
         card = ModelCard.load(folder)
+        path = folder / WEIGHTS_NAME
         try:
             state = load_tensors(card.verified(folder, WEIGHTS_NAME))
-        except SafetensorError as error:
-            raise DataError(f"{folder / WEIGHTS_NAME} holds no weights", got=error) from error
-        config = build(AugmentConfig, card.provenance["config"], f"{folder}: config")
-        width = len(card.outputs)
-        blank = Scaling(*(np.ones(n) for n in (len(card.inputs), len(card.inputs), width, width, width)))
-        stops = Stops.none(len(state["stop_edge"]))
-        corrector = _made(config, card.inputs, card.base, blank, stops, card.rate_hz, 0)
-        corrector.load_state_dict(state)
+            config = build(AugmentConfig, card.provenance.get("config"), f"{folder}: config")
+            width = len(card.outputs)
+            blank = Scaling(*(np.ones(n) for n in (len(card.inputs), len(card.inputs), width, width, width)))
+            stops = Stops.none(len(state["stop_edge"]))
+            corrector = _made(config, card.inputs, card.base, blank, stops, card.rate_hz, 0)
+            corrector.load_state_dict(state)
+        except (SafetensorError, KeyError, TypeError, RuntimeError) as error:  # torch's error for shapes is the last
+            raise DataError(f"{path} holds no weights of this network", got=error) from error
         corrector.eval()
         return Augmentation(card, corrector, config)
 

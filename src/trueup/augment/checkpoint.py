@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -14,8 +15,9 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
-from trueup.core.atomic import replacing
-from trueup.errors import DataError, OutputExists
+from trueup.core.atomic import regular, replacing
+from trueup.core.config import build
+from trueup.errors import ConfigError, DataError, OutputExists
 
 
 @dataclass(frozen=True)
@@ -61,12 +63,21 @@ def save_checkpoint(
     """Write the file atomically."""
     tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
     tensors |= {f"best.{name}": value for name, value in best.items()}
-    steps = optimizer.state_dict()
-    for number, slots in steps["state"].items():
+    for number, slots in optimizer.state_dict()["state"].items():
         tensors |= {f"optimizer.{number}.{name}": torch.as_tensor(value) for name, value in slots.items()}
-    metadata = {"state": json.dumps(asdict(state)), "groups": json.dumps(steps["param_groups"])}
+    tensors = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
+    said = json.dumps(asdict(state))
     with replacing(path) as temporary:
-        save_file({name: value.detach().cpu().contiguous() for name, value in tensors.items()}, temporary, metadata)
+        save_file(tensors, temporary, {"state": said, "sha256": digest_of(tensors, said)})
+
+
+def digest_of(tensors: Mapping[str, Tensor], said: str) -> str:
+    """SHA-256 of all that a checkpoint holds: a training that went on from other weights would not be told from one."""
+    digest = hashlib.sha256(said.encode())
+    for name in sorted(tensors):
+        digest.update(f"{name} {tensors[name].dtype} {tuple(tensors[name].shape)}".encode())
+        digest.update(tensors[name].contiguous().numpy().tobytes())
+    return digest.hexdigest()
 
 
 def read_checkpoint(
@@ -79,39 +90,58 @@ def read_checkpoint(
         DataError: the file is broken.
     """
     try:
-        with safe_open(path, framework="pt") as file:
+        with safe_open(regular(path), framework="pt") as file:
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  # it has no __iter__
         tree = json.loads(metadata["state"])
-        groups = json.loads(metadata["groups"])
         asked = tree["inputs"]
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
+        whole = metadata["sha256"] == digest_of(tensors, metadata["state"])
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise DataError(f"{path} is no checkpoint", got=error, hint=_ANEW) from error
+    if not whole:
+        raise DataError(f"{path} was changed after it was written (its hash differs)", hint=_ANEW)
     if asked != inputs:
         raise OutputExists(
             f"{path.parent} holds the training of another configuration, seed or data",
             hint="Give --overwrite to begin anew, or choose another --out.",
         )
     try:
-        history = tuple(Epoch(**item) for item in tree["history"])
-        network.load_state_dict(_part(tensors, "network."))
-        optimizer.load_state_dict({"state": _slots(tensors), "param_groups": groups})
-        return Checkpoint(inputs, history, tree["best"]), _part(tensors, "best.")
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:  # RuntimeError is what torch raises for shapes
+        state = _state(tree, path)
+        best = _part(tensors, "best.")
+        for weights in (best, _part(tensors, "network.")) if state.best else (_part(tensors, "network."),):
+            network.load_state_dict(weights)
+        # Its settings are those of the configuration, whose hash agrees.
+        groups = optimizer.state_dict()["param_groups"]
+        optimizer.load_state_dict({"state": _slots(tensors, optimizer), "param_groups": groups})
+    except (ConfigError, IndexError, TypeError, ValueError, RuntimeError) as error:  # the last is torch's, for shapes
         raise DataError(
             f"{path} was written by another version of trueup or torch", got=str(error).split("\n")[0], hint=_ANEW
         ) from error
+    return state, best
+
+
+def _state(tree: Any, path: Path) -> Checkpoint:
+    state = build(Checkpoint, tree, str(path))
+    count = len(state.history)
+    if [epoch.number for epoch in state.history] != [*range(1, count + 1)] or not 0 <= state.best <= count:
+        raise ValueError("epochs are missing")
+    return state
 
 
 def _part(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
 
 
-def _slots(tensors: Mapping[str, Tensor]) -> dict[int, dict[str, Tensor]]:
+def _slots(tensors: Mapping[str, Tensor], optimizer: Optimizer) -> dict[int, dict[str, Tensor]]:
+    parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
     slots: dict[int, dict[str, Tensor]] = {}
     for name, value in _part(tensors, "optimizer.").items():
         number, slot = name.split(".", 1)
+        if value.shape not in ((), parameters[int(number)].shape):
+            raise ValueError(f"{name} has the shape {tuple(value.shape)}")
         slots.setdefault(int(number), {})[slot] = value
+    if [*range(len(parameters))] != sorted(slots) or len({frozenset(item) for item in slots.values()}) > 1:
+        raise ValueError("a parameter lacks what the optimizer knows of it")
     return slots
 
 

@@ -10,8 +10,8 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Float64
 
-from trueup.core.augment_result import ALL_JOINTS, Coverage, Cut, Pooled, Verdict
-from trueup.core.results import Estimate
+from trueup.core.augment_result import ALL_JOINTS, Coverage, Cut, Pooled
+from trueup.core.results import Estimate, Verdict
 from trueup.measure import metric_unit, ratio_interval
 
 T = TypeVar("T")

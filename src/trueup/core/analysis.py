@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from trueup.core.atomic import read_json, write_json
-from trueup.errors import DataError, FormatError
+from trueup.core.config import read_versioned
+from trueup.errors import DataError
 
 ANALYSIS_SCHEMA = "trueup.analysis/1"
 
@@ -60,9 +61,9 @@ class BinnedCurve:
             median=_numbers(data["median"]),
             q25=_numbers(data["q25"]),
             q75=_numbers(data["q75"]),
-            count=tuple(int(value) for value in data["count"]),
-            x_unit=str(data["x_unit"]),
-            y_unit=str(data["y_unit"]),
+            count=tuple(data["count"]),
+            x_unit=data["x_unit"],
+            y_unit=data["y_unit"],
         )
 
 
@@ -87,8 +88,7 @@ class Lag:
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> Lag:
         """Read back what `to_json` wrote."""
-        low, high = (None if data[key] is None else float(data[key]) for key in ("low_s", "high_s"))
-        return Lag(value_s=_number(data["value_s"]), low_s=low, high_s=high)
+        return Lag(value_s=_number(data["value_s"]), low_s=data["low_s"], high_s=data["high_s"])
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class HorizonCurve:
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> HorizonCurve:
         """Read back what `to_json` wrote."""
-        return HorizonCurve(time_s=_numbers(data["time_s"]), rmse=_numbers(data["rmse"]), unit=str(data["unit"]))
+        return HorizonCurve(time_s=_numbers(data["time_s"]), rmse=_numbers(data["rmse"]), unit=data["unit"])
 
 
 @dataclass(frozen=True)
@@ -147,24 +147,23 @@ class Analysis:
         }
 
     @staticmethod
-    def from_json(data: Any) -> Analysis:
+    def from_json(data: Any, where: str = "analysis.json") -> Analysis:
         """Read back what `to_json` wrote.
 
         Raises:
             FormatError: not an analysis, or of another version.
             DataError: an analysis, but broken.
         """
-        if not isinstance(data, Mapping) or data.get("schema") != ANALYSIS_SCHEMA:
-            raise FormatError("this file holds no analysis of a gap, or another version", expected=ANALYSIS_SCHEMA)
-        try:
-            return Analysis(
-                bins=_tree(data["bins"], BinnedCurve.from_json, 4),
-                lags=_tree(data["lags"], Lag.from_json, 2),
-                horizon=_tree(data["horizon"], HorizonCurve.from_json, 3),
-                provenance=dict(data.get("provenance", {})),
-            )
-        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise DataError("an analysis of a gap is broken", got=f"{type(error).__name__}: {error}") from error
+        return read_versioned(Analysis._read, data, where, schema=ANALYSIS_SCHEMA, what="analysis of a gap")
+
+    @staticmethod
+    def _read(data: Mapping[str, Any]) -> Analysis:
+        return Analysis(
+            bins=_tree(data["bins"], BinnedCurve.from_json, 4),
+            lags=_tree(data["lags"], Lag.from_json, 2),
+            horizon=_tree(data["horizon"], HorizonCurve.from_json, 3),
+            provenance=data.get("provenance", {}),
+        )
 
     def save(self, path: Path) -> None:
         """Write analysis.json atomically."""
@@ -173,12 +172,12 @@ class Analysis:
     @staticmethod
     def load(path: Path) -> Analysis:
         """Read analysis.json."""
-        return Analysis.from_json(read_json(path))
+        return Analysis.from_json(read_json(path), str(path))
 
 
 def _tree(tree: Any, leaf: Any, depth: int) -> Any:
     """The same nesting of mappings with `leaf` applied at `depth`."""
-    return leaf(tree) if depth == 0 else {str(key): _tree(value, leaf, depth - 1) for key, value in tree.items()}
+    return leaf(tree) if depth == 0 else {key: _tree(value, leaf, depth - 1) for key, value in tree.items()}
 
 
 def _same_length(what: str, *columns: Sized) -> None:
@@ -195,9 +194,9 @@ def _nulled(values: Sequence[float]) -> list[float | None]:
     return [_null(value) for value in values]
 
 
-def _number(value: Any) -> float:
-    return math.nan if value is None else float(value)
+def _number(value: Any) -> Any:
+    return math.nan if value is None else value
 
 
-def _numbers(values: Sequence[Any]) -> tuple[float, ...]:
+def _numbers(values: Sequence[Any]) -> tuple[Any, ...]:
     return tuple(_number(value) for value in values)

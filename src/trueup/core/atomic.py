@@ -7,6 +7,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -91,15 +92,42 @@ def json_hash(value: Any) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
+def regular(path: Path) -> Path:
+    """The path of a file, unless it is a pipe, which would be waited for, a device, which never ends, or a folder.
+
+    Raises:
+        DataError: it is there, and no regular file.
+    """
+    if path.exists() and not path.is_file():
+        raise DataError(f"cannot read {path}", got="a folder" if path.is_dir() else "no regular file")
+    return path
+
+
+# What may become a number that is not finite, or half a character; few files have any.
+_ODD = re.compile(r"NaN|Infinity|\d[eE]\+?\d{3,}\s*[,\]}]|\d{300}|\\u[dD][89a-fA-F]")
+
+
+def _number(text: str) -> int | float:
+    """A number of a file in which one may be too large."""
+    if not math.isfinite(float(text)):
+        raise ValueError(f"{text} is not a finite number")
+    return int(text) if text.lstrip("-").isdigit() else float(text)
+
+
 def read_json(path: Path) -> Any:
     """Read JSON.
 
     Raises:
-        DataError: the file is missing, not UTF-8 or not JSON.
+        DataError: the file is missing, not UTF-8 or not JSON, or holds a number that is too large, or none.
     """
     try:
-        return json.loads(path.read_bytes())
+        text = regular(path).read_bytes().decode()
+        if _ODD.search(text) is None:
+            return json.loads(text)
+        tree = json.loads(text, parse_float=_number, parse_int=_number, parse_constant=_number)
+        json.dumps(tree, ensure_ascii=False).encode()  # half a character could not be written again
     except FileNotFoundError:
         raise DataError(f"{path} does not exist") from None
     except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
         raise DataError(f"{path} is not readable JSON", got=error) from error
+    return tree

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from trueup.core.atomic import read_json, write_json
+from trueup.core.config import read_versioned
 from trueup.core.results import Estimate
-from trueup.errors import DataError, FormatError
+from trueup.errors import DataError
 
 EXPLAIN_SCHEMA = "trueup.explain/1"
 # What no cause took away.
@@ -55,13 +56,13 @@ class AttributionStep:
     def from_json(data: Mapping[str, Any]) -> AttributionStep:
         """Read back what `to_json` wrote."""
         return AttributionStep(
-            cause=_text(data["cause"]),
-            label=_text(data["label"]),
-            quantities=tuple(_text(item) for item in data["quantities"]),
-            parameters=int(data["parameters"]),
+            cause=data["cause"],
+            label=data["label"],
+            quantities=tuple(data["quantities"]),
+            parameters=data["parameters"],
             errors={joint: _number(value) for joint, value in data["errors"].items()},
             total=Estimate.from_json(data["total"]),
-            seconds=float(data["seconds"]),
+            seconds=data["seconds"],
         )
 
 
@@ -152,27 +153,26 @@ class Attribution:
         }
 
     @staticmethod
-    def from_json(data: Any) -> Attribution:
+    def from_json(data: Any, where: str = "explain.json") -> Attribution:
         """Read back what `to_json` wrote.
 
         Raises:
             FormatError: not an attribution, or of another version.
             DataError: an attribution, but broken.
         """
-        if not isinstance(data, Mapping) or data.get("schema") != EXPLAIN_SCHEMA:
-            raise FormatError("this file holds no attribution of a gap, or another version", expected=EXPLAIN_SCHEMA)
-        try:
-            return Attribution(
-                split=_text(data["split"]),
-                unit=_text(data["unit"]),
-                steps=tuple(AttributionStep.from_json(item) for item in data["steps"]),
-                shares={joint: _numbers(row) for joint, row in data["shares"].items()},
-                shares_total=_numbers(data["shares_total"]),
-                statements=tuple(_text(item) for item in data["statements"]),
-                provenance=dict(data.get("provenance", {})),
-            )
-        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise DataError("an attribution of a gap is broken", got=f"{type(error).__name__}: {error}") from error
+        return read_versioned(Attribution._read, data, where, schema=EXPLAIN_SCHEMA, what="attribution")
+
+    @staticmethod
+    def _read(data: Mapping[str, Any]) -> Attribution:
+        return Attribution(
+            split=data["split"],
+            unit=data["unit"],
+            steps=tuple(AttributionStep.from_json(item) for item in data["steps"]),
+            shares={joint: _numbers(row) for joint, row in data["shares"].items()},
+            shares_total=_numbers(data["shares_total"]),
+            statements=tuple(data["statements"]),
+            provenance=data.get("provenance", {}),
+        )
 
     def save(self, path: Path) -> None:
         """Write explain.json atomically."""
@@ -181,7 +181,7 @@ class Attribution:
     @staticmethod
     def load(path: Path) -> Attribution:
         """Read explain.json."""
-        return Attribution.from_json(read_json(path))
+        return Attribution.from_json(read_json(path), str(path))
 
 
 def shares_of(steps: Sequence[AttributionStep], joints: Sequence[str]) -> dict[str, float]:
@@ -198,18 +198,12 @@ def shares_of(steps: Sequence[AttributionStep], joints: Sequence[str]) -> dict[s
     return {**shares, UNEXPLAINED: squares[-1] / squares[0] if defined else math.nan}
 
 
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise TypeError(f"{value!r} is no text")
-    return value
+def _number(value: Any) -> Any:
+    return math.nan if value is None else value
 
 
-def _number(value: Any) -> float:
-    return math.nan if value is None else float(value)
-
-
-def _numbers(row: Mapping[str, Any]) -> dict[str, float]:
-    return {str(key): _number(value) for key, value in row.items()}
+def _numbers(row: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: _number(value) for key, value in row.items()}
 
 
 def _null(value: float) -> float | None:

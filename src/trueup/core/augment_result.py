@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from trueup.core.atomic import as_read_back, read_json, without_nan, write_json
 from trueup.core.config import build_versioned
-from trueup.core.results import Estimate
+from trueup.core.results import Estimate, Verdict
 from trueup.core.step_times import StepTimes
 
 AUGMENT_SCHEMA = "trueup.augment/1"
@@ -23,7 +23,6 @@ AUGMENT_NAME = "augment.json"
 ANY_CONDITION = ""
 ALL_JOINTS = ""
 
-Verdict = Literal["better", "worse", "undecided"]
 ErrorKind = Literal["mse", "rmse"]
 
 

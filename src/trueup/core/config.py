@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 import yaml
 
+from trueup.core.atomic import regular
 from trueup.errors import ConfigError, DataError, FormatError
 
 T = TypeVar("T")
@@ -23,10 +25,10 @@ def read_yaml(path: Path) -> dict[str, Any]:
         ConfigError: missing, not UTF-8, not YAML, a tag that would build objects, or no mapping at the top.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = regular(path).read_text(encoding="utf-8")
     except FileNotFoundError:
         raise ConfigError(f"{path} does not exist") from None
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, DataError) as error:
         raise ConfigError(f"{path} cannot be read", got=error) from error
     tree = parse_yaml(text, str(path))
     if not isinstance(tree, dict):
@@ -78,15 +80,26 @@ def build(cls: type[T], data: Any, where: str) -> T:
     ]
     if missing:
         raise ConfigError(f"{where} lacks {missing}", available=fields)
-    hints = typing.get_type_hints(cls)
+    hints = _hints(cls)  # type: ignore[arg-type]
     return cls(**{key: _convert(hints[key], value, f"{where}: {key}") for key, value in data.items()})
 
 
 def build_versioned(cls: type[T], data: Any, where: str, *, schema: str, what: str) -> T:
-    """A frozen dataclass from a result file whose key `schema` says what it is.
+    """A frozen dataclass from a result file that says what it is in `schema`, and has its fields beside it.
+
+    Raises:
+        FormatError: as `read_versioned`.
+        DataError: likewise.
+    """
+    plain = {key: value for key, value in data.items() if key != "schema"} if isinstance(data, Mapping) else data
+    return read_versioned(lambda _: build(cls, plain, where), data, where, schema=schema, what=what)
+
+
+def read_versioned(read: Callable[[Any], T], data: Any, where: str, *, schema: str, what: str) -> T:
+    """What `read` makes of a result file whose key `schema` says what it is, every value of the kind it should be.
 
     Args:
-        cls: dataclass type.
+        read: makes a frozen dataclass of the content; it need not look at the kinds of values.
         data: content of the file.
         where: the file, for messages.
         schema: what `schema` must say.
@@ -100,15 +113,23 @@ def build_versioned(cls: type[T], data: Any, where: str, *, schema: str, what: s
     if found != schema:
         raise FormatError(f"{where} holds no {what} of this version", got=found, expected=schema)
     try:
-        return build(cls, {key: value for key, value in data.items() if key != "schema"}, where)
+        made = read(data)
+        return build(type(made), vars(made), where)
     except ConfigError as error:
         raise DataError(f"{where} is broken", got=error.summary) from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DataError(f"{where} is broken", got=f"{type(error).__name__}: {error}") from error
+
+
+@functools.cache
+def _hints(cls: type) -> dict[str, Any]:
+    return typing.get_type_hints(cls)
 
 
 def _convert(hint: Any, value: Any, where: str) -> Any:
     origin, args = get_origin(hint), get_args(hint)
     if dataclasses.is_dataclass(hint):
-        return build(hint, value, where)  # type: ignore[arg-type]
+        return build(hint, vars(value) if isinstance(value, hint) else value, where)  # type: ignore[arg-type]
     if origin in (Union, types.UnionType):
         if value is None and type(None) in args:
             return None
@@ -118,24 +139,30 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
         if value not in args:
             raise ConfigError(f"{where} is not a choice", got=repr(value), available=args)
         return value
-    if origin is tuple:
+    if origin is tuple or (origin is not None and issubclass(origin, Sequence)):
         if not isinstance(value, list | tuple):
             raise ConfigError(f"{where} must be a list", got=repr(value))
-        if len(args) == 2 and args[1] is Ellipsis:
-            return tuple(_convert(args[0], item, f"{where}[{index}]") for index, item in enumerate(value))
+        if len(args) == 1 or args[1] is Ellipsis:
+            made = [_convert(args[0], item, f"{where}[{index}]") for index, item in enumerate(value)]
+            return tuple(made) if origin is tuple else made
         if len(value) != len(args):
             raise ConfigError(f"{where} has the wrong length", got=len(value), expected=len(args))
         return tuple(_convert(arg, item, where) for arg, item in zip(args, value, strict=True))
     if origin is not None and issubclass(origin, Mapping):
         if not isinstance(value, Mapping):
             raise ConfigError(f"{where} must be a mapping", got=repr(value))
+        if args == (str, float) and all(type(key) is str and type(item) is float for key, item in value.items()):
+            return dict(value)  # a large gap.json has a million of them
         return {_convert(args[0], key, where): _convert(args[1], item, f"{where}.{key}") for key, item in value.items()}
     return _scalar(hint, value, where)
 
 
 def _scalar(hint: Any, value: Any, where: str) -> Any:
     if hint is float and isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
+        try:
+            return float(value)
+        except OverflowError:
+            raise ConfigError(f"{where} is too large for a number", got=value) from None
     if hint is Any or (isinstance(value, hint) and not (hint is int and isinstance(value, bool))):
         return value
     looks_like_one = hint is float and isinstance(value, str) and _reads_as_float(value)

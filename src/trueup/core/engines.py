@@ -6,15 +6,17 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from trueup.core.atomic import read_json, write_json
+from trueup.core.config import read_versioned
 from trueup.core.results import Estimate
-from trueup.errors import DataError, FormatError
 
 ENGINES_SCHEMA = "trueup.engines/1"
 MEASURED = "measured"
 ANY_PAYLOAD = ""
+
+TrendVerdict = Literal["grows", "falls", "undecided"]
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Trend:
     slope: Estimate
     at_zero: float
     motions: int
-    verdict: str
+    verdict: TrendVerdict
 
     def to_json(self) -> dict[str, Any]:
         """JSON object."""
@@ -46,8 +48,8 @@ class Trend:
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> Trend:
         """Read back what `to_json` wrote."""
-        at_zero = math.nan if data["at_zero"] is None else float(data["at_zero"])
-        return Trend(Estimate.from_json(data["slope"]), at_zero, int(data["motions"]), str(data["verdict"]))
+        at_zero = math.nan if data["at_zero"] is None else data["at_zero"]
+        return Trend(Estimate.from_json(data["slope"]), at_zero, data["motions"], data["verdict"])
 
 
 @dataclass(frozen=True)
@@ -118,11 +120,11 @@ class JointPlane:
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> JointPlane:
         """Read back what `to_json` wrote."""
-        first, second = (tuple(float(value) for value in axis) for axis in data["axes"])
+        first, second = (tuple(axis) for axis in data["axes"])
         return JointPlane(
             joints=tuple(data["joints"]),
-            unit=str(data["unit"]),
-            center=tuple(float(value) for value in data["center"]),
+            unit=data["unit"],
+            center=tuple(data["center"]),
             axes=(first, second),
             share=_pair(data["share"]),
             envelopes={
@@ -133,7 +135,7 @@ class JointPlane:
                 motion: {source: [_pair(point) for point in points] for source, points in sources.items()}
                 for motion, sources in data["paths"].items()
             },
-            payloads={str(motion): str(payload) for motion, payload in data["payloads"].items()},
+            payloads=data["payloads"],
         )
 
 
@@ -176,33 +178,33 @@ class EngineComparison:
             FormatError: another kind of file, or another version.
             DataError: the file is broken.
         """
-        data = read_json(path)
-        if not isinstance(data, Mapping) or data.get("schema") != ENGINES_SCHEMA:
-            raise FormatError("this file holds no comparison of engines, or another version", expected=ENGINES_SCHEMA)
-        try:
-            return EngineComparison(
-                trends={
-                    run: {
-                        signal: {
-                            metric: {joint: Trend.from_json(item) for joint, item in joints.items()}
-                            for metric, joints in metrics.items()
-                        }
-                        for signal, metrics in signals.items()
+        return read_versioned(
+            EngineComparison._read, read_json(path), str(path), schema=ENGINES_SCHEMA, what="comparison of engines"
+        )
+
+    @staticmethod
+    def _read(data: Mapping[str, Any]) -> EngineComparison:
+        return EngineComparison(
+            trends={
+                run: {
+                    signal: {
+                        metric: {joint: Trend.from_json(item) for joint, item in joints.items()}
+                        for metric, joints in metrics.items()
                     }
-                    for run, signals in data["trends"].items()
-                },
-                plane=None if data["plane"] is None else JointPlane.from_json(data["plane"]),
-                provenance=dict(data.get("provenance", {})),
-            )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise DataError("a comparison of engines is broken", got=f"{type(error).__name__}: {error}") from error
+                    for signal, metrics in signals.items()
+                }
+                for run, signals in data["trends"].items()
+            },
+            plane=None if data["plane"] is None else JointPlane.from_json(data["plane"]),
+            provenance=data.get("provenance", {}),
+        )
 
 
-def _pair(values: Sequence[Any]) -> tuple[float, float]:
+def _pair(values: Sequence[Any]) -> tuple[Any, Any]:
     x, y = values
-    return float(x), float(y)
+    return x, y
 
 
 def _envelope(data: Mapping[str, Any]) -> Envelope:
-    xx, xy, yy = (float(value) for value in data["covariance"])
-    return Envelope(_pair(data["center"]), (xx, xy, yy), int(data["samples"]))
+    xx, xy, yy = data["covariance"]
+    return Envelope(_pair(data["center"]), (xx, xy, yy), data["samples"])

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from trueup.core.atomic import read_json, write_json
+from trueup.core.config import read_versioned
 from trueup.core.results import Estimate
-from trueup.errors import DataError, FormatError
 
 FIT_SCHEMA = "trueup.fit/1"
 
@@ -190,25 +190,17 @@ class FitResult:
         }
 
     @staticmethod
-    def from_json(data: Any) -> FitResult:
+    def from_json(data: Any, where: str = "fit.json") -> FitResult:
         """Read back what `to_json` wrote.
 
         Raises:
             FormatError: not a fit, or of another version.
             DataError: a fit, but broken.
         """
-        schema = data.get("schema") if isinstance(data, Mapping) else None
-        if schema != FIT_SCHEMA:
-            raise FormatError("not a fit", got=schema, expected=FIT_SCHEMA)
-        try:
-            return FitResult._read(data)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise DataError("a fit result is broken", got=f"{type(error).__name__}: {error}") from error
+        return read_versioned(FitResult._read, data, where, schema=FIT_SCHEMA, what="fit")
 
     @staticmethod
     def _read(data: Mapping[str, Any]) -> FitResult:
-        if data["status"] not in get_args(FitStatus):
-            raise ValueError(f"status {data['status']!r}")
         return FitResult(
             status=data["status"],
             statements=tuple(data["statements"]),
@@ -249,4 +241,4 @@ class FitResult:
             FormatError: not a fit, or of another version.
             DataError: missing or broken.
         """
-        return FitResult.from_json(read_json(path))
+        return FitResult.from_json(read_json(path), str(path))

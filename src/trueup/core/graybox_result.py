@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from trueup.core.atomic import read_json, write_json
-from trueup.core.config import build
+from trueup.core.config import build_versioned
 from trueup.core.results import Estimate
-from trueup.errors import ConfigError, DataError, FormatError, MissingSignal
+from trueup.errors import MissingSignal
 
 GRAYBOX_SCHEMA = "trueup.graybox/1"
 
@@ -134,19 +134,14 @@ class GrayboxResult:
         return {"schema": GRAYBOX_SCHEMA, **asdict(self)}
 
     @staticmethod
-    def from_json(data: Any) -> GrayboxResult:
+    def from_json(data: Any, where: str = "graybox.json") -> GrayboxResult:
         """Read back what `to_json` wrote.
 
         Raises:
             FormatError: another kind of file or version.
             DataError: a gray-box result, but broken.
         """
-        if not isinstance(data, Mapping) or data.get("schema") != GRAYBOX_SCHEMA:
-            raise FormatError("this file holds no gray-box regression, or another version", expected=GRAYBOX_SCHEMA)
-        try:
-            return build(GrayboxResult, {key: value for key, value in data.items() if key != "schema"}, "graybox")
-        except ConfigError as error:
-            raise DataError("a gray-box regression is broken", got=error) from error
+        return build_versioned(GrayboxResult, data, where, schema=GRAYBOX_SCHEMA, what="gray-box regression")
 
     def save(self, path: Path) -> None:
         """Write the JSON object atomically."""
@@ -155,4 +150,4 @@ class GrayboxResult:
     @staticmethod
     def load(path: Path) -> GrayboxResult:
         """Read what `save` wrote."""
-        return GrayboxResult.from_json(read_json(path))
+        return GrayboxResult.from_json(read_json(path), str(path))

@@ -26,7 +26,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from trueup.core.atomic import as_read_back, json_hash, read_json, without_nan, write_json
+from trueup.core.atomic import as_read_back, json_hash, read_json, regular, without_nan, write_json
 from trueup.core.config import build
 from trueup.errors import ConfigError, DataError, FormatError
 
@@ -243,7 +243,7 @@ class ModelCard:
         if name not in self.files:
             raise DataError(f"{folder / CARD_NAME} knows no {name}", available=self.files)
         try:
-            data = (folder / name).read_bytes()
+            data = regular(folder / name).read_bytes()
         except OSError as error:
             raise DataError(f"cannot read {folder / name}", got=error.strerror or str(error)) from error
         found = hashlib.sha256(data).hexdigest()

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from trueup.core.atomic import read_json, write_json
-from trueup.core.config import build
+from trueup.core.config import build_versioned
 from trueup.core.episode import Flag, warning_kinds
-from trueup.errors import ConfigError, DataError, FormatError
 
 QUALITY_SCHEMA = "trueup.quality/1"
 
@@ -56,21 +55,14 @@ class Quality:
         return {"schema": QUALITY_SCHEMA, "episodes": episodes, "provenance": dict(self.provenance)}
 
     @staticmethod
-    def from_json(data: Any) -> Quality:
+    def from_json(data: Any, where: str = "quality.json") -> Quality:
         """Read back what `to_json` wrote.
 
         Raises:
             FormatError: not a list of quality flags, or of another version.
             DataError: a list of quality flags, but broken.
         """
-        if not isinstance(data, Mapping) or data.get("schema") != QUALITY_SCHEMA:
-            raise FormatError("this file holds no quality flags, or another version", expected=QUALITY_SCHEMA)
-        try:
-            return build(
-                Quality, {"episodes": data.get("episodes"), "provenance": data.get("provenance", {})}, "quality"
-            )
-        except ConfigError as error:
-            raise DataError("a list of quality flags is broken", got=error) from error
+        return build_versioned(Quality, data, where, schema=QUALITY_SCHEMA, what="quality flags")
 
     def save(self, path: Path) -> None:
         """Write quality.json atomically."""
@@ -79,4 +71,4 @@ class Quality:
     @staticmethod
     def load(path: Path) -> Quality:
         """Read quality.json."""
-        return Quality.from_json(read_json(path))
+        return Quality.from_json(read_json(path), str(path))

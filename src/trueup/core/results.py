@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from trueup.core.atomic import read_json, without_nan, write_json
-from trueup.errors import DataError, FormatError
+from trueup.core.config import read_versioned
 
 GAP_SCHEMA = "trueup.gap/1"
 LADDER_SCHEMA = "trueup.ladder/1"
+
+Verdict = Literal["better", "worse", "undecided"]
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Estimate:
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> Estimate:
         """Read back what `to_json` wrote."""
-        value = math.nan if data["value"] is None else float(data["value"])
+        value = math.nan if data["value"] is None else data["value"]
         return Estimate(value=value, unit=data["unit"], low=data.get("low"), high=data.get("high"))
 
 
@@ -98,7 +99,7 @@ class PairedDifference:
     metric: str
     difference: Estimate
     relative: float
-    verdict: str
+    verdict: Verdict
 
     def to_json(self) -> dict[str, Any]:
         """JSON object."""
@@ -116,7 +117,7 @@ class PairedDifference:
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> PairedDifference:
         """Read back what `to_json` wrote."""
-        relative = math.nan if data["relative"] is None else float(data["relative"])
+        relative = math.nan if data["relative"] is None else data["relative"]
         return PairedDifference(**{**data, "difference": Estimate.from_json(data["difference"]), "relative": relative})
 
 
@@ -172,16 +173,14 @@ class GapResult:
         }
 
     @staticmethod
-    def from_json(data: Any) -> GapResult:
+    def from_json(data: Any, where: str = "gap.json") -> GapResult:
         """Read back what `to_json` wrote.
 
         Raises:
             FormatError: not a gap result, or of another version.
             DataError: a gap result, but broken.
         """
-        _check_schema(data, GAP_SCHEMA)
-        with _broken("a gap result"):
-            return GapResult._read(data)
+        return read_versioned(GapResult._read, data, where, schema=GAP_SCHEMA, what="gap")
 
     @staticmethod
     def _read(data: Mapping[str, Any]) -> GapResult:
@@ -213,7 +212,7 @@ class GapResult:
     @staticmethod
     def load(path: Path) -> GapResult:
         """Read gap.json."""
-        return GapResult.from_json(read_json(path))
+        return GapResult.from_json(read_json(path), str(path))
 
 
 @dataclass(frozen=True)
@@ -255,16 +254,14 @@ class Ladder:
         return {"schema": LADDER_SCHEMA, "rungs": rungs, "provenance": dict(self.provenance)}
 
     @staticmethod
-    def from_json(data: Any) -> Ladder:
+    def from_json(data: Any, where: str = "ladder.json") -> Ladder:
         """Read back what `to_json` wrote.
 
         Raises:
             FormatError: not a ladder, or of another version.
             DataError: a ladder, but broken.
         """
-        _check_schema(data, LADDER_SCHEMA)
-        with _broken("a ladder"):
-            return Ladder._read(data)
+        return read_versioned(Ladder._read, data, where, schema=LADDER_SCHEMA, what="ladder")
 
     @staticmethod
     def _read(data: Mapping[str, Any]) -> Ladder:
@@ -286,7 +283,7 @@ class Ladder:
     @staticmethod
     def load(path: Path) -> Ladder:
         """Read ladder.json."""
-        return Ladder.from_json(read_json(path))
+        return Ladder.from_json(read_json(path), str(path))
 
 
 def metrics_to_json(metrics: Metrics) -> dict[str, Any]:
@@ -302,15 +299,6 @@ def metrics_from_json(data: Mapping[str, Any]) -> dict[str, dict[str, MetricResu
     }
 
 
-@contextlib.contextmanager
-def _broken(what: str) -> Iterator[None]:
-    """A missing key or a value of another kind is a broken file, not a bug."""
-    try:
-        yield
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DataError(f"{what} is broken", got=f"{type(error).__name__}: {error}") from error
-
-
 def _number(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
@@ -319,9 +307,3 @@ def _with_nan(tree: Any) -> Any:
     if isinstance(tree, Mapping):
         return {key: _with_nan(value) for key, value in tree.items()}
     return math.nan if tree is None else tree
-
-
-def _check_schema(data: Any, expected: str) -> None:
-    found = data.get("schema") if isinstance(data, Mapping) else type(data).__name__
-    if found != expected:
-        raise FormatError("this file holds another kind of result or another version", got=found, expected=expected)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from trueup.core.atomic import replacing
+from trueup.core.atomic import regular, replacing
 from trueup.dataset.columns import Layout, arrow_schema, parse_layout
 from trueup.errors import DataError, FormatError
 
@@ -69,7 +69,7 @@ def open_parquet(path: Path) -> pq.ParquetFile:
         DataError: it is missing, truncated or damaged.
     """
     try:
-        with path.open("rb") as file:
+        with regular(path).open("rb") as file:
             size = file.seek(0, 2)
             file.seek(0)
             head = file.read(4)

@@ -42,6 +42,9 @@ class StreamSettings:
 
     def __post_init__(self) -> None:
         """Refuse rules that make no sense."""
+        for name, value in vars(self).items():
+            if not isinstance(value, int | float | None):
+                raise ConfigError(f"{name} of a stream", got=repr(value), expected="a number")
         self._require("warmup_steps", self.warmup_steps is None or self.warmup_steps >= 0, "0 or more samples")
         self._require("missed_periods", 1 < self.missed_periods < math.inf, "more than 1")
         self._require("gap_periods", self.missed_periods <= self.gap_periods < math.inf, "at least missed_periods")

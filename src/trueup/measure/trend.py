@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.special import stdtrit
 
-from trueup.core.engines import Trend
+from trueup.core.engines import Trend, TrendVerdict
 from trueup.core.results import Estimate, GapResult
 
 # Signal -> metrics: errors of what a payload changes first, and the lag.
@@ -91,7 +91,7 @@ def _within(x: Float64[np.ndarray, "E"], y: Float64[np.ndarray, "E"], names: np.
 def _judged(slope: float, error: float, freedom: int, at_zero: float, motions: int, per_kg: str) -> Trend:
     half = float(stdtrit(freedom, 0.5 + 0.5 * _LEVEL)) * error
     low, high = slope - half, slope + half
-    verdict = "grows" if low > 0 else "falls" if high < 0 else "undecided"
+    verdict: TrendVerdict = "grows" if low > 0 else "falls" if high < 0 else "undecided"
     return Trend(Estimate(slope, per_kg, low, high), at_zero, int(motions), verdict)
 
 

@@ -18,7 +18,7 @@ from trueup.core.quality import Quality
 from trueup.core.results import GapResult, Ladder
 from trueup.core.traces import TraceSet
 from trueup.errors import DataError, TrueupError
-from trueup.report.checks import check_attribution, check_augment, check_engines, check_fit, check_gap, check_ladder
+from trueup.report.checks import check_augment, check_fit, check_gap
 from trueup.report.labels import COMMAND, ordered_runs
 from trueup.report.palette import Style, run_styles
 
@@ -102,34 +102,25 @@ class RunFolder:
             )
         gap = _loaded(folder / "gap.json", GapResult.load)
         check_gap(gap, folder / "gap.json")
-        ladder = _optional(folder / "ladder.json", Ladder.load)
-        if ladder is not None:
-            check_ladder(ladder, folder / "ladder.json")
         fit = _optional(folder / "fit.json", FitResult.load)
         if fit is not None:
             check_fit(fit, folder / "fit.json")
-        attribution = _optional(folder / "explain.json", Attribution.load)
-        if attribution is not None:
-            check_attribution(attribution, folder / "explain.json")
-        engines = _optional(folder / "engines.json", EngineComparison.load)
-        if engines is not None:
-            check_engines(engines, folder / "engines.json")
         augment = _optional(folder / AUGMENT_NAME, AugmentResult.load)
         if augment is not None:
             check_augment(augment, gap, folder / AUGMENT_NAME)
         model = folder / "model.fitted.xml"
         return RunFolder(
             gap=gap,
-            ladder=ladder,
+            ladder=_optional(folder / "ladder.json", Ladder.load),
             fit=fit,
-            attribution=attribution,
+            attribution=_optional(folder / "explain.json", Attribution.load),
             graybox=_optional(folder / "graybox.json", GrayboxResult.load),
             fitted_files=tuple(name for name in FITTED_FILES if (folder / name).is_file()),
             friction_laws=model.is_file() and _FRICTION_LAW.search(model.read_bytes()) is not None,
             traces=_optional(folder / "traces.json", lambda path: TraceSet.load(path.parent)),
             quality=_optional(folder / "quality.json", Quality.load),
             analysis=_optional(folder / "analysis.json", Analysis.load),
-            engines=engines,
+            engines=_optional(folder / "engines.json", EngineComparison.load),
             augment=augment,
         )
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from trueup.core.results import Estimate, GapResult, Ladder, MetricResult, PairedDifference
+from trueup.core.results import Estimate, GapResult, Ladder, MetricResult, PairedDifference, Verdict
 from trueup.report.labels import COMMAND, MAIN_METRIC, main_signal, main_split, ordered_runs, split_title
 from trueup.report.numbers import (
     has_interval,
@@ -208,7 +208,8 @@ def turned(item: PairedDifference) -> PairedDifference:
     )
     # relative = (run - baseline) / baseline, so run / baseline = 1 + relative
     relative = -item.relative / (1.0 + item.relative) if item.relative != -1.0 else math.inf
-    verdict = {"better": "worse", "worse": "better"}.get(item.verdict, item.verdict)
+    opposite: dict[Verdict, Verdict] = {"better": "worse", "worse": "better"}
+    verdict = opposite.get(item.verdict, item.verdict)
     return PairedDifference(
         item.baseline, item.run, item.split, item.signal, item.metric, difference, relative, verdict
     )

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import re
 import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from trueup.align import JointMap, check_quality, limits_in_log
 from trueup.core.atomic import as_read_back, replacing
@@ -33,6 +36,10 @@ from trueup.stages.progress import Track, silent
 # A model folder with meshes is copied whole; beyond this size it is somebody's asset library.
 _MAX_MODEL_BYTES = 200 * 2**20
 _LONGEST_S = 30 * 86400.0
+_LONGEST_NAME = 200
+# Control characters, which would command a terminal, overrides of the writing direction, and halves of characters.
+_NOT_TEXT = re.compile("[\x00-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+_LARGEST = 1e15
 
 
 @dataclass(frozen=True)
@@ -175,6 +182,7 @@ def checked(episode: Episode, robot: RobotSpec | None = None) -> Episode:
             f"episode {episode.id!r} lasts {episode.measured.duration_s:.3g} s",
             hint="Are its stamps really in seconds? A mapping file states their unit.",
         )
+    _refuse_nonsense(episode)
     if robot is None:
         return episode.with_flags(check_quality(episode))
     joint_map = JointMap.from_dict(robot.joint_rules())
@@ -187,6 +195,22 @@ def checked(episode: Episode, robot: RobotSpec | None = None) -> Episode:
         torques={joint.name: joint.torque_limit for joint in robot.joints if joint.torque_limit},
     )
     return episode.with_flags(check_quality(episode, limits=positions, torque_limits=torques))
+
+
+def _refuse_nonsense(episode: Episode) -> None:
+    """Names that no file or terminal can hold, and numbers whose squares no number can."""
+    meta, series = episode.meta, (episode.measured, episode.command, *episode.simulated.values())
+    for name in (meta.id, meta.robot, meta.unit, meta.condition, meta.source):
+        if _NOT_TEXT.search(name):
+            raise DataError("a name or text of an episode holds characters that are no text", got=name)
+    for one in filter(None, series):
+        for name in (*one.joints, *one.bodies):
+            if _NOT_TEXT.search(name) or not 0 < len(name) <= _LONGEST_NAME:
+                raise DataError(f"episode {episode.id!r}: this is no name of a joint or body", got=repr(name))
+        for signal, values in one.signals.items():
+            largest = np.abs(values).max(initial=0.0, where=~np.isnan(values))
+            if largest > _LARGEST:
+                raise DataError(f"episode {episode.id!r}: {signal} has values that no robot has", got=f"{largest:g}")
 
 
 def _assign(dataset: Dataset, splits: Path | Mapping[str, float], seed: int) -> tuple[str, ...]:

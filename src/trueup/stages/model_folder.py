@@ -10,7 +10,7 @@ from pathlib import Path
 from trueup.augment.config import CHECKPOINT_NAME
 from trueup.core.atomic import make_folder, read_json, write_json
 from trueup.core.model_card import CARD_NAME, ModelCard, file_hash
-from trueup.errors import OutputExists, TrueupError
+from trueup.errors import DataError, OutputExists, TrueupError
 
 # Names that nobody else gives: what is called so is deleted.
 SCRATCH_NAME = ".trueup-pairs"
@@ -52,6 +52,8 @@ class ModelFolder:
             return False
         if self._replacing.is_file():
             under_way = read_json(self._replacing)
+            if not isinstance(under_way, dict) or under_way.keys() != {"asked", "card"}:
+                raise DataError(f"{self._replacing} is broken", hint="Give --overwrite to begin anew.")
             if under_way["card"] == file_hash(self._card):
                 if under_way["asked"] != self._asked:
                     raise OutputExists(

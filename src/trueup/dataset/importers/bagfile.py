@@ -15,6 +15,7 @@ from rosbags.rosbag2 import Reader as Reader2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from trueup.core.atomic import regular
 from trueup.dataset.importers.files import inside
 from trueup.errors import ConfigError, DataError, FormatError, TrueupError
 
@@ -148,11 +149,11 @@ def bag_files(path: Path) -> tuple[Path, ...]:
     """The files that make up a bag.
 
     Raises:
-        DataError: a link leads out of the bag's folder.
+        DataError: a link leads out of the bag's folder; a pipe or a device.
     """
     if not path.is_dir():
         return (path,)
-    return tuple(inside(path, child) for child in sorted(path.iterdir()) if child.is_file())
+    return tuple(inside(path, regular(child)) for child in sorted(path.iterdir()) if not child.is_dir())
 
 
 def choose_measured(topics: Sequence[Topic], asked: str | None, source: str) -> Topic:

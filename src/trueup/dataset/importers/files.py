@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
+from trueup.core.atomic import regular
 from trueup.errors import DataError
 
 _CHUNK = 1 << 20
@@ -22,7 +23,7 @@ def file_hash(paths: Iterable[Path]) -> str:
     digest = hashlib.sha256()
     for path in paths:
         try:
-            with path.open("rb") as file:
+            with regular(path).open("rb") as file:
                 while block := file.read(_CHUNK):
                     digest.update(block)
         except OSError as error:
@@ -60,10 +61,8 @@ def read_bytes(path: Path) -> bytes:
     Raises:
         DataError: it is missing, a folder, or not readable.
     """
-    if path.exists() and not path.is_file():  # a pipe would be waited for, forever
-        raise DataError(f"cannot read {path}", got="a folder" if path.is_dir() else "no regular file")
     try:
-        return path.read_bytes()
+        return regular(path).read_bytes()
     except OSError as error:
         raise DataError(f"cannot read {path}", got=error.strerror or str(error)) from error
 

@@ -70,7 +70,7 @@ def _split(per_group: list[tuple[str, ...]], together: tuple[str, ...], widths: 
 
 def _example(groups: Sequence[str], widths: Sequence[int]) -> str:
     lists = [
-        ", ".join(f"{group}_joint{number + 1}" for number in range(width))
+        ", ".join(f"{group}_joint{number + 1}" for number in range(min(width, 100)))
         for group, width in zip(groups, widths, strict=True)
     ]
     if len(groups) == 1:

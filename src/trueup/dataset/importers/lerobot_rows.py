@@ -16,6 +16,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from jaxtyping import Float
 
+from trueup.core.atomic import regular
 from trueup.dataset.importers.files import file_hash
 from trueup.dataset.importers.lerobot_info import LeRobotInfo
 from trueup.errors import DataError, TrueupError
@@ -179,10 +180,10 @@ def vectors(table: pa.Table, name: str, width: int, source: str) -> Float[np.nda
 
 
 @contextlib.contextmanager
-def reading(path: Path) -> Iterator[None]:
+def reading(path: Path) -> Iterator[Path]:
     """Turns every failure of the Parquet library into a DataError that names the file."""
     try:
-        yield
+        yield regular(path)
     except TrueupError:
         raise
     except FileNotFoundError:

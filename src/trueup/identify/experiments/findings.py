@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from trueup.core.atomic import read_json, write_json
+from trueup.core.config import read_versioned
 from trueup.core.results import Estimate
-from trueup.errors import DataError, FormatError, MissingSignal
+from trueup.errors import MissingSignal
 
 EXPERIMENT_SCHEMA = "trueup.experiment/1"
 
@@ -123,30 +124,29 @@ class ExperimentResult:
         }
 
     @staticmethod
-    def from_json(data: Any) -> ExperimentResult:
+    def from_json(data: Any, where: str = "experiment.json") -> ExperimentResult:
         """Read back what `to_json` wrote; a NaN in `runs` comes back as None.
 
         Raises:
             FormatError: not the result of an experiment, or of another version.
             DataError: a result, but broken.
         """
-        if not isinstance(data, Mapping) or data.get("schema") != EXPERIMENT_SCHEMA:
-            raise FormatError("this file holds no experiment, or another version", expected=EXPERIMENT_SCHEMA)
-        try:
-            return ExperimentResult(
-                experiment=data["experiment"],
-                joints={
-                    joint: {name: Finding.from_json(item) for name, item in items.items()}
-                    for joint, items in data["joints"].items()
-                },
-                notes={joint: tuple(notes) for joint, notes in data["notes"].items()},
-                runs=tuple(data["runs"]),
-                rejected=tuple(Rejection(**item) for item in data["rejected"]),
-                settings=data["settings"],
-                provenance=data["provenance"],
-            )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise DataError("the result of an experiment is broken", got=f"{type(error).__name__}: {error}") from error
+        return read_versioned(ExperimentResult._read, data, where, schema=EXPERIMENT_SCHEMA, what="experiment")
+
+    @staticmethod
+    def _read(data: Mapping[str, Any]) -> ExperimentResult:
+        return ExperimentResult(
+            experiment=data["experiment"],
+            joints={
+                joint: {name: Finding.from_json(item) for name, item in items.items()}
+                for joint, items in data["joints"].items()
+            },
+            notes={joint: tuple(notes) for joint, notes in data["notes"].items()},
+            runs=tuple(data["runs"]),
+            rejected=tuple(Rejection(**item) for item in data["rejected"]),
+            settings=data["settings"],
+            provenance=data["provenance"],
+        )
 
     def save(self, path: Path) -> None:
         """Write it atomically."""
@@ -155,7 +155,7 @@ class ExperimentResult:
     @staticmethod
     def load(path: Path) -> ExperimentResult:
         """Read what `save` wrote."""
-        return ExperimentResult.from_json(read_json(path))
+        return ExperimentResult.from_json(read_json(path), str(path))
 
 
 def said(estimate: Estimate) -> str:

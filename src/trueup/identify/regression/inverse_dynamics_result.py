@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from trueup.core.atomic import read_json, write_json
-from trueup.core.config import build
-from trueup.errors import ConfigError, DataError, FormatError
+from trueup.core.config import build_versioned
 
 INVERSE_DYNAMICS_SCHEMA = "trueup.inverse_dynamics/1"
 
@@ -114,20 +113,15 @@ class InverseDynamicsFit:
         return {"schema": INVERSE_DYNAMICS_SCHEMA, **asdict(self)}
 
     @staticmethod
-    def from_json(data: Any) -> InverseDynamicsFit:
+    def from_json(data: Any, where: str = "inverse_dynamics.json") -> InverseDynamicsFit:
         """Read back what `to_json` wrote.
 
         Raises:
             FormatError: another kind of file or version.
             DataError: an inverse-dynamics regression, but broken.
         """
-        if not isinstance(data, Mapping) or data.get("schema") != INVERSE_DYNAMICS_SCHEMA:
-            raise FormatError("this file holds no inverse-dynamics regression", expected=INVERSE_DYNAMICS_SCHEMA)
-        tree = {key: value for key, value in data.items() if key != "schema"}
-        try:
-            return build(InverseDynamicsFit, tree, "inverse dynamics")
-        except ConfigError as error:
-            raise DataError("an inverse-dynamics regression is broken", got=error) from error
+        schema = INVERSE_DYNAMICS_SCHEMA
+        return build_versioned(InverseDynamicsFit, data, where, schema=schema, what="inverse-dynamics regression")
 
     def save(self, path: Path) -> None:
         """Write the JSON object atomically."""
@@ -136,4 +130,4 @@ class InverseDynamicsFit:
     @staticmethod
     def load(path: Path) -> InverseDynamicsFit:
         """Read what `save` wrote."""
-        return InverseDynamicsFit.from_json(read_json(path))
+        return InverseDynamicsFit.from_json(read_json(path), str(path))

@@ -1,0 +1,23 @@
+"""A few damaged files for every parser; `make attack` tries thousands."""
+
+import os
+
+import pytest
+
+from attack.harness import Attacker, all_parsers, attack
+
+MUTATIONS = int(os.environ.get("TRUEUP_MUTATIONS", "20"))
+
+
+@pytest.fixture(scope="module")
+def attacker(tmp_path_factory):
+    attacker = Attacker(tmp_path_factory.mktemp("attack") / "work")
+    yield attacker
+    attacker.close()
+
+
+@pytest.mark.parametrize("name", all_parsers())
+def test_damaged_files_are_answered_clearly(attacker, name):
+    *_, tally = attack(attacker, name, range(MUTATIONS))
+    assert not tally.defects
+    assert tally.outcomes
