@@ -15,12 +15,11 @@ from trueup.identify.inertial import Inertial
 from trueup.identify.regression import (
     InverseDynamicsFit,
     InverseDynamicsSettings,
-    base_structure,
     fit_inverse_dynamics,
     inverse_dynamics_from_episodes,
     torque_start,
 )
-from trueup.identify.regression.equation import nominal_terms, term_columns, term_names
+from trueup.identify.regression.equation import mechanism_structure, nominal_terms, term_columns, term_names
 from trueup.identify.regression.linkage import Linkage
 from trueup.identify.regression.pseudo_inertia import (
     deformed,
@@ -139,7 +138,7 @@ def test_a_joint_that_is_not_looked_at_rests_at_its_reference():
 def test_groupings_of_a_planar_arm_are_those_of_the_textbook():
     # Joints along y: of each link the moment about the joint and the first moments in the plane x, z can show. The
     # second link's mass acts at the end of the first, l = 0.4 ahead: it adds l to m x of link 1 and l^2 to its moment.
-    found = base_structure(two_links(), inertial_only=True)
+    found = mechanism_structure(Linkage(two_links()), inertial_only=True)
     assert [found.expression(number) for number in range(found.rank)] == [
         "first.mx + 0.4 second.m",
         "first.mz",
@@ -155,7 +154,7 @@ def test_groupings_of_a_planar_arm_are_those_of_the_textbook():
 
 def test_without_gravity_four_of_them_are_left():
     # The first link turns about a fixed axis, so that only its moment shows.
-    found = base_structure(two_links("0 0 0"), inertial_only=True)
+    found = mechanism_structure(Linkage(two_links("0 0 0")), inertial_only=True)
     assert [found.names[number] for number in found.kept] == ["first.Iyy", "second.mx", "second.mz", "second.Iyy"]
     assert found.expression(0) == "first.Iyy + 0.16 second.m"
 
@@ -164,28 +163,28 @@ def test_gravity_compensation_of_all_bodies_is_no_gravity():
     spec = mujoco.MjSpec.from_string(TWO_LINKS.format(gravity="0 0 -9.81"))
     for body in spec.bodies[1:]:
         body.gravcomp = 1.0
-    assert base_structure(spec.compile(), inertial_only=True).rank == 4
+    assert mechanism_structure(Linkage(spec.compile()), inertial_only=True).rank == 4
     spec.bodies[1].gravcomp = 0.0
     with pytest.raises(ConfigError, match="some bodies"):
-        base_structure(spec.compile())
+        mechanism_structure(Linkage(spec.compile()))
 
 
 def test_friction_and_offset_add_three_per_joint_and_armature_one_less_than_joints():
     # The armature of the first joint is part of the first moment of inertia.
-    found = base_structure(two_links())
+    found = mechanism_structure(Linkage(two_links()))
     assert found.rank == 6 + 3 * 2 + 1
     assert found.expression(2) == "first.Iyy + 0.16 second.m + a.armature"
 
 
 def test_a_panda_has_43_base_inertial_parameters():
     # Gaz et al. 2019, "Dynamic Identification of the Franka Emika Panda Robot", section III.
-    assert base_structure(panda(), inertial_only=True).rank == 43
+    assert mechanism_structure(Linkage(panda()), inertial_only=True).rank == 43
 
 
 def test_base_parameters_hold_all_that_the_torques_depend_on():
     model = demo_spec().compile()
     linkage = Linkage(model)
-    structure = base_structure(model)
+    structure = mechanism_structure(Linkage(model))
     q, dq, ddq = linkage.sample_states(30, np.random.default_rng(7))
     full = term_columns(linkage, q, dq, ddq, 0.1)
     parameters = np.random.default_rng(8).standard_normal(len(term_names(linkage)))
@@ -252,7 +251,7 @@ def colored(rng, shape, rho):
 
 def test_base_parameters_come_back_and_intervals_cover_them():
     true, nominal = other_arm(), demo_spec().compile()
-    structure = base_structure(nominal)
+    structure = mechanism_structure(Linkage(nominal))
     expected = true_base(true, structure)
     q, dq, ddq = np.concatenate([states(3, 400, seed) for seed in range(4)], axis=1)
     torque = exact_torque(true, q, dq, ddq)
@@ -272,7 +271,7 @@ def test_without_noise_the_base_parameters_are_exact():
     true, nominal = other_arm(), demo_spec().compile()
     q, dq, ddq = states(3, 600, 1)
     fit = fit_inverse_dynamics(nominal, q, dq, ddq, exact_torque(true, q, dq, ddq))
-    expected = true_base(true, base_structure(nominal))
+    expected = true_base(true, mechanism_structure(Linkage(nominal)))
     np.testing.assert_allclose([item.value for item in fit.base], expected, atol=1e-9)
     assert [item.status for item in fit.base] == ["ok"] * 25
     assert max(fit.rmse_consistent.values()) < 1e-4
@@ -362,7 +361,7 @@ def test_masked_values_do_not_count():
     torque[100:200, 1] = 12.0
     fit = fit_inverse_dynamics(nominal, q, dq, ddq, torque, weight=weight)
     np.testing.assert_allclose(
-        [item.value for item in fit.base], true_base(nominal, base_structure(nominal)), atol=1e-8
+        [item.value for item in fit.base], true_base(nominal, mechanism_structure(Linkage(nominal))), atol=1e-8
     )
 
 
@@ -375,7 +374,9 @@ def test_a_spring_of_the_model_is_taken_off():
     torque = exact_torque(model, q, dq, ddq)
     torque[:, 1] += 5.0 * (q[:, 1] - model.qpos_spring[1])
     fit = fit_inverse_dynamics(model, q, dq, ddq, torque)
-    np.testing.assert_allclose([item.value for item in fit.base], true_base(model, base_structure(model)), atol=1e-8)
+    np.testing.assert_allclose(
+        [item.value for item in fit.base], true_base(model, mechanism_structure(Linkage(model))), atol=1e-8
+    )
 
 
 def test_the_result_survives_its_file(tmp_path):

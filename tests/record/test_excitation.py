@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from record.scenes import assert_lawful, panda_scene
-from trueup.errors import ConfigError, NameMismatch, NoPlan, NotIdentifiable
+from trueup.errors import ConfigError, NameMismatch, NotIdentifiable
 from trueup.record import DesignSettings, design_excitation
 
 SHORT = DesignSettings(duration_s=6.0, harmonics=4, evaluations=120)
@@ -64,5 +64,3 @@ def test_bad_designs_are_refused():
         design_excitation(scene, ragged, moving=["joint1"], design=SHORT)
     with pytest.raises(ConfigError):
         DesignSettings(evaluations=0)
-    with pytest.raises(NoPlan, match="in collision"):
-        design_excitation(scene, information, center=np.array([0.0, 1.7, 0.0, -0.3, 0.0, 1.5, 0.0]))

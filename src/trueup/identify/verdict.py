@@ -32,9 +32,6 @@ def verdict(
         statements.append(agreement.text)
     # A law that ended on zero is one that the robot does not have: no cause for alarm.
     absent = {item.name for item in parameters if item.at_bound == "low" and item.low == 0.0}
-    gone = []
-    if not chosen_by_user:
-        gone = [item.name for item in parameters if item.frozen and item.value == 0.0 and item.nominal]
     free = [item for item in parameters if not item.frozen]
     unknown = [item for item in free if item.identified == "no" and item.name not in absent]
     if disagreement == "not-identifiable":
@@ -73,20 +70,28 @@ def verdict(
             )
         if judge == "train":
             statements.append("there is no val split: the fit is judged on the motions that it was fitted to")
-    fitted = {item.name.partition("[")[0] for item in free}
+    statements += _remarks(parameters, chosen_by_user=chosen_by_user, torque_seen=torque_seen)
+    return status, tuple(statements)
+
+
+def _remarks(parameters: Sequence[FittedParameter], *, chosen_by_user: bool, torque_seen: bool) -> list[str]:
+    """What the status does not depend on."""
+    remarks = []
+    fitted = {item.name.partition("[")[0] for item in parameters if not item.frozen}
     if "kp" in fitted and not torque_seen:
         rest = "the priors of the masses" if "mass" in fitted else "the model's masses"
-        statements.append(
+        remarks.append(
             f"positions tell torques only relative to weights: the common scale of gains, friction and armature rests "
             f"on {rest}; weigh the torque signal to fix it, if the robot has one"
         )
-    if gone:
-        statements.append(f"the robot has none of these, though the model does: {', '.join(gone)}")
     if not chosen_by_user:
+        gone = [item.name for item in parameters if item.frozen and item.value == 0.0 and item.nominal]
+        if gone:
+            remarks.append(f"the robot has none of these, though the model does: {', '.join(gone)}")
         idle = [item.name for item in parameters if item.frozen and item.value == item.nominal]
         if idle:
-            statements.append(f"left as they are, since these motions do not show them: {', '.join(idle)}")
-    return status, tuple(statements)
+            remarks.append(f"left as they are, since these motions do not show them: {', '.join(idle)}")
+    return remarks
 
 
 def correlations(posterior: Posterior) -> dict[str, dict[str, float]]:

@@ -74,7 +74,9 @@ def quantiles(values: Float64[np.ndarray, "T J"], levels: tuple[float, ...]) -> 
     return result
 
 
-def ratio(numerator: Float64[np.ndarray, "J"], denominator: Float64[np.ndarray, "J"]) -> Float64[np.ndarray, "J"]:
+def ratio(
+    numerator: Float64[np.ndarray, "*shape"], denominator: Float64[np.ndarray, "*shape"]
+) -> Float64[np.ndarray, "*shape"]:
     """The quotient where the denominator is positive, NaN elsewhere."""
     result = np.full(numerator.shape, np.nan)
     np.divide(numerator, denominator, out=result, where=denominator > 0.0)

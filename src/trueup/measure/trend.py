@@ -10,6 +10,8 @@ from scipy.special import stdtrit
 
 from trueup.core.engines import Trend, TrendVerdict
 from trueup.core.results import Estimate, GapResult
+from trueup.measure.columns import mean
+from trueup.measure.uncertainty import LEVEL
 
 # Signal -> metrics: errors of what a payload changes first, and the lag.
 TREND_METRICS: Mapping[str, tuple[str, ...]] = {
@@ -17,7 +19,6 @@ TREND_METRICS: Mapping[str, tuple[str, ...]] = {
     "velocity": ("rmse",),
     "torque": ("rmse",),
 }
-_LEVEL = 0.95
 _FEWEST_PAIRS = 3
 
 
@@ -89,7 +90,7 @@ def _within(x: Float64[np.ndarray, "E"], y: Float64[np.ndarray, "E"], names: np.
 
 
 def _judged(slope: float, error: float, freedom: int, at_zero: float, motions: int, per_kg: str) -> Trend:
-    half = float(stdtrit(freedom, 0.5 + 0.5 * _LEVEL)) * error
+    half = float(stdtrit(freedom, 0.5 + 0.5 * LEVEL)) * error
     low, high = slope - half, slope + half
     verdict: TrendVerdict = "grows" if low > 0 else "falls" if high < 0 else "undecided"
     return Trend(Estimate(slope, per_kg, low, high), at_zero, int(motions), verdict)
@@ -123,7 +124,7 @@ def trends_of(
             scored = [columns[joint] for joint in result.scored_joints if joint in columns]
             if scored:
                 unit = units[next(joint for joint in result.scored_joints if joint in units)]
-                columns, units = {"": _mean(np.stack(scored)), **columns}, {"": unit, **units}
+                columns, units = {"": mean(np.stack(scored)), **columns}, {"": unit, **units}
             found = {joint: trend(loads, values, units[joint], motions=repeated) for joint, values in columns.items()}
             kept = {joint: item for joint, item in found.items() if item is not None}
             if kept:
@@ -137,10 +138,3 @@ def _units(result: GapResult, run: str, signal: str, metric: str) -> dict[str, s
         if found is not None:
             return {joint: item.unit for joint, item in found.per_joint.items()}
     return {}
-
-
-def _mean(rows: Float64[np.ndarray, "S E"]) -> Float64[np.ndarray, "E"]:
-    valid = np.isfinite(rows)
-    count = valid.sum(axis=0)
-    total = np.where(valid, rows, 0.0).sum(axis=0)
-    return np.asarray(np.divide(total, count, out=np.full(rows.shape[1], np.nan), where=count > 0))

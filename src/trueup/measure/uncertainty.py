@@ -38,6 +38,7 @@ from scipy.special import ndtr, stdtrit
 
 from trueup.core.results import Estimate, PairedDifference
 from trueup.errors import DataError
+from trueup.measure.columns import ratio
 
 LEVEL = 0.95
 FEW_EPISODES = 10  # from here on the bootstrap alone has the coverage of Student's t on normal values
@@ -161,13 +162,13 @@ def ratio_interval(
         raise DataError("a bootstrap needs draws", got=draws, expected="at least 1")
     known = denominator > 0.0
     count = known.sum(axis=0)
-    value = _quotient(numerator.sum(axis=0), denominator.sum(axis=0))
+    value = ratio(numerator.sum(axis=0), denominator.sum(axis=0))
     enough = count >= 2
     if not enough.any():
         return value, np.full(len(count), np.nan), np.full(len(count), np.nan)
     both = np.concatenate([numerator, denominator], axis=1)
     means = _resampled_means(both, np.ones_like(both, dtype=bool), draws, seed)
-    ratios = np.sort(_quotient(means[: len(count)], means[len(count) :]), axis=1)
+    ratios = np.sort(ratio(means[: len(count)], means[len(count) :]), axis=1)
     low, high = _percentiles(ratios, np.maximum(count, 2))
 
     pull = np.where(known, numerator - np.where(enough, value, 0.0) * denominator, 0.0)
@@ -186,13 +187,6 @@ def estimate(
     if math.isnan(low) or math.isnan(high):
         return Estimate(value, unit)
     return Estimate(value, unit, low=max(low, bounds[0]), high=min(high, bounds[1]))
-
-
-def _quotient(above: np.ndarray, below: np.ndarray) -> np.ndarray:
-    """NaN where there is nothing to divide by."""
-    out = np.full(np.shape(above), np.nan)
-    np.divide(above, below, out=out, where=below > 0.0)
-    return out
 
 
 def _percentiles(

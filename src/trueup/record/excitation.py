@@ -88,43 +88,39 @@ def design_excitation(
     information: Information,
     *,
     moving: Sequence[str] | None = None,
-    center: Float64[np.ndarray, "J"] | None = None,
     velocity_share: float = 1.0,
     seed: int = 0,
     design: DesignSettings | None = None,
     settings: MotionSettings | None = None,
-    id: str = "excitation",
 ) -> Design:
     """The motion with the largest log det of the information, within limits and free of collision.
 
-    CMA-ES searches the coefficients of one Fourier series for each joint, and the pose around which they move. A series
-    that exceeds a limit is scaled down to it; where something is in the way, all joints move less.
+    CMA-ES searches the coefficients of one Fourier series for each joint, and the pose around which they move, in the
+    inner part of the ranges. A series that exceeds a limit is scaled down to it; where something is in the way, all
+    joints move less. Joints that do not move stay where the scene's home has them.
 
     Args:
         scene: robot and obstacles.
         information: what a motion tells about the parameters; gets samples at the design's rate.
         moving: joints that may move; all if not given.
-        center: pose to move around, (J,). If not given it is searched, too, in the inner part of the ranges; joints
-            that do not move stay where the scene's home has them.
         velocity_share: share of the velocity limits, above 0, up to 1.
         seed: of the search.
         design: series and budget.
         settings: clock and share of the acceleration limits.
-        id: of the plan.
 
     Raises:
-        ConfigError: a center out of limits, no joint, an information matrix that is not square or not finite.
+        ConfigError: no joint, an information matrix that is not square or not finite.
         NameMismatch: an unknown joint.
         NoPlan: something is in the way of every motion.
         NotIdentifiable: no motion determines all parameters.
     """
-    search = _Search(scene, information, moving, center, velocity_share, design, settings)
+    search = _Search(scene, information, moving, velocity_share, design, settings)
     best, random_best, evaluations = search.run(seed)
     if not search.executable:
         raise NoPlan(
             "something is in the way of every motion that was tried",
             got=f"{evaluations} motions",
-            hint="Choose another center, move fewer joints, or correct the workspace.",
+            hint="Move fewer joints, or correct the workspace.",
         )
     if not np.isfinite(best.log_det):
         raise NotIdentifiable(
@@ -138,7 +134,7 @@ def design_excitation(
         search.settings.clock,
         kind="excitation",
         moving=search.moving,
-        id=id,
+        id="excitation",
         details={
             "velocity_share": velocity_share,
             "log_det": best.log_det,
@@ -161,7 +157,6 @@ class _Search:
         scene: Scene,
         information: Information,
         moving: Sequence[str] | None,
-        center: Float64[np.ndarray, "J"] | None,
         velocity_share: float,
         design: DesignSettings | None,
         settings: MotionSettings | None,
@@ -172,10 +167,7 @@ class _Search:
         self.columns = scene.limits.columns(self.moving)
         if not self.columns:
             raise ConfigError("an excitation needs at least one joint", available=scene.joints)
-        self.center = center
         self.executable = False
-        if center is not None:
-            scene.require_free(center, "the center of the excitation")
         self.limits = scene.limits.scaled(velocity_share, self.settings.acceleration_share)
         ramp_s = min(1.0, self.design.duration_s / 4)
         self.reference = ReferenceSettings(duration_s=self.design.duration_s, ramp_s=ramp_s)
@@ -186,7 +178,7 @@ class _Search:
         """The best candidate, the best log det of the first generation, and how many were tried."""
         import cma
 
-        size = 2 * len(self.columns) * self.design.harmonics + (len(self.columns) if self.center is None else 0)
+        size = (2 * self.design.harmonics + 1) * len(self.columns)
         population = 4 + int(3 * np.log(size))
         rng = np.random.default_rng(seed)
         first = [self.evaluate(rng.standard_normal(size)) for _ in range(population)]
@@ -219,9 +211,7 @@ class _Search:
         return scaled(unit, factor * np.minimum(0.99 * largest, room), center)
 
     def center_of(self, coefficients: Float64[np.ndarray, "D"]) -> Float64[np.ndarray, "J"]:
-        """The pose that the motion goes around: what was asked for, or what the first coefficients say."""
-        if self.center is not None:
-            return self.center
+        """The pose that the motion goes around, as the first coefficients say."""
         center, columns = self.scene.home.copy(), self.columns
         low, high = self.limits.low[columns], self.limits.high[columns]
         center[columns] = (low + high) / 2 + INNER * (high - low) / 2 * np.tanh(coefficients[: len(columns)])

@@ -219,7 +219,7 @@ class PlanSetSpec:
         return asdict(self)
 
 
-def paper_plans(*, seed: int = 0, workspace: Workspace | None = None) -> PlanSetSpec:
+def paper_plans() -> PlanSetSpec:
     """The motions of Realeasy (section IV-B) and the LSTM thesis (section 5.7).
 
     850 of several joints and 870 of a single one at 20 to 100 % of the velocity limits, split 80/15/5 by whole motions,
@@ -230,7 +230,7 @@ def paper_plans(*, seed: int = 0, workspace: Workspace | None = None) -> PlanSet
         MotionGroup("single-joint", "joint", 870, moving="single"),
         MotionGroup("cartesian", "cartesian", 50, split="test"),
     )
-    return PlanSetSpec("paper", groups, seed=seed, workspace=workspace or load_workspace("cell"))
+    return PlanSetSpec("paper", groups, workspace=load_workspace("cell"))
 
 
 def load_plans(name_or_path: str | Path) -> PlanSetSpec:

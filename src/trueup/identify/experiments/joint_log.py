@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -17,8 +17,8 @@ from trueup.core.timeseries import TimeSeries
 from trueup.core.units import si_factor
 from trueup.errors import DataError, MissingSignal, NameMismatch
 from trueup.identify.experiments.findings import in_words
+from trueup.identify.regression.samples import TorqueSource
 
-TorqueSource = Literal["command", "measured"]
 # How much later commands act [s]: one number, or joint -> its own.
 Delay = float | Mapping[str, float]
 

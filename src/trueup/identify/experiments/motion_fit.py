@@ -38,7 +38,7 @@ from scipy.special import stdtrit
 
 from trueup.core.results import Estimate
 from trueup.errors import NotIdentifiable
-from trueup.identify.experiments.slides import Slide
+from trueup.identify.experiments.slides import Slide, integral
 
 # regressors and observation of one slide, free of its initial state, and the number of unknowns of that
 _Block = tuple[np.ndarray, np.ndarray, int]
@@ -185,7 +185,7 @@ def _block(slide: Slide, names: Sequence[str], inertia: float | None, reference:
             "alpha": push,
             "beta": clock,
             "gamma": -away,
-            "kappa": _integral(error, steps),
+            "kappa": integral(error, clock),
             "lambda": -slide.torque,
         }
         initial = np.ones((clock.size, 1))
@@ -194,8 +194,8 @@ def _block(slide: Slide, names: Sequence[str], inertia: float | None, reference:
         columns = {
             "alpha": twice,
             "beta": 0.5 * clock**2,
-            "gamma": -_integral(away, steps),
-            "kappa": _integral(_integral(error, steps), steps),
+            "gamma": -integral(away, clock),
+            "kappa": integral(integral(error, clock), clock),
             "lambda": -push,
         }
         initial = np.stack([np.ones_like(clock), clock], axis=1)
@@ -239,10 +239,6 @@ def _felt(slide: Slide, design: Float64[np.ndarray, "N P"], values: Mapping[str,
     once = step * np.cumsum(design[::-1], axis=0)[::-1]
     twice = step * np.cumsum(once[::-1], axis=0)[::-1]
     return np.asarray(design + values[f"gamma{_sign(slide.direction)}"] * once - values.get("kappa", 0.0) * twice)
-
-
-def _integral(values: Float64[np.ndarray, "N"], steps: Float64[np.ndarray, "M"]) -> Float64[np.ndarray, "N"]:
-    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * steps)])
 
 
 def _changes(slide: Slide) -> bool:

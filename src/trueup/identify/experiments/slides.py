@@ -12,8 +12,9 @@ from jaxtyping import Bool, Float64
 
 from trueup.align.tracks import runs
 from trueup.errors import ConfigError, MissingSignal
-from trueup.identify.experiments.joint_log import Delay, JointLog, TorqueSource, delay_to_json
+from trueup.identify.experiments.joint_log import Delay, JointLog, delay_to_json
 from trueup.identify.experiments.onset import STILL_SPEED, encoder_step
+from trueup.identify.regression.samples import TorqueSource
 
 _SMOOTH_S = 0.01
 _LEAST_ROWS = 8
@@ -151,7 +152,7 @@ def motion(log: JointLog, settings: SlideSettings) -> Motion:
         raise MissingSignal(f"episode {log.episode!r} has no {observed} of {log.joint!r}")
     is_position = observed == "position"
     speed = _smooth_speed(log.time_s, values, is_position=is_position)
-    position = values if is_position else _integrated(log.time_s, values)
+    position = values if is_position else integral(values, log.time_s)
     whole = Slide(
         log.episode, 0, log.time_s, log.torque, position, values, is_position, start=float(np.median(position[:3]))
     )
@@ -181,11 +182,11 @@ def _smooth_speed(
     half = max(2, round(_SMOOTH_S / float(np.median(np.diff(time_s)))))
     rows = np.arange(time_s.size)
     low, high = np.maximum(rows - half, 0), np.minimum(rows + half, time_s.size - 1)
-    track = values if is_position else _integrated(time_s, values)
+    track = values if is_position else integral(values, time_s)
     return np.asarray((track[high] - track[low]) / (time_s[high] - time_s[low]))
 
 
-def _integrated(time_s: Float64[np.ndarray, "T"], values: Float64[np.ndarray, "T"]) -> Float64[np.ndarray, "T"]:
+def integral(values: Float64[np.ndarray, "T"], time_s: Float64[np.ndarray, "T"]) -> Float64[np.ndarray, "T"]:
     """Trapezoidal integral from the first sample."""
     return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time_s))])
 

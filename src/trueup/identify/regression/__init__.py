@@ -6,7 +6,6 @@ from trueup.core.graybox_result import GrayboxResult as GrayboxResult
 from trueup.core.graybox_result import JointFit as JointFit
 from trueup.core.graybox_result import Score as Score
 from trueup.identify.regression.base_parameters import BaseStructure as BaseStructure
-from trueup.identify.regression.equation import base_structure as base_structure
 from trueup.identify.regression.graybox import GrayboxSettings as GrayboxSettings
 from trueup.identify.regression.graybox import fit_graybox as fit_graybox
 from trueup.identify.regression.inverse_dynamics import InverseDynamicsSettings as InverseDynamicsSettings
@@ -33,7 +32,6 @@ __all__ = [
     "JointTerms",
     "Score",
     "TorqueStart",
-    "base_structure",
     "fit_graybox",
     "fit_inverse_dynamics",
     "inverse_dynamics_from_episodes",

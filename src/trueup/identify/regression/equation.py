@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import mujoco
 import numpy as np
 from jaxtyping import Float64
 
@@ -15,20 +12,6 @@ from trueup.identify.regression.pseudo_inertia import PARAMETER_UNITS
 
 JOINT_TERMS = ("armature", "damping", "frictionloss", "offset")
 _STRUCTURE_EPSILON = 0.5  # any width will do for a question of structure
-
-
-def base_structure(
-    model: mujoco.MjModel, joints: Sequence[str] | None = None, *, inertial_only: bool = False, seed: int = 0
-) -> BaseStructure:
-    """Which combinations of link and joint parameters the torques of a mechanism depend on.
-
-    Args:
-        model: hinges and slides on a fixed base.
-        joints: the joints that move; all if None.
-        inertial_only: leave armature, friction and offsets out, as tables of base inertial parameters do.
-        seed: of the random states.
-    """
-    return mechanism_structure(Linkage(model, joints), seed=seed, inertial_only=inertial_only)
 
 
 def term_names(linkage: Linkage) -> tuple[str, ...]:
@@ -51,7 +34,13 @@ def nominal_terms(linkage: Linkage) -> Float64[np.ndarray, "P"]:
 
 
 def mechanism_structure(linkage: Linkage, *, seed: int = 0, inertial_only: bool = False) -> BaseStructure:
-    """The base parameters that the mechanism has, read from random states."""
+    """Which combinations of link and joint parameters the torques of a mechanism depend on, read from random states.
+
+    Args:
+        linkage: the mechanism.
+        seed: of the random states.
+        inertial_only: leave armature, friction and offsets out, as tables of base inertial parameters do.
+    """
     names = term_names(linkage)
     position, velocity, acceleration = linkage.sample_states(max(100, 2 * len(names)), np.random.default_rng(seed))
     columns = term_columns(linkage, position, velocity, acceleration, _STRUCTURE_EPSILON)

@@ -66,7 +66,7 @@ def compare_ends(
     as_good = same | (cost <= cost[best] + cost_tolerance * abs(cost[best]))
     spread = np.ptp(z[as_good], axis=0) / space.scale
     counts = int(same.sum()), int((as_good & ~same).sum()), int((~as_good).sum())
-    loose = [space.names[index] for index in np.flatnonzero(spread > place_tolerance)]
+    loose = [space.labels[index] for index in np.flatnonzero(spread > place_tolerance)]
     verdict: Verdict
     if cost.size == 1:
         verdict, text = "single", "only one start led to a result: nothing to compare it with"

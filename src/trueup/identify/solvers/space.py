@@ -37,9 +37,7 @@ class Space:
         shapes = {name: getattr(self, name).shape for name in ("low", "high", "start", "scale")}
         if len(set(shapes.values())) != 1 or self.start.ndim != 1 or self.start.size == 0:
             raise ConfigError("bounds, start and scale of a search must be vectors of one length", got=shapes)
-        if not self.names:
-            object.__setattr__(self, "names", tuple(f"z{index}" for index in range(self.start.size)))
-        if len(self.names) != self.start.size:
+        if self.names and len(self.names) != self.start.size:
             raise ConfigError("names of a search", got=len(self.names), expected=f"{self.start.size}")
         self._refuse(~(np.isfinite(self.low) & np.isfinite(self.high)), "bounds must be finite")
         self._refuse(
@@ -56,12 +54,17 @@ class Space:
             raise ConfigError(
                 what,
                 got=", ".join(
-                    f"{self.names[i]}: low {self.low[i]:g}, high {self.high[i]:g}, start {self.start[i]:g}, "
+                    f"{self.labels[i]}: low {self.low[i]:g}, high {self.high[i]:g}, start {self.start[i]:g}, "
                     f"scale {self.scale[i]:g}"
                     for i in np.flatnonzero(wrong)[:6]
                 ),
                 hint=hint,
             )
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What the parameters are called in messages."""
+        return self.names or tuple(f"z{index}" for index in range(self.start.size))
 
     @property
     def size(self) -> int:
@@ -76,6 +79,6 @@ class Space:
     def to_json(self) -> dict[str, Any]:
         """JSON object; a checkpoint carries it, so that it is not continued in another space."""
         return {
-            "names": list(self.names),
+            "names": list(self.labels),
             **{name: getattr(self, name).tolist() for name in ("low", "high", "start", "scale")},
         }
