@@ -16,7 +16,7 @@ import numpy as np
 from attack.harness import HERE, Parser, Unsound
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset.importers.base import ImportOptions
-from trueup.dataset.importers.detect import IMPORTERS, find_importer
+from trueup.dataset.importers.detect import FORMATS, find_importer, importer
 from trueup.errors import TrueupError
 from trueup.stages.importing import checked, plan_import
 
@@ -275,8 +275,8 @@ def make_all(folder: Path) -> None:
 def read_detected(folder: Path) -> Iterator[Exception]:
     """Every folder and file, by whichever importer takes it."""
     for path in (folder, *sorted(folder.rglob("*"))):
-        for importer in IMPORTERS.values():
-            importer.detects(path)
+        for name in FORMATS:
+            importer(name).detects(path)
         try:
             plan = find_importer(path).scan(path, ImportOptions())
         except TrueupError as error:

@@ -363,7 +363,7 @@ PARSERS = [
     Parser(
         "graybox.json of a report",
         lambda folder: _only(make_identification, folder, "graybox.json"),
-        reader(Graybox, "graybox.json"),
+        reader(GrayboxResult, "graybox.json"),
     ),
     Parser("graybox.json", make_graybox, reader(GrayboxResult, "graybox.json")),
     Parser("inverse dynamics", make_inverse_dynamics, reader(InverseDynamicsFit, "inverse_dynamics.json")),

@@ -234,7 +234,7 @@ def test_foreign_and_missing_files_are_errors(saved):
 
 def test_a_pickle_is_never_opened(saved):
     np.savez(saved / "traces.npz", episode_000000=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(DataError, match="broken"):
+    with pytest.raises(DataError, match="do not agree"):
         TraceSet.load(saved)
 
 
