@@ -44,7 +44,7 @@ from trueup.identify.regression.inverse_dynamics_result import (
     BaseParameter,
     BodyEstimate,
     InverseDynamicsFit,
-    JointFriction,
+    JointTerms,
 )
 from trueup.report import build_report
 
@@ -142,7 +142,7 @@ def make_inverse_dynamics(folder: Path) -> None:
         rmse={"pan": 0.1},
         rmse_consistent={"pan": 0.1},
         bodies={"arm": BodyEstimate(**_filled(BodyEstimate))},
-        joints={"pan": JointFriction(**_filled(JointFriction))},
+        joints={"pan": JointTerms(**_filled(JointTerms))},
         largest_deviation=0.1,
         interval_method="hac",
         samples=10,
