@@ -102,6 +102,25 @@ def regular(path: Path) -> Path:
     return path
 
 
+def is_inside(folder: Path, path: Path) -> bool:
+    """Whether a path stays inside a folder after links are followed; not if it leads nowhere, as a loop of links."""
+    try:
+        return path.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError, ValueError):
+        return False
+
+
+def whole_number(text: str) -> int:
+    """The number of a text of digits.
+
+    Raises:
+        OverflowError: no float can hold it, which nobody would expect later.
+    """
+    number = int(text)
+    float(number)
+    return number
+
+
 def read_json(path: Path) -> Any:
     """Read JSON.
 
@@ -109,8 +128,8 @@ def read_json(path: Path) -> Any:
         DataError: the file is missing, not UTF-8 or not JSON.
     """
     try:
-        return json.loads(regular(path).read_bytes())
+        return json.loads(regular(path).read_bytes(), parse_int=whole_number)
     except FileNotFoundError:
         raise DataError(f"{path} does not exist") from None
-    except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
+    except (OSError, UnicodeDecodeError, ValueError, OverflowError, RecursionError) as error:
         raise DataError(f"{path} is not readable JSON", got=error) from error

@@ -114,6 +114,8 @@ def _load(
         time_s = grid if on_grid else stamps - stamps[0]
         rows, clock_flags = usable_clock(time_s, source=source)
         series = {kind: item.series(table, time_s, source).rows(rows) for kind, item in columns.items() if item.joints}
+    if "measured" not in series:
+        raise DataError(f"{source} has no measured joints", available=columns)
     joints = tuple(joint for item in series.values() for joint in item.joints)
     series = {kind: with_units(item, stated.units, joints) for kind, item in series.items()}
     return Episode(
