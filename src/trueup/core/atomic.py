@@ -103,6 +103,25 @@ def regular(path: Path) -> Path:
     return path
 
 
+def is_inside(folder: Path, path: Path) -> bool:
+    """Whether a path stays inside a folder after links are followed; not if it leads nowhere, as a loop of links."""
+    try:
+        return path.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError, ValueError):
+        return False
+
+
+def whole_number(text: str) -> int:
+    """The number of a text of digits.
+
+    Raises:
+        OverflowError: no float can hold it, which nobody would expect later.
+    """
+    number = int(text)
+    float(number)
+    return number
+
+
 # What may become a number that is not finite, or half a character; few files have any.
 _ODD = re.compile(r"NaN|Infinity|\d[eE]\+?\d{3,}\s*[,\]}]|\d{300}|\\u[dD][89a-fA-F]")
 
@@ -128,6 +147,6 @@ def read_json(path: Path) -> Any:
         json.dumps(tree, ensure_ascii=False).encode()  # half a character could not be written again
     except FileNotFoundError:
         raise DataError(f"{path} does not exist") from None
-    except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
+    except (OSError, UnicodeDecodeError, ValueError, OverflowError, RecursionError) as error:
         raise DataError(f"{path} is not readable JSON", got=error) from error
     return tree
