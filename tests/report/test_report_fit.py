@@ -53,7 +53,7 @@ from trueup.report.sections.left import above_zero, left_summary, models_chooser
 from trueup.report.sections.parameters import parameter_groups
 from trueup.report.sections.usage import recipes
 from trueup.report.share_figures import share_range, shares_figure
-from trueup.sim.friction import MARK
+from trueup.robots.friction import MARK
 
 JOINTS = World().joints
 STATUSES = ("ok", "not-identifiable", "at-bound", "not-converged", "no-better")

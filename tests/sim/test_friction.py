@@ -15,9 +15,9 @@ from trueup.errors import ConfigError
 from trueup.identify.candidate import Nominal
 from trueup.robots import ControllerSpec, JointFriction, JointGains, JointSpec, RobotSpec, SimulationSpec
 from trueup.robots.friction import LAWS as TABLE
-from trueup.robots.friction import NUMBERS
+from trueup.robots.friction import LEAST_WIDTH, MARK, NUMBERS, WIDTH
 from trueup.sim import MujocoSimulator, friction_of, install_friction, set_friction
-from trueup.sim.friction import LEAST_WIDTH, MARK, WIDTH, has_friction
+from trueup.sim.friction import has_friction
 
 STEP_S = 0.0005
 INERTIA = 0.05

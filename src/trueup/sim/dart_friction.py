@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from trueup.robots import JointFriction
+from trueup.robots.friction import MARK
 from trueup.sim.dart_model import JointNumbers, skeleton_of
-from trueup.sim.friction import MARK, has_friction
+from trueup.sim.friction import has_friction
 
 
 def laws_of(model: mujoco.MjModel) -> dict[int, JointFriction]:

@@ -17,13 +17,7 @@ import mujoco
 
 from trueup.errors import ConfigError
 from trueup.robots import JointFriction
-from trueup.robots.friction import NUMBERS
-
-# The first number of a joint's user data says that the others are its friction laws in the order of NUMBERS. (MJCF
-# keeps six digits.) A file from before the last laws has fewer: those laws are off.
-MARK = 20261.0
-WIDTH = 1 + len(NUMBERS)
-LEAST_WIDTH = 14
+from trueup.robots.friction import LEAST_WIDTH, MARK, WIDTH
 
 # MuJoCo makes a friction row only for joints with some frictionloss.
 _LEAST_FRICTIONLOSS = 1e-6

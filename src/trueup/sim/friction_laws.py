@@ -17,8 +17,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from trueup.robots.friction import LAWS, NUMBERS
-from trueup.sim.friction import LEAST_WIDTH, MARK, WIDTH
+from trueup.robots.friction import LAWS, LEAST_WIDTH, MARK, NUMBERS, WIDTH
 from trueup.sim.structs import offset
 
 _SLOT = {number.name: 1 + index for index, number in enumerate(NUMBERS)}

@@ -72,7 +72,8 @@ def _root_tag(path: Path) -> str:
 
 def _product(element: ET.Element, *names: str) -> float:
     try:
-        return math.prod(max(1.0, float(word)) for name in names for word in element.get(name, "").split())
+        words = [float(word) for name in names for word in element.get(name, "").split()]
+        return math.prod((max(1.0, word) for word in words), start=1.0)
     except ValueError:
         return 1.0
 

@@ -1,9 +1,7 @@
 """Friction of a joint beyond viscous and Coulomb friction: one file for each law, and the table of them."""
 
-from trueup.robots.friction.joint_friction import JointFriction as JointFriction
-from trueup.robots.friction.law import Law as Law
-from trueup.robots.friction.law import Number as Number
-from trueup.robots.friction.laws import LAWS as LAWS
-from trueup.robots.friction.laws import NUMBERS as NUMBERS
+from trueup.robots.friction.joint_friction import JointFriction
+from trueup.robots.friction.law import Law, Number
+from trueup.robots.friction.laws import LAWS, LEAST_WIDTH, MARK, NUMBERS, WIDTH
 
-__all__ = ["LAWS", "NUMBERS", "JointFriction", "Law", "Number"]
+__all__ = ["LAWS", "LEAST_WIDTH", "MARK", "NUMBERS", "WIDTH", "JointFriction", "Law", "Number"]

@@ -21,3 +21,9 @@ _FILES = (
 
 LAWS: Mapping[str, Law] = {name: import_module(f"trueup.robots.friction.{name}").LAW for name in _FILES}
 NUMBERS: tuple[Number, ...] = tuple(number for law in LAWS.values() for number in law.numbers)
+
+# The first number of a joint's user data says that the others are its friction laws in the order of NUMBERS. (MJCF
+# keeps six digits.) A file from before the last laws has fewer: those laws are off.
+MARK = 20261.0
+WIDTH = 1 + len(NUMBERS)
+LEAST_WIDTH = 14
