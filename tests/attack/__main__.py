@@ -1,4 +1,4 @@
-"""`python -m attack`: every parser against many damaged files; results go into benchmarks/results/attack.json."""
+"""`python -m attack`: every parser against many damaged files, every writer killed; results go into benchmarks/results/attack.json."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ import json
 import os
 import sys
 import tempfile
+import time
+from collections import Counter
 from pathlib import Path
 
-from attack.harness import HERE, Attacker, all_parsers, attack, reproduce, source_hash
+from attack.harness import HERE, Attacker, Tally, all_parsers, attack, reproduce, source_hash
+from attack.kill import WRITERS, assaulted
 
 RESULTS = HERE.parent.parent / "benchmarks" / "results" / "attack.json"
+KILLS = 60
 _EVERY = 200  # cases between two lines of progress
 
 
@@ -34,18 +38,13 @@ def main() -> int:
 def _all(chosen: argparse.Namespace, base: Path) -> int:
     found, source = 0, source_hash()
     attacker = Attacker(base / "work")
-    for name in chosen.parser or all_parsers():
+    for name in chosen.parser or [*all_parsers(), *(f"kill {writer}" for writer in WRITERS)]:
+        count = KILLS if name.startswith("kill ") else chosen.mutations
         known = _read(chosen.results).get(name, {})
-        if known.get("source") == source and known.get("mutations", 0) >= chosen.mutations and not known.get("defects"):
+        if known.get("source") == source and known.get("mutations", 0) >= count and not known.get("defects"):
             print(f"{name}: done before")
             continue
-        seen: set[int] = set()
-        for tally in attack(attacker, name, range(chosen.mutations)):
-            for number in tally.defects.keys() - seen:
-                print(f"{name} case {number}: {tally.defects[number]}", flush=True)
-            seen = set(tally.defects)
-            if tally.mutations % _EVERY == 0:
-                print(f"{name} {tally.mutations}/{chosen.mutations} {tally.seconds:.0f} s", file=sys.stderr, flush=True)
+        tally = _killed(name, base) if name.startswith("kill ") else _attacked(attacker, name, count)
         found += len(tally.defects)
         entry = {
             "mutations": tally.mutations,
@@ -56,9 +55,28 @@ def _all(chosen: argparse.Namespace, base: Path) -> int:
         }
         # Read again: another attack may have written meanwhile.
         chosen.results.write_text(json.dumps({**_read(chosen.results), name: entry}, indent=1, sort_keys=True) + "\n")
-        print(f"{name}: {entry['mutations']} mutations, {entry['outcomes']}, {len(tally.defects)} defects", flush=True)
+        print(f"{name}: {entry['mutations']} times, {entry['outcomes']}, {len(tally.defects)} defects", flush=True)
     attacker.close()
     return 1 if found else 0
+
+
+def _attacked(attacker: Attacker, name: str, count: int) -> Tally:
+    seen: set[int] = set()
+    for tally in attack(attacker, name, range(count)):
+        for number in tally.defects.keys() - seen:
+            print(f"{name} case {number}: {tally.defects[number]}", flush=True)
+        seen = set(tally.defects)
+        if tally.mutations % _EVERY == 0:
+            print(f"{name} {tally.mutations}/{count} {tally.seconds:.0f} s", file=sys.stderr, flush=True)
+    return tally
+
+
+def _killed(name: str, base: Path) -> Tally:
+    start = time.monotonic()
+    wrong = assaulted(name.removeprefix("kill "), base / "killed", KILLS)
+    for number, what in wrong.items():
+        print(f"{name} {number}: {what}", flush=True)
+    return Tally(KILLS, Counter(completed=KILLS - len(wrong)), wrong, time.monotonic() - start)
 
 
 def _read(path: Path) -> dict[str, dict[str, object]]:

@@ -29,10 +29,12 @@ from typing import Any
 from attack.mutations import mutate
 
 HERE = Path(__file__).resolve().parent
-SECONDS = 10.0  # for one small folder
+SECONDS = 10.0  # of a processor, for one small folder
+HANG_SECONDS = 40.0  # on a wall of a busy machine
 GIGABYTE = 1 << 30
 LONGEST_MESSAGE = 4000
 CASES_PER_WORKER = 2500
+UNCHANGED = -1  # the number of a case in which nothing is changed
 
 
 class Unsound(Exception):
@@ -49,12 +51,35 @@ class Parser:
         read: reads everything in the folder; yields errors of trueup.errors that do not stop it, raises one that does,
             and Unsound for nonsense.
         edit: a change of its own to the folder, in place of those of `mutations`, in every third case.
+        refuses: whether there is something to refuse in the good files, too.
     """
 
     name: str
     make: Callable[[Path], None]
     read: Callable[[Path], Iterable[Exception]]
     edit: Callable[[Path, random.Random], str] | None = None
+    refuses: bool = False
+
+
+@dataclass(frozen=True)
+class Writer:
+    """Something that writes, and may be killed.
+
+    Attributes:
+        name: e.g. `import`.
+        write: from the base folder; may be called again after it was killed.
+        check_part: what must hold after a kill.
+        check_whole: what must hold after a call that was not killed.
+        prepare: what is there before it; a small dataset if None.
+        slow: whether a call takes seconds.
+    """
+
+    name: str
+    write: Callable[[Path], object]
+    check_part: Callable[[Path], None]
+    check_whole: Callable[[Path], None]
+    prepare: Callable[[Path], None] | None = None
+    slow: bool = False
 
 
 @dataclass
@@ -98,6 +123,8 @@ def prepare(parser: Parser, number: int, base: Path) -> tuple[Path, str]:
     (case / "outside").mkdir(parents=True)
     (case / "outside" / "sentinel").write_text("untouched")
     shutil.copytree(seed, case / "logs", symlinks=True)
+    if number == UNCHANGED:
+        return case / "logs", "nothing"
     rng = random.Random(f"{parser.name} {number}")
     edit = parser.edit if parser.edit is not None and rng.random() < 1 / 3 else mutate
     return case / "logs", edit(case / "logs", rng)
@@ -134,7 +161,7 @@ def attempt(parser: Parser, folder: Path, base: Path) -> tuple[str, str]:
     before = _listing(base)
     Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
     used = _memory("VmRSS")
-    start = time.monotonic()
+    start = time.process_time()
     outcome, wrong = "read", ""
     try:
         for error in parser.read(folder):
@@ -148,8 +175,8 @@ def attempt(parser: Parser, folder: Path, base: Path) -> tuple[str, str]:
         frames = [line.strip() for line in traceback.format_tb(error.__traceback__) if "/trueup/" in line]
         outcome = "Unsound" if isinstance(error, Unsound) else "crash"
         wrong = f"{type(error).__name__}: {str(error)[:300]} | {' | '.join(frames[-2:])}"
-    if time.monotonic() - start > SECONDS:
-        wrong = wrong or f"took {time.monotonic() - start:.1f} s"
+    if time.process_time() - start > SECONDS:
+        wrong = wrong or f"took {time.process_time() - start:.1f} s"
     if _memory("VmHWM") - used > GIGABYTE:
         wrong = wrong or f"took {(_memory('VmHWM') - used) / GIGABYTE:.1f} GB of memory"
     if _listing(base) != before:
@@ -169,6 +196,8 @@ def _work(connection: Connection, base: Path) -> None:
         os.dup2(output.fileno(), 1)
         os.dup2(output.fileno(), 2)
     warnings.simplefilter("error")
+    warnings.filterwarnings("ignore", category=UserWarning)  # what MuJoCo thinks of an inertia
+    warnings.filterwarnings("ignore", "invalid value", RuntimeWarning)  # a NaN of which a processor complains
     parsers = all_parsers()
     connection.send(None)
     limit = _memory("VmSize") + 6 * GIGABYTE
@@ -178,6 +207,15 @@ def _work(connection: Connection, base: Path) -> None:
         folder, said = prepare(parsers[name], number, base)
         connection.send(("prepared", said))
         connection.send(attempt(parsers[name], folder, base))
+
+
+def forking() -> Any:
+    """Makes children of a process that has loaded everything and done nothing: a new one costs next to nothing."""
+    os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
+    context = multiprocessing.get_context("forkserver")
+    names = [path.stem for pattern in ("parsers_*.py", "kill.py") for path in sorted(HERE.glob(pattern))]
+    context.set_forkserver_preload([f"attack.{name}" for name in names])
+    return context
 
 
 class Attacker:
@@ -200,8 +238,8 @@ class Attacker:
         said = "?"
         try:
             _, said = self._connection.recv()
-            if not self._connection.poll(SECONDS + 5):
-                outcome, wrong = "hang", f"no answer after {SECONDS:g} s"
+            if not self._connection.poll(HANG_SECONDS):
+                outcome, wrong = "hang", f"no answer after {HANG_SECONDS:g} s"
                 self.close(kill=True)
             else:
                 outcome, wrong = self._connection.recv()
@@ -212,10 +250,7 @@ class Attacker:
         return outcome, f"{wrong} ({said})" if wrong else ""
 
     def _start(self) -> None:
-        # Children of a process that has loaded everything and done nothing: a new one costs next to nothing.
-        os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
-        context = multiprocessing.get_context("forkserver")
-        context.set_forkserver_preload([f"attack.{path.stem}" for path in sorted(HERE.glob("parsers_*.py"))])
+        context = forking()
         self._connection, other = context.Pipe()
         self._process = context.Process(target=_work, args=(other, self.base), daemon=True)
         self._process.start()
@@ -240,6 +275,9 @@ def attack(attacker: Attacker, name: str, numbers: Iterable[int]) -> Iterator[Ta
     """The tally of a parser, after every case."""
     tally = Tally()
     start = time.monotonic()
+    outcome, wrong = attacker.case(name, UNCHANGED)
+    if outcome != "read" and not all_parsers()[name].refuses:
+        tally.defects[UNCHANGED] = f"the good files are not read: {outcome} {wrong}"
     for number in numbers:
         outcome, wrong = attacker.case(name, number)
         tally.mutations += 1

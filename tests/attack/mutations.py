@@ -292,7 +292,15 @@ def _xml(data: bytes, rng: random.Random) -> bytes:
         elif kind == 1 and len(parent):
             parent.append(rng.choice(list(parent)))
         elif kind == 2:
-            parent.insert(rng.randrange(len(parent) + 1), ET.fromstring(rng.choice(_XML_PIECES)))
+            piece = ET.fromstring(rng.choice(_XML_PIECES))
+            if rng.random() < 0.7:  # where it belongs
+                section = ET.Element("asset") if piece.tag in ("mesh", "texture", "hfield") else None
+                home = "body" if piece.tag in ("replicate", "composite", "flexcomp", "body", "joint") else root.tag
+                parent = next(iter(root.iter(home)), root)
+                if section is not None:
+                    section.append(piece)
+                    piece = section
+            parent.insert(rng.randrange(len(parent) + 1), piece)
         elif kind == 3:
             node.tag = rng.choice(("body", "geom", "link", "joint", "x", node.tag + "2", "mujoco", "robot", "default"))
         elif kind == 4 and node.attrib:
@@ -384,16 +392,18 @@ def _parquet_bomb(schema: Any, width: int) -> bytes:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    rows = 200_000_000 // width
-    columns = []
-    for field in schema:
-        if pa.types.is_integer(field.type) or pa.types.is_floating(field.type):
-            columns.append(pa.array(np.zeros(rows, field.type.to_pandas_dtype())))
-        else:
-            columns.append(pa.nulls(rows, field.type))
+    rows = 1_000_000
+    columns = [
+        pa.array(np.zeros(rows, field.type.to_pandas_dtype()))
+        if pa.types.is_integer(field.type) or pa.types.is_floating(field.type)
+        else pa.nulls(rows, field.type)
+        for field in schema
+    ]
     out = io.BytesIO()
     plain = pa.schema([pa.field(field.name, field.type) for field in schema], schema.metadata)
-    pq.write_table(pa.table(columns, schema=plain), out, compression="zstd")
+    with pq.ParquetWriter(out, plain, compression="zstd") as writer:
+        for _ in range(200 // width + 1):
+            writer.write_table(pa.table(columns, schema=plain))
     return out.getvalue()
 
 

@@ -8,7 +8,6 @@ import os
 import random
 import shutil
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from attack.harness import HERE, Parser, Unsound
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset.importers.base import ImportOptions
 from trueup.dataset.importers.detect import IMPORTERS, find_importer
+from trueup.dataset.writer import meta_to_row
 from trueup.errors import TrueupError
 from trueup.stages.importing import checked, plan_import
 
@@ -43,7 +43,7 @@ def read_logs(path: Path, format: str | None, options: ImportOptions | None = No
         except TrueupError as error:
             yield error
             continue
-        json.dumps(asdict(episode.meta), ensure_ascii=False).encode()  # what cannot be encoded cannot be stored
+        meta_to_row(episode.meta)
         for series in (episode.measured, *([episode.command] if episode.command else []), *episode.simulated.values()):
             sound(series)
 
@@ -299,5 +299,5 @@ PARSERS = (
     Parser("csv, shipped mapping", make_pendulums, _reader("csv")),
     Parser("hdf5, two groups", make_arms, _reader("hdf5", "m.yaml")),
     Parser("hdf5, stated names", make_stated, _reader("hdf5", "m.yaml")),
-    Parser("detection", make_all, read_detected),
+    Parser("detection", make_all, read_detected, refuses=True),
 )

@@ -32,7 +32,7 @@ joints:
   - {name: b, sign: -1}
 scored: [a]
 ignore: [c]
-controller: {kind: pid, kp: 10.0, kv: 1.0, ki: 0.5, integral_limit: 2.0, delay_s: 0.01, per_joint: {b: {kp: 5.0, delay_s: 0.02}}}
+controller: {kind: position, kp: 10.0, kv: 1.0, delay_s: 0.01, per_joint: {b: {kp: 5.0, delay_s: 0.02}}}
 simulation: {timestep_s: 0.002, contacts: false, gravity_compensation: true}
 replay: {window_s: 0.5, initial_velocity: zero, settle_s: 0.1}
 friction: {a: {stribeck: 0.1, load: 0.05, asymmetry: 0.1, dead_band: 0.001}, b: {tanh_coulomb: 0.1, static_positive: 0.1}}
@@ -154,7 +154,7 @@ schema: trueup.identify/1
 fit:
   delay_s: {shared: true, start: 0.01, low: 0.0, high: 0.05, prior_std: 0.01}
   damping: all
-  frictionloss: {targets: [JOINT], low: 0.0}
+  frictionloss: {targets: [JOINT], low: 0.001}
   armature: {frozen: true}
 models: {stribeck: [stribeck, stribeck_velocity], load: [load]}
 signals: {position: 1.0, velocity: 0.1}

@@ -1,10 +1,11 @@
-"""A few damaged files for every parser; `make attack` tries thousands."""
+"""A few damaged files for every parser, a few kills of every writer; `make attack` tries thousands."""
 
 import os
 
 import pytest
 
 from attack.harness import Attacker, all_parsers, attack
+from attack.kill import WRITERS, assaulted
 
 MUTATIONS = int(os.environ.get("TRUEUP_MUTATIONS", "20"))
 
@@ -21,3 +22,10 @@ def test_damaged_files_are_answered_clearly(attacker, name):
     *_, tally = attack(attacker, name, range(MUTATIONS))
     assert not tally.defects
     assert tally.outcomes
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * writer.slow) for name, writer in WRITERS.items()]
+)
+def test_a_killed_writer_loses_nothing_that_was_finished(name, tmp_path):
+    assert not assaulted(name, tmp_path / "base", kills=3)

@@ -92,6 +92,12 @@ def json_hash(value: Any) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def regular(path: Path) -> Path:
     """The path of a file, unless it is a pipe, which would be waited for, a device, which never ends, or a folder.
 
@@ -101,6 +107,25 @@ def regular(path: Path) -> Path:
     if path.exists() and not path.is_file():
         raise DataError(f"cannot read {path}", got="a folder" if path.is_dir() else "no regular file")
     return path
+
+
+def is_inside(folder: Path, path: Path) -> bool:
+    """Whether a path stays inside a folder after links are followed; not if it leads nowhere, as a loop of links."""
+    try:
+        return path.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError, ValueError):
+        return False
+
+
+def whole_number(text: str) -> int:
+    """The number of a text of digits.
+
+    Raises:
+        OverflowError: no float can hold it, which nobody would expect later.
+    """
+    number = int(text)
+    float(number)
+    return number
 
 
 # What may become a number that is not finite, or half a character; few files have any.
@@ -128,6 +153,6 @@ def read_json(path: Path) -> Any:
         json.dumps(tree, ensure_ascii=False).encode()  # half a character could not be written again
     except FileNotFoundError:
         raise DataError(f"{path} does not exist") from None
-    except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:
+    except (OSError, UnicodeDecodeError, ValueError, OverflowError, RecursionError) as error:
         raise DataError(f"{path} is not readable JSON", got=error) from error
     return tree

@@ -12,10 +12,18 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 import yaml
 
-from trueup.core.atomic import regular
+from trueup.core.atomic import regular, whole_number
 from trueup.errors import ConfigError, DataError, FormatError
 
 T = TypeVar("T")
+
+
+class _Loader(yaml.SafeLoader):
+    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        return whole_number(str(super().construct_yaml_int(node)))
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -43,7 +51,7 @@ def parse_yaml(text: str, where: str) -> Any:
         ConfigError: not YAML, or a tag that would build objects.
     """
     try:
-        return yaml.safe_load(text)
+        return yaml.load(text, _Loader)  # noqa: S506 - a SafeLoader
     # PyYAML lets errors of its constructors through, e.g. for `!!int x` or a date that does not exist.
     except (
         *(yaml.YAMLError, ValueError, TypeError, LookupError),

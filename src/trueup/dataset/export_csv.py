@@ -17,6 +17,7 @@ from jaxtyping import Float
 from trueup.core.atomic import replacing, write_json, write_text
 from trueup.core.episode import Episode
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
+from trueup.dataset.lerobot_files import appearing
 from trueup.errors import DataError, NameMismatch, OutputExists
 
 _META = ("robot", "unit", "payload_kg", "condition")
@@ -49,23 +50,23 @@ def export_csv(episodes: Iterable[Episode], folder: Path) -> int:
     splits: dict[str, list[str]] = {}
     layout: dict[str, dict[str, Any]] = {}
     count = 0
-    for episode in episodes:
-        for label, series in _all_series(episode):
-            _extend(layout.setdefault(label, {"episodes": 0, "signals": {}}), label, series)
-            _write(folder / episode.id / f"{label}.csv", series)
-        payload_kg = episode.meta.payload_kg
-        texts = {"payload_kg": "" if payload_kg is None else repr(payload_kg)}
-        writer.writerow((episode.id, *(texts.get(key, getattr(episode.meta, key, "")) for key in _META)))
-        if episode.meta.split:
-            splits.setdefault(episode.meta.split, []).append(episode.id)
-        count += 1
-    if not count:
-        raise DataError(f"there is no episode to export to {folder}")
-    write_text(folder / "episodes.csv", table.getvalue())
-    if splits:
-        write_json(folder / "split.json", splits)
-    # Last, so that a folder with a mapping is whole.
-    write_text(folder / "mapping.yaml", yaml.safe_dump(_mapping(layout, count), sort_keys=False, allow_unicode=True))
+    with appearing(folder) as whole:
+        for episode in episodes:
+            for label, series in _all_series(episode):
+                _extend(layout.setdefault(label, {"episodes": 0, "signals": {}}), label, series)
+                _write(whole / episode.id / f"{label}.csv", series)
+            payload_kg = episode.meta.payload_kg
+            texts = {"payload_kg": "" if payload_kg is None else repr(payload_kg)}
+            writer.writerow((episode.id, *(texts.get(key, getattr(episode.meta, key, "")) for key in _META)))
+            if episode.meta.split:
+                splits.setdefault(episode.meta.split, []).append(episode.id)
+            count += 1
+        if not count:
+            raise DataError(f"there is no episode to export to {folder}")
+        write_text(whole / "episodes.csv", table.getvalue())
+        if splits:
+            write_json(whole / "split.json", splits)
+        write_text(whole / "mapping.yaml", yaml.safe_dump(_mapping(layout, count), sort_keys=False, allow_unicode=True))
     return count
 
 

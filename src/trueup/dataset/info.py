@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from trueup.core.atomic import read_json, write_json
+from trueup.core.atomic import is_inside, read_json, write_json
 from trueup.core.timeseries import TimeSeries
 from trueup.errors import ConfigError, DataError, FormatError
 
@@ -95,7 +95,7 @@ class DatasetInfo:
         relative = PurePosixPath(self.model)
         inside = not relative.is_absolute() and ".." not in relative.parts and "\\" not in self.model
         # A link out of the folder is a way out, too.
-        if not inside or "\0" in self.model or not (folder / relative).resolve().is_relative_to(folder.resolve()):
+        if not inside or "\0" in self.model or not is_inside(folder, folder / relative):
             raise ConfigError(
                 f"{folder / INFO_NAME} names a model outside its folder",
                 got=repr(self.model),

@@ -35,7 +35,7 @@ def appearing(folder: Path) -> Iterator[Path]:
         for path in sorted(temporary.rglob("*")):
             _sync(path)
         temporary.chmod(0o755)  # mkdtemp makes 0700; datasets are for colleagues too
-        if folder.exists():
+        if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
             raise OutputExists(f"{folder} was made by another program meanwhile")
         temporary.rename(folder)
     except (OSError, pa.ArrowException) as error:

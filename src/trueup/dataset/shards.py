@@ -26,6 +26,8 @@ MIN_EPISODES = 16
 
 _OPEN_SHARDS = 16
 _MAGIC = b"PAR1"
+_FEW_VALUES = 1 << 24
+_VALUES_PER_BYTE = 200
 
 
 def capacity(layout: Layout) -> int:
@@ -79,9 +81,21 @@ def open_parquet(path: Path) -> pq.ParquetFile:
         if not whole or int.from_bytes(tail[:4], "little") > size - 12:
             raise damaged(path, "truncated or no Parquet file")
         # Neither memory map (a truncated file would kill the process) nor read-ahead (slower for one episode).
-        return pq.ParquetFile(path, pre_buffer=False, page_checksum_verification=True)
+        return believable(pq.ParquetFile(path, pre_buffer=False, page_checksum_verification=True), path)
     except READ_ERRORS as error:
         raise damaged(path, error) from error
+
+
+def believable(file: pq.ParquetFile, path: Path) -> pq.ParquetFile:
+    """The file, unless it claims values by the million for every kilobyte: one value repeated, to fill the memory.
+
+    Raises:
+        DataError: it does.
+    """
+    values = file.metadata.num_rows * file.metadata.num_columns
+    if values > max(_FEW_VALUES, _VALUES_PER_BYTE * path.stat().st_size):
+        raise DataError(f"{path} claims more than a file of its size can hold", got=f"{values} values")
+    return file
 
 
 def damaged(path: Path, reason: object) -> DataError:

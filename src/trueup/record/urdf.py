@@ -5,6 +5,9 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+from trueup.core.atomic import regular
+from trueup.errors import DataError
+
 
 def urdf_velocity_limits(path: Path) -> dict[str, float]:
     """Joint -> largest speed from `<limit velocity="...">` [rad/s or m/s]; empty if the file is no URDF.
@@ -13,10 +16,11 @@ def urdf_velocity_limits(path: Path) -> dict[str, float]:
     nobody has said one.
     """
     try:
+        regular(path)
         if next(ET.iterparse(path, events=("start",)))[1].tag != "robot":  # noqa: S314 - expat caps entity expansion
             return {}
         root = ET.parse(path).getroot()  # noqa: S314 - as above
-    except (ET.ParseError, StopIteration, OSError):
+    except (ET.ParseError, StopIteration, OSError, LookupError, ValueError, DataError):
         return {}  # MuJoCo reads some files that are no proper XML; what it cannot read, it refuses itself
     found = {}
     for joint in root.findall("joint"):

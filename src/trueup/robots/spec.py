@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
@@ -10,6 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from trueup.core.atomic import is_inside
 from trueup.core.config import build, read_yaml
 from trueup.errors import ConfigError
 from trueup.robots.friction import JointFriction
@@ -304,12 +306,12 @@ def find_model(spec: RobotSpec, *, given: Path | None = None, folder: Path | Non
         if not given.is_file():
             raise ConfigError(f"there is no model at {given}")
         return given
-    folders = [folder] if folder and (folder / spec.model).resolve().is_relative_to(folder.resolve()) else []
+    folders = [folder] if folder and is_inside(folder, folder / spec.model) else []
     if spec.folder:
         folders.append(spec.folder)
     folders.append(Path(str(resources.files("trueup.robots"))) / "models")
     for place in folders:
-        if (place / spec.model).is_file():
+        if os.path.isfile(place / spec.model):  # noqa: PTH113 - of any name
             return place / spec.model
     raise ConfigError(
         f"the model {spec.model!r} of robot {spec.name!r} was not found",

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import mujoco
 
 from trueup.errors import ConfigError
+
+_MOST_COPIES = 1e5
+_MOST_PIXELS = 1e8
 
 
 def load_spec(path: Path) -> mujoco.MjSpec:
@@ -25,7 +29,7 @@ def load_spec(path: Path) -> mujoco.MjSpec:
         if _root_tag(path) == "robot":
             return mujoco.MjSpec.from_string(_urdf_without_missing_meshes(path))
         spec = mujoco.MjSpec.from_file(str(path))
-    except (ValueError, mujoco.FatalError, ET.ParseError, UnicodeDecodeError) as error:
+    except (ValueError, RuntimeError, mujoco.FatalError, ET.ParseError, LookupError) as error:
         raise ConfigError(f"{path} is not a model that MuJoCo can read", got=" ".join(str(error).split())) from error
     _drop_missing_meshes(spec, path.parent)
     return spec
@@ -39,14 +43,38 @@ def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
     """
     try:
         return spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise ConfigError(f"{path} does not compile", got=" ".join(str(error).split())) from error
 
 
 def _root_tag(path: Path) -> str:
-    for _, element in ET.iterparse(path, events=("start",)):  # noqa: S314 - a local model; expat caps entity expansion
-        return str(element.tag)
-    return ""
+    """The tag of the root of a file that does not ask, in a line, for more than a computer has.
+
+    Raises:
+        ConfigError: it does.
+    """
+    root, copies = "", [1.0]
+    try:
+        for event, element in ET.iterparse(path, events=("start", "end")):  # noqa: S314 - expat caps entity expansion
+            root = root or str(element.tag)
+            if event == "end":
+                copies.pop()
+                continue
+            copies.append(copies[-1] * _product(element, "count"))
+            pixels = max(_product(element, "width", "height"), _product(element, "nrow", "ncol"))
+            if copies[-1] > _MOST_COPIES or pixels > _MOST_PIXELS:
+                raise ConfigError(f"{path}: <{element.tag}> asks for too much", got=dict(element.attrib))
+    except ET.ParseError:  # MuJoCo reads some files that are no proper XML
+        if not root:
+            raise
+    return root
+
+
+def _product(element: ET.Element, *names: str) -> float:
+    try:
+        return math.prod(max(1.0, float(word)) for name in names for word in element.get(name, "").split())
+    except ValueError:
+        return 1.0
 
 
 def _urdf_without_missing_meshes(path: Path) -> str:

@@ -153,7 +153,9 @@ def bag_files(path: Path) -> tuple[Path, ...]:
     """
     if not path.is_dir():
         return (path,)
-    return tuple(inside(path, regular(child)) for child in sorted(path.iterdir()) if not child.is_dir())
+    return tuple(
+        inside(path, regular(child)) for child in sorted(path.iterdir()) if child.exists() and not child.is_dir()
+    )
 
 
 def choose_measured(topics: Sequence[Topic], asked: str | None, source: str) -> Topic:

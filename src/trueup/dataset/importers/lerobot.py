@@ -22,7 +22,7 @@ from trueup.dataset.importers.lerobot_columns import ACTION, STATE, Columns
 from trueup.dataset.importers.lerobot_info import INFO, LeRobotInfo, read_info, read_splits
 from trueup.dataset.importers.lerobot_rows import OWN, EpisodeRow, FrameReader, read_episodes, reading, vectors
 from trueup.dataset.importers.stated import Stated, read_stated, with_units
-from trueup.errors import NameMismatch
+from trueup.errors import DataError, NameMismatch
 
 NAME = "lerobot"
 LOOKS_FOR = f"a folder with {INFO}"
@@ -114,6 +114,8 @@ def _load(
         time_s = grid if on_grid else stamps - stamps[0]
         rows, clock_flags = usable_clock(time_s, source=source)
         series = {kind: item.series(table, time_s, source).rows(rows) for kind, item in columns.items() if item.joints}
+    if "measured" not in series:
+        raise DataError(f"{source} has no measured joints", available=columns)
     joints = tuple(joint for item in series.values() for joint in item.joints)
     series = {kind: with_units(item, stated.units, joints) for kind, item in series.items()}
     return Episode(

@@ -19,6 +19,7 @@ from jaxtyping import Float
 from trueup.core.atomic import regular
 from trueup.dataset.importers.files import file_hash
 from trueup.dataset.importers.lerobot_info import LeRobotInfo
+from trueup.dataset.shards import believable
 from trueup.errors import DataError, TrueupError
 
 EPISODES = "meta/episodes"
@@ -59,7 +60,7 @@ def read_episodes(root: Path, info: LeRobotInfo) -> list[EpisodeRow]:
     rows = []
     for path in files:
         with reading(path):
-            parquet = pq.ParquetFile(path)
+            parquet = believable(pq.ParquetFile(path), path)
             missing = [name for name in _NEEDED if name not in parquet.schema_arrow.names]
             if missing:
                 raise DataError(f"{path} has no columns {missing}", available=parquet.schema_arrow.names)
@@ -139,7 +140,7 @@ class FrameReader:
         if path == self._path:
             return
         self._path, self._table = None, None
-        self._file = pq.ParquetFile(path)
+        self._file = believable(pq.ParquetFile(path), path)
         missing = [name for name in self._columns if name not in self._file.schema_arrow.names]
         if missing:
             raise DataError(f"{path} has no columns {missing}", available=self._file.schema_arrow.names)

@@ -56,7 +56,10 @@ _BROKEN = (
     TypeError,
     ValueError,
 )
-_LARGEST = 1 << 33  # a few kilobytes can claim to unpack to terabytes
+# A few kilobytes can unpack to terabytes; samples hardly shrink to a tenth.
+_LARGEST = 1 << 33
+_LARGEST_SMALL = 1 << 28
+_LARGEST_RATIO = 100
 
 
 def detects(path: Path) -> bool:
@@ -167,6 +170,11 @@ def _arrays(path: Path, data: bytes) -> dict[str, Shaped[np.ndarray, "..."]]:
         raise DataError(f"{path} is not an npz file", got=got)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+            if unpacked > max(_LARGEST_SMALL, _LARGEST_RATIO * len(data)):
+                raise DataError(
+                    f"{path} claims to unpack to {unpacked} bytes", expected="samples, not one byte repeated"
+                )
             for entry in archive.infolist():
                 _check_entry(path, archive, entry)
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
