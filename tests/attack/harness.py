@@ -61,6 +61,27 @@ class Parser:
     refuses: bool = False
 
 
+@dataclass(frozen=True)
+class Writer:
+    """Something that writes, and may be killed.
+
+    Attributes:
+        name: e.g. `import`.
+        write: from the base folder; may be called again after it was killed.
+        check_part: what must hold after a kill.
+        check_whole: what must hold after a call that was not killed.
+        prepare: what is there before it; a small dataset if None.
+        slow: whether a call takes seconds.
+    """
+
+    name: str
+    write: Callable[[Path], object]
+    check_part: Callable[[Path], None]
+    check_whole: Callable[[Path], None]
+    prepare: Callable[[Path], None] | None = None
+    slow: bool = False
+
+
 @dataclass
 class Tally:
     """What came of many cases.

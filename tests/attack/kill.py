@@ -13,15 +13,15 @@ import signal
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from attack.harness import forking
+from attack.harness import Writer, forking
 from attack.parsers_robots import make_robot
+from attack.writers_results import RESULT_WRITERS
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter, append, is_dataset
@@ -36,23 +36,6 @@ EPISODES = 24
 RATE_HZ = 50
 IDS = tuple(f"e{number:03d}" for number in range(EPISODES))
 FLIPPED = {id: ("train", "test")[number % 2] for number, id in enumerate(IDS)}
-
-
-@dataclass(frozen=True)
-class Writer:
-    """Something that writes, and may be killed.
-
-    Attributes:
-        name: e.g. `import`.
-        write: from the base folder; may be called again after it was killed.
-        check_part: what must hold after a kill.
-        check_whole: what must hold after a call that was not killed.
-    """
-
-    name: str
-    write: Callable[[Path], object]
-    check_part: Callable[[Path], None]
-    check_whole: Callable[[Path], None]
 
 
 def _episode(number: int) -> Episode:
@@ -183,7 +166,7 @@ _WRITERS = (
 )
 
 
-WRITERS = {writer.name: writer for writer in _WRITERS}
+WRITERS = {writer.name: writer for writer in (*_WRITERS, *RESULT_WRITERS)}
 
 
 def forked(what: Callable[[Path], object], base: Path, *, kill_after_s: float | None = None) -> tuple[str, float]:
@@ -229,7 +212,7 @@ def assault(writer: Writer, base: Path, kills: int) -> dict[int, str]:
     base.mkdir(parents=True)
     wrong: dict[int, str] = {}
     backup = base.with_name("backup")
-    complaint, _ = forked(prepare, base)
+    complaint, _ = forked(writer.prepare or prepare, base)
     assert not complaint, complaint
     shutil.rmtree(backup, ignore_errors=True)
     shutil.copytree(base, backup)

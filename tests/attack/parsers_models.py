@@ -108,7 +108,7 @@ def _trained() -> Augmentation:
 
     config = AugmentConfig(network=NetworkConfig("lstm", (4, 3)))
     corrector = corrector_of(config.network, np.random.default_rng(0), inputs=4, base=(0, 1, 2, 3))
-    card = replace(card_of(), provenance={"config": config.to_json()})
+    card = replace(card_of(), states=corrector.states, provenance={"config": config.to_json()})
     return Augmentation(card, corrector, config)
 
 

@@ -24,6 +24,8 @@ def test_damaged_files_are_answered_clearly(attacker, name):
     assert tally.outcomes
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * writer.slow) for name, writer in WRITERS.items()]
+)
 def test_a_killed_writer_loses_nothing_that_was_finished(name, tmp_path):
     assert not assaulted(name, tmp_path / "base", kills=3)

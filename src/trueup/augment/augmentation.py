@@ -223,6 +223,9 @@ class Augmentation:
             corrector.load_state_dict(state)
         except (SafetensorError, KeyError, TypeError, RuntimeError) as error:  # torch's error for shapes is the last
             raise DataError(f"{path} holds no weights of this network", got=error) from error
+        chosen = [value for value in corrector.state_dict().values() if not value.is_floating_point()]
+        if any(((value < 0) | (value >= len(card.inputs))).any() for value in chosen):
+            raise DataError(f"{path} reads inputs that are not there", expected=f"0 to {len(card.inputs) - 1}")
         corrector.eval()
         return Augmentation(card, corrector, config)
 

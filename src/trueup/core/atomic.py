@@ -92,6 +92,12 @@ def json_hash(value: Any) -> str:
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
 
 
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def regular(path: Path) -> Path:
     """The path of a file, unless it is a pipe, which would be waited for, a device, which never ends, or a folder.
 

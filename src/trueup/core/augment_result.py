@@ -16,6 +16,7 @@ from trueup.core.atomic import as_read_back, read_json, without_nan, write_json
 from trueup.core.config import build_versioned
 from trueup.core.results import Estimate, Verdict
 from trueup.core.step_times import StepTimes
+from trueup.errors import ConfigError
 
 AUGMENT_SCHEMA = "trueup.augment/1"
 AUGMENT_NAME = "augment.json"
@@ -101,6 +102,11 @@ class Reliability:
     far: float
     error: float
     skill: float | None
+
+    def __post_init__(self) -> None:
+        """Refuse columns of unequal length."""
+        if not len(self.predicted) == len(self.observed) == len(self.weight):
+            raise ConfigError("the columns of a reliability curve have unequal lengths")
 
 
 @dataclass(frozen=True)

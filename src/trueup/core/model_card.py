@@ -26,7 +26,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from trueup.core.atomic import as_read_back, json_hash, read_json, regular, without_nan, write_json
+from trueup.core.atomic import as_read_back, file_hash, json_hash, read_json, regular, without_nan, write_json
 from trueup.core.config import build
 from trueup.errors import ConfigError, DataError, FormatError
 
@@ -255,12 +255,6 @@ class ModelCard:
                 hint="It is truncated or was replaced: export the model again, or fetch it again.",
             )
         return data
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _with_open_ends(item: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Float64, Int
 
-from trueup.core.atomic import read_json, regular, replacing, write_json
+from trueup.core.atomic import file_hash, read_json, regular, replacing, write_json
 from trueup.core.decimation import decimation_rows
 from trueup.core.hold import held_rows
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
@@ -220,6 +220,7 @@ class TraceSet:
             {
                 "schema": TRACES_SCHEMA,
                 "max_points": self.max_points,
+                "curves": file_hash(folder / "traces.npz"),
                 "episodes": index,
                 "provenance": dict(self.provenance),
             },
@@ -237,6 +238,9 @@ class TraceSet:
         if not isinstance(index, Mapping) or index.get("schema") != TRACES_SCHEMA:
             raise FormatError(f"{folder / 'traces.json'} is no index of traces", expected=TRACES_SCHEMA)
         path = folder / "traces.npz"
+        # Whoever is killed between the two files leaves an index of other curves.
+        if index.get("curves") is not None and path.is_file() and index["curves"] != file_hash(path):
+            raise DataError(f"{path} is not the file that traces.json describes", hint="Run the command again.")
         try:
             traces = TraceSet(max_points=index["max_points"])
             with regular(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:

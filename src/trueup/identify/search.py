@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
+from trueup.core.config import build
 from trueup.errors import DataError
 from trueup.identify.costs import PenalizedSquares, joint_errors, roles_of
 from trueup.identify.problem import Problem
@@ -33,6 +34,7 @@ from trueup.identify.uncertainty import as_least_squares, noise_of
 HARDLY = 0.01
 # Derivatives over a distance so many times as long differ by less than this share of their size, or show no slope.
 _LONGER, _SAME = 10.0, 0.5
+_STEP = ("evaluations", "cost", "seconds")
 
 
 class Stopwatch:
@@ -107,7 +109,10 @@ class Search:
             DataError: the start cannot be simulated.
         """
         store, kept = self._open(phase)
-        state = GaussNewtonState.from_json(kept["solver"]) if kept else GaussNewtonState(self.problem.parameters.start)
+        state = GaussNewtonState(self.problem.parameters.start)
+        if kept:
+            with store.reading():
+                state = GaussNewtonState.from_json(kept["solver"], space_of(self.problem), self.settings.gauss_newton)
         search = self._derivatives(state)
         while not search.done:
             search.step()
@@ -154,15 +159,19 @@ class Search:
         """
         problem, settings, space = self.problem, self.settings, space_of(self.problem)
         store, kept = self._open(name)
-        steps = [Step(*step) for step in kept.get("history", ())]
-        squares = PenalizedSquares(problem, kept.get("observations"))
-        errors = joint_errors(problem) if name == "evolution" else squares
+        steps: list[Step] = []
+        rms, squares = float("inf"), PenalizedSquares(problem)
         solver: AskTell = CmaEs(space, seed=settings.seed)
         if name == "evolution":
             solver = EvolutionStrategy(space, roles_of(problem), seed=settings.seed)
         if kept:
-            solver.restore(kept["solver"])
-        lowest, rms = solver.best[1], float(kept.get("rms", np.inf))
+            with store.reading():
+                steps = [build(Step, dict(zip(_STEP, step, strict=True)), "history") for step in kept["history"]]
+                rms, seen = float(kept["rms"]), kept["observations"]
+                squares = PenalizedSquares(problem, None if seen is None else float(seen))
+                solver.restore(kept["solver"])
+        errors = joint_errors(problem) if name == "evolution" else squares
+        lowest = solver.best[1]
         earlier_s = self.clock.seconds - (steps[-1].seconds if steps else 0.0)
 
         def evaluate(z: Float64[np.ndarray, "C P"]) -> Evaluation:
@@ -204,8 +213,9 @@ class Search:
         store = Checkpoint(path.with_name(f"{path.stem}.{phase}.json"), fingerprint_of(self.problem, self.settings))
         kept = store.load()
         if kept:
-            self.clock.forward(float(kept["seconds"]))
-            self.problem.evaluations = max(self.problem.evaluations, int(kept["evaluations"]))
+            with store.reading():
+                self.clock.forward(float(kept["seconds"]))
+                self.problem.evaluations = max(self.problem.evaluations, int(kept["evaluations"]))
         return store, kept
 
     def _spent(self) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import math
@@ -13,9 +14,9 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float64
 
-from trueup.core.atomic import read_json, write_json
+from trueup.core.atomic import as_read_back, json_hash, read_json, write_json
 from trueup.core.parameters import ParameterSet
-from trueup.errors import DataError
+from trueup.errors import ConfigError, DataError
 from trueup.identify.problem import Problem
 from trueup.identify.segments import Segment
 from trueup.identify.solvers import Agreement, GaussNewtonSettings
@@ -113,7 +114,7 @@ class Checkpoint:
         self._fingerprint = fingerprint
 
     def load(self) -> dict[str, Any]:
-        """The stored state, empty if there is none that fits."""
+        """The stored state, empty if there is none that fits, or not as it was written."""
         if self._path is None or not self._path.is_file():
             return {}
         try:
@@ -122,13 +123,29 @@ class Checkpoint:
             return {}
         if not isinstance(tree, dict) or tree.get("fingerprint") != self._fingerprint:
             return {}
+        if not isinstance(tree.get("state"), dict) or tree.get("sha256") != json_hash(tree["state"]):
+            return {}
         state: dict[str, Any] = _read_back(tree["state"])
         return state
+
+    @contextlib.contextmanager
+    def reading(self) -> Iterator[None]:
+        """What a state lacks or has too much is a broken file, not a bug.
+
+        Raises:
+            DataError: in place of what its reader says.
+        """
+        try:
+            yield
+        except (KeyError, TypeError, ValueError, AttributeError, LookupError, OverflowError, ConfigError) as error:
+            got = f"{type(error).__name__}: {error}"
+            raise DataError(f"{self._path} is broken", got=got, hint="Delete it: the search begins anew.") from error
 
     def save(self, state: dict[str, Any]) -> None:
         """Write the state, whole or not at all."""
         if self._path is not None:
-            write_json(self._path, {"fingerprint": self._fingerprint, "state": _written(state)})
+            plain = as_read_back(_written(state))
+            write_json(self._path, {"fingerprint": self._fingerprint, "sha256": json_hash(plain), "state": plain})
 
 
 _NOT_FINITE = {"Infinity": math.inf, "-Infinity": -math.inf, "NaN": math.nan}

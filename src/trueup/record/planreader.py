@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from trueup.core.atomic import read_json
-from trueup.core.config import build
+from trueup.core.config import build, build_versioned
 from trueup.dataset.columns import from_table
 from trueup.dataset.shards import ShardReader
 from trueup.errors import ConfigError, DataError, FormatError, MissingSignal
@@ -35,6 +35,37 @@ _OPEN_BLOCKS = 8
 # What plans.json says about what decided about the plans.
 _ASKED = ("spec", "ids", "origin", "robot", "joints", "model")
 _AGAIN = "Plan the set again into the same folder: what is there is kept."
+
+
+@dataclass(frozen=True)
+class _Row:
+    """What a block says of a plan; `Plan` has the meaning."""
+
+    id: str
+    kind: str
+    moving: tuple[str, ...]
+    samples: int
+    start_s: float
+    end_s: float
+    condition: str
+    split: str
+    seed: int | None
+    index: int | None
+    details: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class _Skipped:
+    id: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class _Block:
+    """The content of a block's JSON."""
+
+    plans: tuple[_Row, ...]
+    skipped: tuple[_Skipped, ...]
 
 
 class PlanSet:
@@ -163,6 +194,9 @@ class PlanSet:
             raise ConfigError(f"there is no motion {id!r}", available=self._ids)
         return self._ids.index(id)
 
+    def _id(self, number: int) -> str:
+        return self._ids[number] if self.spec is None else self.spec.id(number)
+
     def _block(self, number: int) -> dict[str, Any]:
         if number in self._blocks:
             self._blocks.move_to_end(number)
@@ -173,7 +207,12 @@ class PlanSet:
                 got=f"no block {number}",
                 hint=_AGAIN,
             )
-        self._blocks[number] = read_block(self.path, number)
+        rows = read_block(self.path, number)
+        ids = [row["id"] for row in (*rows["plans"], *rows["skipped"])]
+        known = range(number * BLOCK, min(len(self), (number + 1) * BLOCK))
+        if len(set(ids)) < len(ids) or not set(ids) <= {self._id(place) for place in known}:
+            raise DataError(f"{block_path(self.path, number)} holds other motions than the set", got=ids, hint=_AGAIN)
+        self._blocks[number] = rows
         if len(self._blocks) > _OPEN_BLOCKS:
             self._blocks.popitem(last=False)
         return self._blocks[number]
@@ -200,7 +239,6 @@ def read_block(folder: Path, number: int) -> dict[str, Any]:
         DataError: it cannot be read.
     """
     path = block_path(folder, number)
-    data = read_json(path)
-    if not isinstance(data, dict) or data.get("schema") != BLOCK_SCHEMA:
-        raise FormatError(f"{path} is no block of plans, or of another version", expected=BLOCK_SCHEMA)
+    data: dict[str, Any] = read_json(path)
+    build_versioned(_Block, data, str(path), schema=BLOCK_SCHEMA, what="block of plans")
     return data

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from trueup.core.atomic import read_json
 from trueup.core.fit_result import FitResult
@@ -18,7 +19,7 @@ _FIT_FILES = (
 def forget_explanation(folder: Path, *, unless_of: str | None = None) -> None:
     """Remove the attribution of a measurement that is replaced; `unless_of` is the hash of a dataset whose stays."""
     path = folder / "explain.json"
-    if path.is_file() and (unless_of is None or read_json(path)["provenance"].get("data_hash") != unless_of):
+    if path.is_file() and (unless_of is None or _provenance(path).get("data_hash") != unless_of):
         path.unlink()
 
 
@@ -32,7 +33,7 @@ def forget_other_ladder(folder: Path) -> None:
     """Remove a ladder that quotes another measurement than the one in the folder."""
     ladder, gap = folder / "ladder.json", folder / "gap.json"
     if ladder.is_file():
-        origins = [read_json(path)["provenance"] for path in (ladder, gap)]
+        origins = [_provenance(path) for path in (ladder, gap)]
         if any(origins[0].get(key) != origins[1].get(key) for key in _ORIGIN):
             ladder.unlink()
 
@@ -46,3 +47,10 @@ def refuse_other_fit(folder: Path, data_hash: str) -> None:
     path = folder / "fit.json"
     if path.is_file() and FitResult.load(path).provenance.get("data_hash") != data_hash:
         raise OutputExists(f"{folder} holds the fit of another dataset (fit.json)", hint="Choose another --out.")
+
+
+def _provenance(path: Path) -> dict[str, Any]:
+    """Where a result comes from; of a file that is none, nothing is known."""
+    tree = read_json(path)
+    found = tree.get("provenance") if isinstance(tree, dict) else None
+    return found if isinstance(found, dict) else {}

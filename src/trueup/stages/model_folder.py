@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from trueup.augment.config import CHECKPOINT_NAME
-from trueup.core.atomic import make_folder, read_json, write_json
-from trueup.core.model_card import CARD_NAME, ModelCard, file_hash
+from trueup.core.atomic import file_hash, make_folder, read_json, write_json
+from trueup.core.model_card import CARD_NAME, ModelCard
 from trueup.errors import DataError, OutputExists, TrueupError
 
 # Names that nobody else gives: what is called so is deleted.

@@ -252,6 +252,7 @@ class EvolutionStrategy:
             ConfigError: it was made in another space, or with other roles, settings or seed.
         """
         check_state(state, self._setup(), self.state())
+        before = self._shapes()
         self._current = _Point.from_json(state["current"])
         self._center = np.array(state["center"], dtype=float)
         self._center_signed = from_finite_or_none(state["center_signed"])
@@ -261,6 +262,14 @@ class EvolutionStrategy:
         self._steps, self._evaluations = int(state["steps"]), int(state["evaluations"])
         self._failed_in_a_row = int(state["failed_in_a_row"])
         self._asked = None
+        inside = all(np.array_equal(self._space.clip(z), z) for z in (self._current.z, self._center))
+        if self._shapes() != before or not inside:
+            raise ConfigError("the checkpoint's numbers are not those of this search")
+
+    def _shapes(self) -> list[tuple[int, ...]]:
+        point = self._current
+        arrays = (point.z, point.errors, point.signed, self._center, self._center_signed, self._worse, self._lowest)
+        return [array.shape for array in arrays]
 
 
 def _inf_for_nan(values: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:

@@ -10,8 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int
 from scipy.optimize import lsq_linear
 
+from trueup.core.config import build
 from trueup.errors import DataError
 from trueup.identify.solvers.loss import Loss, LossName
+from trueup.identify.solvers.space import Space
 
 Residuals = Callable[[Float64[np.ndarray, "C P"]], Float64[np.ndarray, "C N"]]
 Support = Callable[[int], Bool[np.ndarray, "N"]]
@@ -84,14 +86,23 @@ class GaussNewtonState:
         return {**vars(self), "z": self.z.tolist(), "jacobian_z": None if place is None else place.tolist()}
 
     @staticmethod
-    def from_json(tree: dict[str, Any]) -> GaussNewtonState:
-        """What `to_json` wrote."""
-        place = tree["jacobian_z"]
+    def from_json(tree: dict[str, Any], space: Space, settings: GaussNewtonSettings) -> GaussNewtonState:
+        """What `to_json` wrote.
+
+        Raises:
+            ConfigError: a value of another kind.
+            ValueError: it is no state of a search in this space.
+        """
         arrays = {
-            "z": np.array(tree["z"], dtype=np.float64),
-            "jacobian_z": None if place is None else np.array(place, dtype=np.float64),
+            name: None if tree[name] is None else np.array(tree[name], dtype=np.float64) for name in ("z", "jacobian_z")
         }
-        return GaussNewtonState(**{**tree, **arrays})
+        state = build(GaussNewtonState, {**tree, **arrays}, "solver")
+        for place in (state.z, state.z if state.jacobian_z is None else state.jacobian_z):
+            if place.shape != space.start.shape or not np.array_equal(space.clip(place), place):
+                raise ValueError(f"{place.tolist()} is out of bounds")
+        if not 0 <= state.stage < len(settings.steps):
+            raise ValueError(f"there is no stage {state.stage}")
+        return state
 
 
 @dataclass(frozen=True, eq=False)
