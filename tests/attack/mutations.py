@@ -603,7 +603,7 @@ def _displace(folder: Path, file: Path, rng: random.Random) -> str:
         )
     elif kind == "outside":
         parent = file.parent
-        if parent == folder or rng.random() < 0.5:
+        if parent.parent in (folder, folder.parent) or rng.random() < 0.5:  # a dataset may be a link itself
             (folder.parent / "outside" / "kept").write_bytes(content)
             file.symlink_to(folder.parent / "outside" / "kept")
         else:  # the folder that it is in lies elsewhere

@@ -19,11 +19,11 @@ import pyarrow.compute as pc
 
 from trueup.core.atomic import is_inside, make_folder
 from trueup.core.timeseries import TimeSeries
-from trueup.dataset.columns import Layout, content_hash, layout_of, parse_layout, to_table
+from trueup.dataset.columns import Layout, arrow_schema, content_hash, layout_of, parse_layout, to_table
 from trueup.dataset.index import StoreSpec, read_index, write_index
 from trueup.dataset.journal import Journal, JournalReader, Row, pack, unpack
 from trueup.dataset.lock import FolderLock
-from trueup.dataset.shards import MAX_BYTES, ShardReader, capacity, shard_name, write_shard
+from trueup.dataset.shards import MAX_BYTES, ShardReader, capacity, damaged, shard_name, write_shard
 from trueup.errors import DataError
 
 
@@ -105,7 +105,11 @@ class StoreWriter:
                 row, tables = unpack(frame.payload, self.spec.series)
                 end = frame.end if frame.begin == end and row["id"] not in self._ids else 0
                 if row["id"] not in self._ids:
+                    self.spec.table([row])
                     layouts = {name: parse_layout(table.schema) for name, table in tables.items()}
+                    for name, table in tables.items():
+                        if not table.schema.equals(arrow_schema(layouts[name])):
+                            raise damaged(self.spec.journal_path, f"the columns of {name} have other names")
                     self._add(_Pending(row, tables, layouts), len(frame.payload))
         if self._pending and end and not self._full():
             return end

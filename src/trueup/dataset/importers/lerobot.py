@@ -22,7 +22,7 @@ from trueup.dataset.importers.lerobot_columns import ACTION, STATE, Columns
 from trueup.dataset.importers.lerobot_info import INFO, LeRobotInfo, read_info, read_splits
 from trueup.dataset.importers.lerobot_rows import OWN, EpisodeRow, FrameReader, read_episodes, reading, vectors
 from trueup.dataset.importers.stated import Stated, read_stated, with_units
-from trueup.errors import NameMismatch
+from trueup.errors import DataError, NameMismatch
 
 NAME = "lerobot"
 LOOKS_FOR = f"a folder with {INFO}"
