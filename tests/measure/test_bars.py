@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from trueup.core.results import Estimate, GapResult, MetricResult
 from trueup.errors import ConfigError, MissingSignal, TrueupError
-from trueup.measure import Bar, check_bars, parse_bar
+from trueup.measure import Bar, check_bars, parse_bar, refuse_unknown
 
 
 def entry(value, unit="rad"):
@@ -119,3 +119,13 @@ def test_a_result_of_the_command_alone_meets_no_bar():
     alone = GapResult({"command": {"all": {"position": {"rmse": entry(0.0)}}}}, ("a",), ("a",))
     with pytest.raises(MissingSignal, match="needs a simulated run"):
         check_bars(alone, [parse_bar("position.rmse=1")])
+
+
+def test_a_bar_on_what_will_not_be_measured_is_refused_before():
+    known = [parse_bar(text) for text in ("position.rmse=1", "a:test:position.rmse=1", ":all:position.rmse=1")]
+    refuse_unknown([*known, parse_bar("command::position.rmse=1")], runs=["a"], splits=["test"])
+    refuse_unknown(known, runs=["a"])
+    with pytest.raises(MissingSignal, match=r"run that is not there: 'b'"):
+        refuse_unknown([parse_bar("b::position.rmse=1")], runs=["a"])
+    with pytest.raises(MissingSignal, match=r"split that is not there: 'tset'"):
+        refuse_unknown([parse_bar(":tset:position.rmse=1")], runs=["a"], splits=["test"])

@@ -43,11 +43,13 @@ def close(
     skip_bad: options.SkipBad = False,
 ) -> int:
     """From logs to the ladder: import if needed, check, replay, measure, report."""
-    from trueup.measure import parse_bar
+    from trueup.measure import parse_bar, refuse_unknown
     from trueup.robots import load_robot
+    from trueup.stages import STOCK
     from trueup.stages import close as run
 
     bars = [parse_bar(text) for text in fail_above or []]
+    refuse_unknown(bars, runs=(STOCK,))
     closed = run(
         dataset,
         load_robot(robot),

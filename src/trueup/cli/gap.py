@@ -55,7 +55,7 @@ def gap(
 ) -> int:
     """Measure the gap between robot and simulation, with 95 % intervals; write gap.json and a report."""
     from trueup.dataset import Dataset
-    from trueup.measure import parse_bar
+    from trueup.measure import parse_bar, refuse_unknown
     from trueup.report import write_report
     from trueup.robots import load_robot
     from trueup.stages import explain as attribute
@@ -72,6 +72,7 @@ def gap(
     if out_dir is not None and (out_dir / "gap.json").exists() and not overwrite:
         raise OutputExists(f"{out_dir / 'gap.json'} exists", hint="Give --overwrite, or choose another --out.")
     data = Dataset(dataset)
+    refuse_unknown(bars, runs=_list(runs) or data.runs, splits=sorted({*data.splits.values()} - {""}))
     if out_dir is not None:
         folder.refuse_other_fit(out_dir, data.hash)
     measurement = measure(

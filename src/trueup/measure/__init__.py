@@ -1,7 +1,7 @@
 """How large the gap is, with intervals; it does not know who made the simulation."""
 
 from trueup.measure.analysis import AnalysisBuilder, lags_of
-from trueup.measure.bars import Bar, BarFailure, check_bars, parse_bar
+from trueup.measure.bars import Bar, BarFailure, check_bars, parse_bar, refuse_unknown
 from trueup.measure.bins import BinnedError, HorizonError, binned_error, error_against_horizon
 from trueup.measure.comparison import COMMAND_RUN, Comparison
 from trueup.measure.gap import measure_gap
@@ -55,6 +55,7 @@ __all__ = [
     "position_distance",
     "r2",
     "ratio_interval",
+    "refuse_unknown",
     "rmse",
     "robustness",
     "rotation_distance",

@@ -90,6 +90,18 @@ def parse_bar(text: str) -> Bar:
     return Bar(signal=signal.strip(), metric=name, limit=limit, run=run, split=split)
 
 
+def refuse_unknown(bars: Iterable[Bar], *, runs: Iterable[str], splits: Iterable[str] | None = None) -> None:
+    """Refuse bars on what will not be measured, before anything is.
+
+    Raises:
+        MissingSignal: a bar names another run, or, where they are known, another split.
+    """
+    for bar in bars:
+        for what, key, known in (("run", bar.run, runs), ("split", bar.split, splits)):
+            if key and known is not None and key not in {*known, COMMAND_RUN if what == "run" else ALL}:
+                raise MissingSignal(f"the bar {bar} names a {what} that is not there: {key!r}", available=known)
+
+
 def check_bars(result: GapResult, bars: Iterable[Bar]) -> list[BarFailure]:
     """The bars that the result does not meet, run by run; empty when all are met.
 
