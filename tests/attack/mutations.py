@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import functools
 import io
 import json
@@ -14,6 +13,7 @@ import xml.etree.ElementTree as ET
 import zipfile
 import zlib
 from collections.abc import Callable
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -222,7 +222,7 @@ def edit_tree(tree: Any, rng: random.Random) -> Any:
     for _ in range(rng.choice((1, 1, 1, 2, 4))):
         places = _places(tree)
         if not places or rng.random() < 0.02:
-            return rng.choice((copy.deepcopy(rng.choice(VALUES)), [tree], {"a": tree}))
+            return rng.choice((deepcopy(rng.choice(VALUES)), [tree], {"a": tree}))
         node, key = rng.choice(places)
         kind = rng.randrange(10)
         if kind == 0:
@@ -230,10 +230,10 @@ def edit_tree(tree: Any, rng: random.Random) -> Any:
         elif kind == 1 and isinstance(node, dict):
             node[rng.choice((str(key) + "2", str(key).upper(), "", "x", "schema", "\x1b", "y" * 5000))] = node.pop(key)
         elif kind == 2 and isinstance(node, list):
-            node.insert(key, node[key])
+            node.insert(key, deepcopy(node[key]))
         elif kind == 3:
             other, place = rng.choice(places)
-            node[key] = json.loads(json.dumps(other[place]))
+            node[key] = deepcopy(other[place])
         elif kind == 4:
             value = node[key]
             as_text = str(value)
@@ -243,9 +243,9 @@ def edit_tree(tree: Any, rng: random.Random) -> Any:
             scale = rng.choice((-1, 0, 10, 1e6, 1e-9, 1e200))
             node[key] = float(node[key]) * scale if abs(node[key]) < 1e100 else 0
         elif kind == 6 and isinstance(node, dict):
-            node[rng.choice(("extra", "nan", "name", "id", "unit"))] = copy.deepcopy(rng.choice(VALUES))
+            node[rng.choice(("extra", "nan", "name", "id", "unit"))] = deepcopy(rng.choice(VALUES))
         else:
-            node[key] = copy.deepcopy(rng.choice(VALUES))
+            node[key] = deepcopy(rng.choice(VALUES))
     return tree
 
 
@@ -603,7 +603,7 @@ def _displace(folder: Path, file: Path, rng: random.Random) -> str:
         )
     elif kind == "outside":
         parent = file.parent
-        if parent == folder or rng.random() < 0.5:
+        if parent.parent in (folder, folder.parent) or rng.random() < 0.5:  # a dataset may be a link itself
             (folder.parent / "outside" / "kept").write_bytes(content)
             file.symlink_to(folder.parent / "outside" / "kept")
         else:  # the folder that it is in lies elsewhere

@@ -34,17 +34,9 @@ def _read_all(path: Path) -> Iterator[Exception]:
     _ = dataset.metas, dataset.hash, dataset.splits, dataset.info.model_path(path)
     for id in dataset.ids:
         try:
-            episode = dataset.episode(id)
+            dataset.episode(id)
         except TrueupError as error:
             yield error
-            continue
-        # Metadata may be edited by whoever can compute a checksum; samples are what was hashed.
-        original = make_episode(int(id[1:]), samples=6) if id in ("e000", "e001", "e002") else None
-        if original and not all(
-            (left.joints, left.time_s.tobytes()) == (right.joints, right.time_s.tobytes()) or _rewritten(path)
-            for left, right in ((episode.measured, original.measured),)
-        ):
-            raise Unsound(f"other samples of {id}")
     for label in dataset.runs:
         try:
             dataset.run_info(label)
@@ -52,11 +44,6 @@ def _read_all(path: Path) -> Iterator[Exception]:
                 dataset.episode(id, runs=[label])
         except TrueupError as error:
             yield error
-
-
-def _rewritten(path: Path) -> bool:
-    """Journals and shards with right checksums may say anything."""
-    return True
 
 
 def read_dataset(folder: Path) -> Iterator[Exception]:

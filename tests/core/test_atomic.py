@@ -1,8 +1,9 @@
 import json
+import os
 
 import pytest
 
-from trueup.core.atomic import replacing, write_json, write_text
+from trueup.core.atomic import read_json, replacing, write_json, write_text
 from trueup.errors import DataError
 
 
@@ -39,3 +40,12 @@ def test_nan_is_no_json(tmp_path):
     with pytest.raises(ValueError, match="JSON compliant"):
         write_json(tmp_path / "a.json", {"a": float("nan")})
     assert not (tmp_path / "a.json").exists()
+
+
+def test_a_pipe_a_device_and_a_number_that_nothing_holds_are_not_read(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "device").symlink_to("/dev/zero")
+    (tmp_path / "number").write_text("9" * 400)
+    for name in ("pipe", "device", "number"):
+        with pytest.raises(DataError, match=name):
+            read_json(tmp_path / name)

@@ -243,6 +243,16 @@ def test_a_command_file_outside_the_folder_is_refused(tmp_path):
         episodes(tmp_path / "logs")
 
 
+def test_an_interrupted_export_leaves_nothing(tmp_path):
+    def broken():
+        yield episodes(make(tmp_path / "in", {"x.csv": ROWS}, PLAIN))["x"]
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export_csv(broken(), tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]
+
+
 def test_two_files_with_one_id_are_refused(tmp_path):
     make(tmp_path, {"a b.csv": ROWS, "a_b.csv": ROWS})
     with pytest.raises(DataError, match=r"called 'a_b'.*a b.csv and a_b.csv"):

@@ -9,8 +9,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries
@@ -26,7 +24,6 @@ from trueup.errors import (
     MissingSignal,
     NameMismatch,
     OutputExists,
-    TrueupError,
     UnitError,
 )
 
@@ -461,69 +458,3 @@ def test_missing_frames_and_files_are_refused(tmp_path):
     shutil.rmtree(folder / "data")
     with pytest.raises(DataError, match="does not exist"):
         load(folder)
-
-
-@pytest.fixture(scope="module")
-def small_dataset(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("lerobot") / "d"
-    return export([episode(0, 5), episode(1, 4)], folder)
-
-
-@settings(max_examples=100)
-@given(
-    which=st.integers(0, 2),
-    cut=st.none() | st.floats(0, 1),
-    edits=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), max_size=5),
-)
-def test_damaged_datasets_raise_only_our_errors(small_dataset, tmp_path_factory, which, cut, edits):
-    folder = tmp_path_factory.getbasetemp() / "damaged_lerobot"
-    shutil.copytree(small_dataset, folder, dirs_exist_ok=True)
-    names = ("meta/info.json", "meta/episodes/chunk-000/file-000.parquet", "data/chunk-000/file-000.parquet")
-    path = folder / names[which]
-    damaged = bytearray(path.read_bytes())
-    damaged = damaged if cut is None else damaged[: int(cut * len(damaged))]
-    for place, value in edits:
-        if damaged:
-            damaged[int(place * len(damaged))] = value
-    path.write_bytes(damaged)
-    try:
-        for source in lerobot.scan(folder, ImportOptions()).episodes:
-            source.load()
-    except TrueupError:
-        pass
-
-
-json_values = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
-    max_leaves=5,
-)
-
-
-@settings(max_examples=100)
-@given(
-    path=st.sampled_from(
-        [
-            ("codebase_version",), ("fps",), ("robot_type",), ("splits",), ("splits", "train"), ("data_path",),
-            ("features",), ("features", "action"), ("features", "action", "names"), ("features", "action", "shape"),
-            ("features", "action", "dtype"), ("features", "observation.state", "names"),
-            ("features", "observation.state", "units"), ("features", "observation.state", "shape"),
-        ]
-    ),
-    value=json_values,
-)  # fmt: skip
-def test_any_value_in_the_metadata_raises_only_our_errors(small_dataset, path, value):
-    original = (small_dataset / "meta/info.json").read_text()
-    content = json.loads(original)
-    inner = content
-    for key in path[:-1]:
-        inner = inner[key]
-    inner[path[-1]] = value
-    try:
-        (small_dataset / "meta/info.json").write_text(json.dumps(content))
-        for source in lerobot.scan(small_dataset, ImportOptions()).episodes:
-            source.load()
-    except TrueupError:
-        pass
-    finally:
-        (small_dataset / "meta/info.json").write_text(original)

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 from trueup.dataset.importers import rosbag
 from trueup.dataset.importers.base import ImportOptions
 from trueup.dataset.importers.jointstate import JointStateDecoder
-from trueup.errors import ConfigError, DataError, FormatError, NameMismatch, TrueupError
+from trueup.errors import ConfigError, DataError, FormatError, NameMismatch
 
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
 ROS2 = get_typestore(Stores.ROS2_HUMBLE)
@@ -479,37 +479,3 @@ def test_decoding_many_at_once_equals_decoding_one_by_one(data, ros1):
         assert set(signals) == set(expected)
         for signal, values in expected.items():
             np.testing.assert_array_equal(signals[signal], values)
-
-
-@pytest.fixture(scope="module")
-def small_bags(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("bags")
-    values = motion(rows=6)
-    bags = {}
-    for storage, store in (("mcap", ROS2), ("sqlite3", ROS2), ("ros1", ROS1)):
-        topics = {"/joint_states": (JOINT_STATE, states(store, values)), "/cmd": (JOINT_STATE, states(store, values))}
-        path = write_bag(folder / (f"{storage}.bag" if storage == "ros1" else storage), topics, storage)
-        file = path if path.is_file() else next(file for file in path.iterdir() if file.suffix != ".yaml")
-        bags[storage] = (file.suffix, file.read_bytes())
-    return bags
-
-
-@pytest.mark.parametrize("storage", ["mcap", "sqlite3", "ros1"])
-@settings(max_examples=120)
-@given(
-    cut=st.none() | st.floats(0, 1),
-    edits=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(0, 255)), max_size=6),
-)
-def test_damaged_bags_raise_only_our_errors(small_bags, tmp_path_factory, storage, cut, edits):
-    suffix, data = small_bags[storage]
-    damaged = bytearray(data if cut is None else data[: int(cut * len(data))])
-    for place, value in edits:
-        if damaged:
-            damaged[int(place * len(damaged))] = value
-    path = tmp_path_factory.getbasetemp() / f"damaged{suffix}"
-    path.write_bytes(damaged)
-    try:
-        for source in rosbag.scan(path, ImportOptions()).episodes:
-            source.load()
-    except TrueupError:
-        pass

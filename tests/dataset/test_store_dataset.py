@@ -257,6 +257,15 @@ def test_overwriting_does_not_follow_links(tmp_path):
     assert not (tmp_path / "d" / "model").exists()
 
 
+def test_a_part_of_a_dataset_that_is_a_link_is_not_written_through(tmp_path):
+    write(tmp_path / "d", [make_episode(0)])
+    (tmp_path / "d" / "measured").rename(tmp_path / "elsewhere")
+    (tmp_path / "d" / "measured").symlink_to(tmp_path / "elsewhere")
+    assert same_episode(Dataset(tmp_path / "d")[0], make_episode(0))
+    with pytest.raises(DataError, match="leads out of"):
+        DatasetWriter.resume(tmp_path / "d", INFO)
+
+
 def test_resume_needs_the_same_robot(tmp_path):
     write(tmp_path / "d", [make_episode(0)])
     with pytest.raises(NameMismatch, match=r"other.*arm"):

@@ -65,6 +65,20 @@ def test_what_is_no_model_is_refused(tmp_path, content):
         load_spec(path).compile()
 
 
+@pytest.mark.parametrize(
+    "piece",
+    [
+        '<worldbody><replicate count="1000"><replicate count="1000"><geom size="1"/></replicate></replicate></worldbody>',
+        '<asset><texture name="t" type="2d" builtin="flat" width="60000" height="60000"/></asset>',
+        '<asset><hfield name="h" nrow="60000" ncol="60000" size="1 1 1 1"/></asset>',
+    ],
+)
+def test_a_line_that_asks_for_more_than_a_computer_has_is_refused(tmp_path, piece):
+    (tmp_path / "bomb.xml").write_text(f"<mujoco>{piece}</mujoco>")
+    with pytest.raises(ConfigError, match="asks for too much"):
+        load_spec(tmp_path / "bomb.xml")
+
+
 def test_the_shipped_pendulum_swings_with_the_period_of_the_textbook(tmp_path):
     """A point mass on a rod of length l: T = 2 pi sqrt(l / g) for small angles."""
     path = tmp_path / "point.xml"

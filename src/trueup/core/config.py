@@ -57,7 +57,7 @@ def parse_yaml(text: str, where: str) -> Any:
         *(yaml.YAMLError, ValueError, TypeError, LookupError),
         *(AttributeError, ArithmeticError, RecursionError),
     ) as error:
-        raise ConfigError(f"{where} is not plain YAML", got=" ".join(str(error).split())[:200]) from error
+        raise ConfigError(f"{where} is not plain YAML", got=error) from error
 
 
 def build(cls: type[T], data: Any, where: str) -> T:

@@ -17,13 +17,13 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from trueup.core.atomic import make_folder
+from trueup.core.atomic import is_inside, make_folder
 from trueup.core.timeseries import TimeSeries
-from trueup.dataset.columns import Layout, content_hash, layout_of, parse_layout, to_table
+from trueup.dataset.columns import Layout, arrow_schema, content_hash, layout_of, parse_layout, to_table
 from trueup.dataset.index import StoreSpec, read_index, write_index
 from trueup.dataset.journal import Journal, JournalReader, Row, pack, unpack
 from trueup.dataset.lock import FolderLock
-from trueup.dataset.shards import MAX_BYTES, ShardReader, capacity, shard_name, write_shard
+from trueup.dataset.shards import MAX_BYTES, ShardReader, capacity, damaged, shard_name, write_shard
 from trueup.errors import DataError
 
 
@@ -40,6 +40,16 @@ class _Pending:
 MAX_PENDING = 1024
 
 
+def refuse_elsewhere(folder: Path, part: Path) -> None:
+    """Refuse to write through a link that leads out of a dataset.
+
+    Raises:
+        DataError: the part of the folder lies elsewhere.
+    """
+    if not is_inside(folder, part):
+        raise DataError(f"{part} leads out of {folder}", hint="Link the whole dataset, not a part of it.")
+
+
 class StoreWriter:
     """Appends episodes to a store; whatever `append` returned from survives a killed process.
 
@@ -52,6 +62,7 @@ class StoreWriter:
     def __init__(self, spec: StoreSpec) -> None:
         self.spec = spec
         for series in spec.series:
+            refuse_elsewhere(spec.folder, spec.shard_folder(series))
             make_folder(spec.shard_folder(series))
         self._lock = FolderLock(spec.folder)
         try:
@@ -77,8 +88,9 @@ class StoreWriter:
                 temporary.unlink(missing_ok=True)
         for series in self.spec.series:
             named = set(self._table.column(f"{series}_shard").drop_null().to_pylist())
-            for number in set(range(self._last_number(series))) - named:
-                (self.spec.shard_folder(series) / shard_name(number)).unlink(missing_ok=True)
+            for path in self.spec.shards(series):
+                if path.stem.isdecimal() and int(path.stem) < self._last_number(series) and int(path.stem) not in named:
+                    path.unlink(missing_ok=True)
 
     def _recover(self) -> int:
         """Take up the whole frames of a journal that was left behind; where to go on in it, 0 for a new one.
@@ -90,10 +102,14 @@ class StoreWriter:
         with contextlib.suppress(FileNotFoundError), contextlib.closing(JournalReader(self.spec.journal_path)) as left:
             end = left.begin
             for frame in left.frames(salvage=True):
-                row, tables = unpack(frame.payload)
+                row, tables = unpack(frame.payload, self.spec.series)
                 end = frame.end if frame.begin == end and row["id"] not in self._ids else 0
                 if row["id"] not in self._ids:
+                    self.spec.table([row])
                     layouts = {name: parse_layout(table.schema) for name, table in tables.items()}
+                    for name, table in tables.items():
+                        if not table.schema.equals(arrow_schema(layouts[name])):
+                            raise damaged(self.spec.journal_path, f"the columns of {name} have other names")
                     self._add(_Pending(row, tables, layouts), len(frame.payload))
         if self._pending and end and not self._full():
             return end

@@ -70,8 +70,18 @@ class StoreSpec:
         return pa.schema(fields, metadata={_INDEX_KEY: INDEX_SCHEMA})
 
     def table(self, rows: Iterable[Mapping[str, Any]]) -> pa.Table:
-        """Rows as a table with the index's columns; what a row lacks is null."""
-        return pa.Table.from_pylist(list(rows), schema=self.schema)
+        """Rows as a table with the index's columns; what a row lacks is null.
+
+        Raises:
+            DataError: a value is of another kind than its column, or missing where one is needed.
+        """
+        try:
+            table = pa.Table.from_pylist(list(rows), schema=self.schema)
+        except READ_ERRORS as error:
+            raise damaged(self.folder, f"a row of the index: {error}") from error
+        if any(table.column(field.name).null_count for field in self.schema if not field.nullable):
+            raise damaged(self.folder, "a row of the index lacks a value")
+        return table
 
 
 class Index:

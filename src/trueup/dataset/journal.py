@@ -17,7 +17,7 @@ import struct
 import time
 import weakref
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,7 @@ _HEAD_SIZE = _HEAD.size + _CRC.size
 _ROW = struct.Struct("<I")
 _SERIES = struct.Struct("<Q")
 _SYNC_EVERY_S = 1.0
+_FLAGS = os.O_CLOEXEC | os.O_NOFOLLOW  # what a link leads to is not ours to write
 
 Row = dict[str, Any]
 _log = logging.getLogger(__name__)
@@ -52,13 +53,15 @@ def pack(row: Mapping[str, Any], tables: Mapping[str, pa.Table]) -> list[bytes |
     return pieces
 
 
-def unpack(payload: bytes) -> tuple[Row, dict[str, pa.Table]]:
-    """Row and tables of a frame.
+def unpack(payload: bytes, known: Collection[str]) -> tuple[Row, dict[str, pa.Table]]:
+    """Row and tables of a frame, of which the first of the `known` series must be one, and others may be.
 
     Raises:
         DataError: the payload is of another version.
     """
     row = unpack_row(payload)
+    if row["series"][:1] != [*known][:1] or not all(name in [*known] for name in row["series"]):
+        raise _other_version(row["series"])
     tables = {}
     (size,) = _ROW.unpack_from(payload)
     start = _ROW.size + size
@@ -122,7 +125,7 @@ class Journal:
         frame = [head + _CRC.pack(zlib.crc32(head)), *pieces]
         try:
             if self._descriptor is None:
-                self._descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
+                self._descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | _FLAGS, 0o644)
                 os.ftruncate(self._descriptor, self._size)
                 os.lseek(self._descriptor, self._size, os.SEEK_SET)
                 if self._size == 0:

@@ -81,6 +81,8 @@ class StoreReader:
     def _read(self, id: str) -> dict[str, TimeSeries]:
         row = self.index.row(id)
         tables = self._from_journal(id) if id in self._offsets else self._from_shards(row)
+        if next(iter(self.spec.series)) not in tables:
+            raise damaged(self.spec.index_path, f"episode {id!r} has no samples")
         try:
             series = {name: (from_table(table, layout), layout) for name, (table, layout) in tables.items()}
             found = content_hash(series)
@@ -108,7 +110,9 @@ class StoreReader:
         payload = self._journal.read(offset, size)
         if len(payload) != size:
             raise damaged(path, "truncated")
-        return {name: (table, parse_layout(table.schema)) for name, table in unpack(payload)[1].items()}
+        return {
+            name: (table, parse_layout(table.schema)) for name, table in unpack(payload, self.spec.series)[1].items()
+        }
 
     def close(self) -> None:
         """Close the open files; reading opens them again."""

@@ -18,7 +18,7 @@ import pyarrow as pa
 from trueup.core.atomic import make_folder, read_json, write_json
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries
-from trueup.dataset.append import StoreWriter
+from trueup.dataset.append import StoreWriter, refuse_elsewhere
 from trueup.dataset.index import StoreSpec
 from trueup.dataset.info import DatasetInfo, is_dataset
 from trueup.dataset.lock import LOCK_NAME, FolderLock
@@ -262,6 +262,7 @@ class RunWriter(_Closing):
         resume: bool = False,
     ) -> None:
         spec = run_spec(dataset_path, label)
+        refuse_elsewhere(dataset_path, spec.folder)
         DatasetInfo.load(dataset_path)
         self.label = label
         self._dataset = dataset_path

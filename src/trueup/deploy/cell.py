@@ -68,7 +68,7 @@ class Cell:
         try:
             finite = [self.run() for _ in range(_REHEARSALS)]
         except Exception as error:  # onnxruntime has a class of its own for each of its codes, with no common base
-            raise DataError("the network cannot be run", got=" ".join(str(error).split())[:200]) from error
+            raise DataError("the network cannot be run", got=error) from error
         if not all(finite):
             raise DataError("the network's output is not finite in the middle of its own training range")
         self.start()

@@ -62,7 +62,7 @@ class Network:
         except Exception as error:  # onnxruntime has a class of its own for each of its codes, with no common base
             raise DataError(
                 f"onnxruntime {runtime.__version__} cannot run {folder / ONNX_NAME}",
-                got=" ".join(str(error).split())[:200],
+                got=error,
             ) from error
         _check_graph(session, card, folder)
         return Network(folder, card, session)

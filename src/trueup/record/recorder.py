@@ -359,4 +359,4 @@ def _answering() -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise RobotStopped("the robot does not answer", got=" ".join(str(error).split()), hint=_SEE_TO_IT) from error
+        raise RobotStopped("the robot does not answer", got=error, hint=_SEE_TO_IT) from error

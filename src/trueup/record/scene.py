@@ -261,7 +261,7 @@ def _compile(path: Path, workspace: Workspace) -> mujoco.MjModel:
         _furnish(spec, workspace)
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        raise ConfigError(f"{path} is not a model that MuJoCo can read", got=" ".join(str(error).split())) from error
+        raise ConfigError(f"{path} is not a model that MuJoCo can read", got=error) from error
     # Contacts are wanted whatever the model says, from a distance on: the margins of two geoms add up.
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     model.geom_margin[:] = _HORIZON_M / 2

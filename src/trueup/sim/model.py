@@ -30,7 +30,7 @@ def load_spec(path: Path) -> mujoco.MjSpec:
             return mujoco.MjSpec.from_string(_urdf_without_missing_meshes(path))
         spec = mujoco.MjSpec.from_file(str(path))
     except (ValueError, RuntimeError, mujoco.FatalError, ET.ParseError, LookupError) as error:
-        raise ConfigError(f"{path} is not a model that MuJoCo can read", got=" ".join(str(error).split())) from error
+        raise ConfigError(f"{path} is not a model that MuJoCo can read", got=error) from error
     _drop_missing_meshes(spec, path.parent)
     return spec
 
@@ -44,7 +44,7 @@ def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
     try:
         return spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        raise ConfigError(f"{path} does not compile", got=" ".join(str(error).split())) from error
+        raise ConfigError(f"{path} does not compile", got=error) from error
 
 
 def _root_tag(path: Path) -> str:
@@ -72,7 +72,8 @@ def _root_tag(path: Path) -> str:
 
 def _product(element: ET.Element, *names: str) -> float:
     try:
-        return math.prod(max(1.0, float(word)) for name in names for word in element.get(name, "").split())
+        words = (word for name in names for word in element.get(name, "").split())
+        return math.prod((max(1.0, float(word)) for word in words), start=1.0)
     except ValueError:
         return 1.0
 

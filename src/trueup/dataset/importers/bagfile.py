@@ -113,9 +113,10 @@ def open_bag(path: Path) -> Iterator[Bag]:
     except TrueupError:
         raise
     except Exception as error:  # the reader lets errors of many kinds through when bytes are damaged
-        what = " ".join(str(error).split())[:200] or type(error).__name__
         suffix = path.suffix if path.is_file() else ""
-        raise DataError(f"{path} cannot be read as a bag", got=what, hint=_REPAIR[suffix]) from error
+        raise DataError(
+            f"{path} cannot be read as a bag", got=str(error) or type(error).__name__, hint=_REPAIR[suffix]
+        ) from error
 
 
 def is_bag(path: Path) -> bool:

@@ -137,7 +137,7 @@ class TextTable:
                     expected=row.expected_columns,
                     hint="The file may be truncated.",
                 ) from error
-            raise DataError(f"{self.path} cannot be read as CSV", got=str(error)[:200]) from error
+            raise DataError(f"{self.path} cannot be read as CSV", got=error) from error
         # An unclosed quote would swallow the lines up to the next one without a word.
         if b'"' in rows and sum(map(bool, rows.splitlines())) != table.num_rows:
             raise DataError(f"{self.path} has a quoted value that runs over a line end", expected="closed quotes")

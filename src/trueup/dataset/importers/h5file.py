@@ -136,9 +136,10 @@ def open_h5(path: Path) -> Iterator[H5File]:
     except TrueupError:
         raise
     except Exception as error:  # the library lets errors of many kinds through when bytes are damaged
-        what = " ".join(str(error).split())[:200] or type(error).__name__
         raise DataError(
-            f"{path} cannot be read as HDF5", got=what, hint="The file may be truncated; `h5dump -H FILE` shows more."
+            f"{path} cannot be read as HDF5",
+            got=str(error) or type(error).__name__,
+            hint="The file may be truncated; `h5dump -H FILE` shows more.",
         ) from error
 
 

@@ -190,5 +190,8 @@ def reading(path: Path) -> Iterator[Path]:
     except FileNotFoundError:
         raise DataError(f"{path} does not exist", hint="The download may be incomplete.") from None
     except Exception as error:  # damaged bytes raise errors of many kinds
-        what = " ".join(str(error).split())[:200] or type(error).__name__
-        raise DataError(f"{path} cannot be read as Parquet", got=what, hint="The file may be truncated.") from error
+        raise DataError(
+            f"{path} cannot be read as Parquet",
+            got=str(error) or type(error).__name__,
+            hint="The file may be truncated.",
+        ) from error

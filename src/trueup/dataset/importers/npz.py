@@ -180,7 +180,7 @@ def _arrays(path: Path, data: bytes) -> dict[str, Shaped[np.ndarray, "..."]]:
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             return {key: arrays[key] for key in arrays.files}
     except _BROKEN as error:
-        raise DataError(f"{path} is a damaged npz file", got=" ".join(str(error).split())[:200]) from error
+        raise DataError(f"{path} is a damaged npz file", got=error) from error
 
 
 def _check_entry(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
