@@ -7,6 +7,7 @@ import json
 import random
 import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +22,16 @@ from trueup.identify import Problem, SegmentRule, SolveSettings, make_segments, 
 from trueup.identify.config import make_parameters
 from trueup.identify.solution import SolverName
 from trueup.identify.solvers import GaussNewtonSettings
-from trueup.record import Plan, PlanSet, store_plans
+from trueup.record import Plan, PlanSet, load_workspace, store_plans
+from trueup.robots import RobotSpec
 from trueup.stages.folder import forget_explanation, forget_fit, forget_other_ladder, refuse_other_fit
 
 SOLVERS: tuple[SolverName, ...] = ("gauss-newton", "cma-es", "evolution")
+ORIGIN = {
+    "by": "attack",
+    "workspace": asdict(load_workspace("floor")),
+    "limits": {"velocity": [2.0, 2.0], "acceleration": [5.0, 5.0], "low": [-3.0, -3.0], "high": [3.0, 3.0]},
+}
 IDS = [f"motion/{number:05d}" for number in range(3)]
 
 
@@ -109,11 +116,17 @@ def _plans(made: int) -> Plan:
     )
 
 
+@functools.cache
+def _robot() -> tuple[tempfile.TemporaryDirectory[str], RobotSpec, Path]:
+    folder = tempfile.TemporaryDirectory()
+    robot, path = arm(Path(folder.name))
+    joints = tuple(replace(joint, position_limits=(-3.0, 3.0)) for joint in robot.joints)
+    return folder, replace(robot, joints=joints), path
+
+
 def _store(folder: Path) -> tuple[Plan, ...]:
-    robot, model = arm(folder)
-    return store_plans(
-        lambda made: _plans(len(made)), IDS, robot, folder / "plans", origin={"by": "attack"}, model=model
-    )
+    _, robot, model = _robot()
+    return store_plans(lambda made: _plans(len(made)), IDS, robot, folder, origin=ORIGIN, model=model)
 
 
 def make_plans(folder: Path) -> None:

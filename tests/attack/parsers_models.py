@@ -88,7 +88,7 @@ def read_card(folder: Path) -> Iterator[Exception]:
 
 def read_network(folder: Path) -> Iterator[Exception]:
     """In a loop and on a whole motion."""
-    card = _card()
+    card = card_of()
     stream = Stream.load(folder, rate_hz=card.rate_hz, joints=card.joints)
     rng = np.random.default_rng(0)
     for number in range(STEPS):
@@ -278,7 +278,7 @@ def change_run(folder: Path, rng: random.Random) -> str:
 
 PARSERS = [
     Parser("model card", _copies(CARD_NAME), read_card, change_sealed),
-    Parser("network", _copies(CARD_NAME, ONNX_NAME), read_network, change_sealed),
+    Parser("network", make_weights, read_network, change_sealed),
     Parser("weights", make_weights, read_weights, change_sealed),
     Parser("training checkpoint", make_checkpoint, read_checkpoint, change_checkpoint),
     Parser("training folder", make_folder, read_folder),

@@ -12,6 +12,7 @@ from safetensors.torch import save_file
 
 from augment.augment_cases import JOINTS, RUN, make_dataset, motion, robot, write_run
 from trueup.augment import Augmentation, AugmentConfig, augmentation, preset
+from trueup.augment.checkpoint import digest_of
 from trueup.augment.config import CHECKPOINT_NAME, DataConfig, LossConfig, NetworkConfig, OptimizerConfig, WindowConfig
 from trueup.augment.pairs import refuse_overlap, write_pairs
 from trueup.augment.scaling import summarize
@@ -338,6 +339,9 @@ def test_a_checkpoint_of_another_version_is_said(data, tmp_path):
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  # it has no __iter__
     tensors["network.dense.weight"] = tensors["network.dense.weight"][1:]
     save_file(tensors, path, metadata)
+    with pytest.raises(DataError, match=r"was changed after it was written.*\nGive --overwrite"):
+        augment([data], tmp_path, run=RUN, config=SMALL, resume=True)
+    save_file(tensors, path, {**metadata, "sha256": digest_of(tensors, metadata["state"])})
     with pytest.raises(DataError, match=r"written by another version of trueup or torch.*\nGive --overwrite"):
         augment([data], tmp_path, run=RUN, config=SMALL, resume=True)
 

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from trueup.core.atomic import file_hash
 from trueup.core.decimation import decimation_rows
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.core.traces import TraceSet
@@ -234,6 +235,10 @@ def test_foreign_and_missing_files_are_errors(saved):
 
 def test_a_pickle_is_never_opened(saved):
     np.savez(saved / "traces.npz", episode_000000=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(DataError, match="is not the file that"):
+        TraceSet.load(saved)
+    index = json.loads((saved / "traces.json").read_text())
+    (saved / "traces.json").write_text(json.dumps({**index, "curves": file_hash(saved / "traces.npz")}))
     with pytest.raises(DataError, match="do not agree"):
         TraceSet.load(saved)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from trueup.core.atomic import read_json
 from trueup.core.config import build, build_versioned
 from trueup.dataset.columns import from_table
 from trueup.dataset.shards import ShardReader
-from trueup.errors import ConfigError, DataError, FormatError, MissingSignal
+from trueup.errors import ConfigError, DataError, MissingSignal
 from trueup.record.plan import Plan
 from trueup.record.planset import PLANS_SCHEMA, PlanSetSpec
 from trueup.record.scene import Scene
@@ -35,6 +35,32 @@ _OPEN_BLOCKS = 8
 # What plans.json says about what decided about the plans.
 _ASKED = ("spec", "ids", "origin", "robot", "joints", "model")
 _AGAIN = "Plan the set again into the same folder: what is there is kept."
+
+
+@dataclass(frozen=True)
+class _Record:
+    """The content of plans.json."""
+
+    robot: str
+    joints: tuple[str, ...]
+    model: Mapping[str, str]
+    complete: bool
+    spec: PlanSetSpec | None = None
+    ids: tuple[str, ...] = ()
+    origin: Mapping[str, Any] = field(default_factory=dict)
+    planned: int = 0
+    skipped: int = 0
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """What `origin` says of the joints, in their order; as many numbers as there are joints, or none."""
+
+    velocity: tuple[float, ...] = ()
+    acceleration: tuple[float, ...] = ()
+    low: tuple[float, ...] = ()
+    high: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -86,21 +112,16 @@ class PlanSet:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        record = read_json(self.path / PLANS_NAME)
-        if not isinstance(record, dict) or record.get("schema") != PLANS_SCHEMA:
-            raise FormatError(f"{self.path} holds no plan set, or one of another version", expected=PLANS_SCHEMA)
-        try:
-            self.spec: PlanSetSpec | None = None
-            self.origin: Mapping[str, Any] = record.get("origin", {})
-            self._ids: tuple[str, ...] = tuple(record.get("ids", ()))
-            if not self._ids:
-                self.spec = build(PlanSetSpec, record["spec"], str(self.path / PLANS_NAME))
-            self._asked = {name: record[name] for name in _ASKED if name in record}
-            self.joints = tuple(record["joints"])
-            self.robot = str(record["robot"])
-            self.complete = bool(record["complete"])
-        except (KeyError, TypeError) as error:
-            raise DataError(f"{self.path / PLANS_NAME} is damaged", got=repr(error)) from error
+        where = str(self.path / PLANS_NAME)
+        tree = read_json(self.path / PLANS_NAME)
+        record = build_versioned(_Record, tree, where, schema=PLANS_SCHEMA, what="plan set")
+        if not record.ids and record.spec is None:
+            raise DataError(f"{where} says nothing of what is planned", expected="spec, or ids")
+        self.spec = None if record.ids else record.spec
+        self._ids = record.ids
+        self.origin = record.origin
+        self._asked = {name: tree[name] for name in _ASKED if name in tree}
+        self.joints, self.robot, self.complete = record.joints, record.robot, record.complete
         self._blocks: OrderedDict[int, dict[str, Any]] = OrderedDict()
         self._shards = ShardReader(self.path / BLOCKS)
 
@@ -156,14 +177,14 @@ class PlanSet:
         if self.spec is not None:
             spec = replace(self.spec, clearance_m=clearance_share * self.spec.clearance_m)
             return spec.scene(robot, model=model)
-        limits = self.origin.get("limits", {})
+        limits = build(_Limits, self.origin.get("limits", {}), f"{self.path / PLANS_NAME}: limits")
         return Scene(
             robot,
             workspace=build(Workspace, self.origin.get("workspace", {}), str(self.path / PLANS_NAME)),
             model=model,
             clearance_m=clearance_share * PlanSetSpec.clearance_m,
-            velocity=dict(zip(self.joints, limits.get("velocity", ()), strict=False)),
-            acceleration=dict(zip(self.joints, limits.get("acceleration", ()), strict=False)),
+            velocity=dict(zip(self.joints, limits.velocity, strict=False)),
+            acceleration=dict(zip(self.joints, limits.acceleration, strict=False)),
         )
 
     def skipped(self) -> dict[str, str]:
