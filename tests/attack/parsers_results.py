@@ -163,7 +163,7 @@ def _filled(kind: type) -> dict[str, Any]:
         elif "tuple" in text:
             made[name] = (0.1,) * (6 if six else 3 if three else 2)
         elif "Literal" in text:
-            made[name] = re.findall(r'"([^"]+)"|\'([^\']+)\'', text)[0][0]
+            made[name] = re.findall(r"[\"']([^\"']+)", text)[0]
         else:
             made[name] = 0.1 if "float" in text else 1 if "int" in text else text == "bool" if "bool" in text else "x"
     return made

@@ -106,7 +106,7 @@ def test_a_wrong_configuration_is_one_line(run, demo, tmp_path, text, expected):
     code, _, said = run("identify", demo, "--robot", "demo_arm", "--config", config, "--out", tmp_path / "fit")
     assert code == 2
     assert expected in said
-    assert len(said.strip().splitlines()) <= 2
+    assert len(said.removeprefix("looking for a start\n").strip().splitlines()) <= 2
 
 
 def test_an_unknown_solver_lists_the_known(run, demo, tmp_path):

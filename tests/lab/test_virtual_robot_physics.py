@@ -384,7 +384,7 @@ def test_friction_only_takes_energy_away():
 
 
 def test_an_unknown_robot_or_payload_site_is_refused():
-    with pytest.raises(ConfigError, match="no robot 'atlas'"):
+    with pytest.raises(ConfigError, match="'atlas' is no shipped robot"):
         draw_truth(LabSpec(robot="atlas"))
     with pytest.raises(ConfigError, match="no site 'hook'"):
         VirtualRobot(draw_truth(LabSpec(payload_site="hook")), payload_kg=1.0)

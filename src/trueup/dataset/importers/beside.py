@@ -12,6 +12,7 @@ from trueup.dataset.splits import match_splits, read_split
 
 def plan_with(
     format: str,
+    path: Path,
     root: Path,
     episodes: Sequence[EpisodeSource],
     *,
@@ -19,7 +20,16 @@ def plan_with(
     licence: str = "",
     notes: Iterable[str] = (),
 ) -> ImportPlan:
-    """The plan of these episodes with what lies beside them in `root`; a licence that is stated comes first.
+    """The plan of these episodes with what lies beside them; a licence that is stated comes first.
+
+    Args:
+        format: name of the importer.
+        path: what is imported: the folder of all motions, or one of them, which does not miss the splits of others.
+        root: the folder in which the motions lie.
+        episodes: what was found.
+        robot: its name, if the logs say.
+        licence: if the logs say.
+        notes: what a person should know.
 
     Raises:
         DataError: two episodes have the same id, or something that lies beside them cannot be read.
@@ -34,7 +44,7 @@ def plan_with(
         licence=licence or licence_beside(root),
         splits=splits,
         model_dir=model_beside(root),
-        notes=(*notes, *(unmatched if len(episodes) > 1 else ())),
+        notes=(*notes, *(unmatched if path == root else ())),
     )
 
 

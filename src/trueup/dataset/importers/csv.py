@@ -80,6 +80,7 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
         sources.append(EpisodeSource(episode.meta.id, load, size, episode.meta.source))
     return plan_with(
         NAME,
+        path,
         root,
         sources,
         robot=options.robot or ("" if "{" in mapping.robot else mapping.robot),

@@ -76,7 +76,7 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
         source = file.relative_to(root).as_posix()
         name = episode_id(source.rpartition(".")[0])
         episodes.append(EpisodeSource(name, partial(_load, root, file, name, stated), file.stat().st_size, source))
-    return plan_with(NAME, root, episodes, robot=stated.robot, notes=_first_names(files, stated))
+    return plan_with(NAME, path, root, episodes, robot=stated.robot, notes=_first_names(files, stated))
 
 
 def _files(path: Path) -> tuple[Path, ...]:

@@ -64,7 +64,7 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
         size = sum(file.stat().st_size for file in bag_files(bag))
         episodes.append(EpisodeSource(name, partial(_load, root, bag, name, options, stated), size, source))
     units = "units are those of ROS: rad, rad/s, Nm; name others with --unit, e.g. for prismatic joints"
-    return plan_with(NAME, root, episodes, robot=stated.robot, notes=(*_first_topics(bags, options), units))
+    return plan_with(NAME, path, root, episodes, robot=stated.robot, notes=(*_first_topics(bags, options), units))
 
 
 def _relative(bag: Path, root: Path) -> str:

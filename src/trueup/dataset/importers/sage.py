@@ -77,6 +77,7 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
     ]
     return plan_with(
         NAME,
+        path,
         root,
         sources,
         robot=options.robot,
