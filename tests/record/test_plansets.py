@@ -308,7 +308,7 @@ def test_damaged_sets_are_refused(folder, tmp_path):
     with pytest.raises(FormatError):
         PlanSet(path)["multi/00000"]
     (path / "plans.json").write_text('{"schema": "trueup.plans/9"}')
-    with pytest.raises(FormatError, match="another version"):
+    with pytest.raises(FormatError, match="of this version"):
         PlanSet(path)
     with pytest.raises(ConfigError, match="there is no motion"):
         PlanSet(folder)["multi/99999"]
