@@ -86,7 +86,7 @@ def unpack_row(payload: bytes) -> Row:
         (size,) = _ROW.unpack_from(payload)
         row = json.loads(payload[_ROW.size : _ROW.size + size])
         known = isinstance(row["id"], str) and isinstance(row["series"], list)
-    except (ValueError, KeyError, TypeError, struct.error) as error:
+    except (ValueError, KeyError, TypeError, RecursionError, struct.error) as error:
         raise _other_version(error) from error
     if not known:
         raise _other_version(row["id"])

@@ -120,7 +120,7 @@ class Dataset:
             return ()
         try:
             return tuple(Flag(**flag) for flag in json.loads(text))
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, RecursionError) as error:
             raise damaged(self._store.spec.index_path, f"flags: {error}") from error
 
     def _check(self, id: str) -> None:
