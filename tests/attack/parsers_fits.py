@@ -172,6 +172,6 @@ def forget_results(folder: Path) -> Iterator[Exception]:
 PARSERS = [
     *(Parser(f"search by {solver}", make_search(solver), read_search(solver), change_search) for solver in SOLVERS),
     Parser("plan set", make_plans, read_plans),
-    Parser("refused results", make_results, read_results),
+    Parser("refused results", make_results, read_results, refuses=True),
     Parser("forgotten results", make_results, forget_results),
 ]
