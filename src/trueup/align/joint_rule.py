@@ -142,7 +142,7 @@ class JointRule:
         for key in ("log", "log_unit", "unit"):
             if key != "log" and type(values.get(key)) is int and values[key] == 1:  # an unquoted 1 in YAML
                 values[key] = "1"
-            if not isinstance(values.get(key), (str, type(None))):
+            if not isinstance(values.get(key), str if key == "log" else (str, type(None))):
                 raise ConfigError(f"{key} of joint {joint!r}", got=repr(values[key]), expected="text")
         return JointRule(joint=joint, **values)
 

@@ -19,7 +19,7 @@ import pyarrow.compute as pc
 
 from trueup.core.atomic import is_inside, make_folder
 from trueup.core.timeseries import TimeSeries
-from trueup.dataset.columns import Layout, arrow_schema, content_hash, layout_of, parse_layout, to_table
+from trueup.dataset.columns import Layout, content_hash, from_table, layout_of, parse_layout, to_table
 from trueup.dataset.index import StoreSpec, read_index, write_index
 from trueup.dataset.journal import Journal, JournalReader, Row, pack, unpack
 from trueup.dataset.lock import FolderLock
@@ -107,9 +107,9 @@ class StoreWriter:
                 if row["id"] not in self._ids:
                     self.spec.table([row])
                     layouts = {name: parse_layout(table.schema) for name, table in tables.items()}
-                    for name, table in tables.items():
-                        if not table.schema.equals(arrow_schema(layouts[name])):
-                            raise damaged(self.spec.journal_path, f"the columns of {name} have other names")
+                    series = {name: (from_table(table, layouts[name]), layouts[name]) for name, table in tables.items()}
+                    if content_hash(series) != row["hash"]:
+                        raise damaged(self.spec.journal_path, f"episode {row['id']!r} is not what was written")
                     self._add(_Pending(row, tables, layouts), len(frame.payload))
         if self._pending and end and not self._full():
             return end

@@ -103,11 +103,8 @@ def parse_layout(schema: pa.Schema) -> Layout:
         )
     except (ValueError, TypeError, KeyError, RecursionError) as error:
         raise FormatError("the layout of the columns is damaged", got=repr(error)) from error
-    types = [pa.float64()] + [
-        pa.from_numpy_dtype(signal.dtype) for signal in layout.signals for _ in range(signal.width)
-    ]
-    if types != schema.types or any(field.nullable for field in schema):
-        raise FormatError("the columns are not those of the layout", got=len(schema), expected=len(types))
+    if layout.width != len(schema) or not schema.equals(arrow_schema(layout)):
+        raise FormatError("the columns are not those of the layout", got=len(schema), expected=layout.width)
     return layout
 
 

@@ -133,6 +133,7 @@ def read_index(spec: StoreSpec) -> pa.Table:
                 raise damaged(path, f"{file.metadata.num_rows} rows cannot be in it")
             table = file.read(use_threads=False)
             # A row group number of a damaged index must be an error here, not a wrong episode later.
+            table.validate(full=True)
             return table.select(spec.schema.names).cast(spec.schema)
         except READ_ERRORS as error:
             raise damaged(path, error) from error

@@ -134,7 +134,7 @@ class ShardReader:
         path = self._folder / shard_name(number)
         shard = self._shard(number, path)
         metadata = shard.file.metadata
-        if not 0 <= group < metadata.num_row_groups or metadata.row_group(group).num_rows != samples:
+        if not 0 <= group < metadata.num_row_groups or metadata.row_group(group).num_rows != max(samples, 1):
             raise damaged(path, f"row group {group} is not the one of the index")
         try:
             table = shard.file.read_row_group(group, use_threads=False)
