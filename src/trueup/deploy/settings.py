@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from trueup.core.model_card import LARGEST_MARGIN
 from trueup.errors import ConfigError
 
-
+_HUGE = 1e300
 # What the card says, if nobody else does.
 _CARD = ((None, "warmup_steps"), (None, "margin"))
 
@@ -48,7 +48,8 @@ class StreamSettings:
     def __post_init__(self) -> None:
         """Refuse rules that make no sense."""
         for name, value in vars(self).items():
-            if not isinstance(value, int | float) and (value, name) not in _CARD:
+            known = isinstance(value, int | float) and not abs(value) > _HUGE
+            if not known and (value, name) not in _CARD:
                 raise ConfigError(f"{name} of a stream", got=repr(value), expected="a number")
         self._require("warmup_steps", self.warmup_steps is None or self.warmup_steps >= 0, "0 or more samples")
         self._require("missed_periods", 1 < self.missed_periods < math.inf, "more than 1")
