@@ -22,7 +22,7 @@ from augment.augment_cases import JOINTS, RUN, make_dataset
 from augment.evaluation_cases import card_of, shift_folder
 from trueup import zoo
 from trueup.augment.config import CHECKPOINT_NAME, AugmentConfig
-from trueup.core.atomic import json_hash
+from trueup.core.atomic import json_hash, regular
 from trueup.core.model_card import CARD_NAME, ONNX_NAME, WEIGHTS_NAME, ModelCard
 from trueup.dataset import Dataset
 from trueup.deploy import Predictor, Status, Stream, StreamSettings
@@ -231,7 +231,7 @@ def make_settings(folder: Path) -> None:
 def read_settings(folder: Path) -> Iterator[Exception]:
     """As far as a few samples."""
     try:
-        tree = json.loads((folder / "settings.json").read_bytes())
+        tree = json.loads(regular(folder / "settings.json").read_bytes())
         values = {field.name: tree[field.name] for field in fields(StreamSettings)}
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         raise ConfigError("not the settings of a stream") from error

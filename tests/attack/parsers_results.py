@@ -8,7 +8,7 @@ import json
 import random
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import MISSING, fields, replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -153,20 +153,13 @@ def make_inverse_dynamics(folder: Path) -> None:
 
 
 def _filled(kind: type) -> dict[str, Any]:
-    """A value for each annotation."""
-    made: dict[str, Any] = {}
-    for name, hint in kind.__annotations__.items():
-        text = str(hint)
-        three, six = "float, float, float]" in text, text.count("float") == 6
-        if "Mapping" in text:
-            made[name] = {"arm": 1.0}
-        elif "tuple" in text:
-            made[name] = (0.1,) * (6 if six else 3 if three else 2)
-        elif "Literal" in text:
-            made[name] = re.findall(r"[\"']([^\"']+)", text)[0]
-        else:
-            made[name] = 0.1 if "float" in text else 1 if "int" in text else text == "bool" if "bool" in text else "x"
-    return made
+    """A value for each field that must be given."""
+    values = {"str": "x", "float": 0.1}
+    return {
+        item.name: values.get(str(item.type)) or (0.1,) * str(item.type).count("float")
+        for item in fields(kind)
+        if item.default is MISSING
+    }
 
 
 def make_graybox(folder: Path) -> None:

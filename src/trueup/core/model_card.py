@@ -34,6 +34,8 @@ CARD_SCHEMA = "trueup.model/1"
 CARD_NAME = "model.json"
 ONNX_NAME = "model.onnx"
 WEIGHTS_NAME = "weights.safetensors"
+# Beyond, an input would be in range whatever it is.
+LARGEST_MARGIN = 1e6
 _HASH = "sha256"
 
 
@@ -176,6 +178,13 @@ class ModelCard:
         """Refuse a card that describes no network."""
         if not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
             raise ConfigError(f"model {self.name!r}: rate_hz", got=self.rate_hz, expected="a positive number")
+        if not (0 <= self.margin <= LARGEST_MARGIN and 0 < self.coverage < 1 and self.warmup_steps >= 0):
+            said = (self.margin, self.coverage, self.warmup_steps)
+            raise ConfigError(
+                f"model {self.name!r}: margin, coverage, warmup_steps",
+                got=said,
+                expected="shares, and a number of steps",
+            )
         if not self.inputs or not self.outputs:
             raise ConfigError(f"model {self.name!r} has no inputs or no outputs")
         for output in self.outputs:

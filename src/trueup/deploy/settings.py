@@ -5,7 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from trueup.core.model_card import LARGEST_MARGIN
 from trueup.errors import ConfigError
+
+_HUGE = 1e300
+# What the card says, if nobody else does.
+_CARD = ((None, "warmup_steps"), (None, "margin"))
 
 
 @dataclass(frozen=True)
@@ -43,7 +48,8 @@ class StreamSettings:
     def __post_init__(self) -> None:
         """Refuse rules that make no sense."""
         for name, value in vars(self).items():
-            if not isinstance(value, int | float | None):
+            known = isinstance(value, int | float) and not abs(value) > _HUGE
+            if not known and (value, name) not in _CARD:
                 raise ConfigError(f"{name} of a stream", got=repr(value), expected="a number")
         self._require("warmup_steps", self.warmup_steps is None or self.warmup_steps >= 0, "0 or more samples")
         self._require("missed_periods", 1 < self.missed_periods < math.inf, "more than 1")
@@ -51,7 +57,7 @@ class StreamSettings:
         self._require("stalled_steps", self.stalled_steps >= 1, "1 or more samples")
         self._require("moving_speed", 0 < self.moving_speed < math.inf, "a positive speed")
         self._require("rate_tolerance", 0 < self.rate_tolerance < 1, "between 0 and 1")
-        self._require("margin", self.margin is None or 0 <= self.margin < math.inf, "0 or more")
+        self._require("margin", self.margin is None or 0 <= self.margin <= LARGEST_MARGIN, f"0 to {LARGEST_MARGIN:g}")
 
     def _require(self, name: str, good: bool, expected: str) -> None:  # noqa: FBT001
         if not good:

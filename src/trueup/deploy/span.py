@@ -29,8 +29,8 @@ class Span:
 
     def __init__(self, inputs: Sequence[Input], margin: float) -> None:
         ranges = np.array([(channel.low, channel.high) for channel in inputs])
-        ends = np.nan_to_num(ranges, posinf=_LARGEST, neginf=-_LARGEST)
-        width = np.where(np.isfinite(ranges).all(axis=1), np.ptp(ranges, axis=1), 0.0)  # no share of an endless range
+        ends = np.clip(ranges, -_LARGEST, _LARGEST)
+        width = np.where(np.isfinite(ranges).all(axis=1), np.ptp(ends, axis=1), 0.0)  # no share of an endless range
         slack = margin * width[:, None] + _ROUNDING * np.maximum(1.0, np.abs(ends))
         self.low: Float64[np.ndarray, "I"] = np.maximum(ends[:, 0] - slack[:, 0], -_LARGEST)
         self.high: Float64[np.ndarray, "I"] = np.minimum(ends[:, 1] + slack[:, 1], _LARGEST)
