@@ -127,7 +127,10 @@ def prepare(parser: Parser, number: int, base: Path) -> tuple[Path, str]:
         return case / "logs", "nothing"
     rng = random.Random(f"{parser.name} {number}")
     edit = parser.edit if parser.edit is not None and rng.random() < 1 / 3 else mutate
-    return case / "logs", edit(case / "logs", rng)
+    try:
+        return case / "logs", edit(case / "logs", rng)
+    except Exception as error:  # as far as it came
+        return case / "logs", f"changes that ended with {error!r}"
 
 
 def _listing(base: Path) -> list[tuple[str, int, int]]:
