@@ -67,7 +67,7 @@ def seal(folder: Path) -> None:
         }
         card["sha256"] = json_hash({key: value for key, value in card.items() if key != "sha256"})
         (folder / CARD_NAME).write_text(json.dumps(card))
-    except (OSError, ValueError, TypeError, AttributeError):
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
         return  # changed beyond a hash
 
 

@@ -120,6 +120,11 @@ class State:
     batch_axis: int = 1
     start: Literal["zero", "first"] = "zero"
 
+    def __post_init__(self) -> None:
+        """Refuse what is no tensor, or has no axis for copies."""
+        if not 0 <= self.batch_axis < len(self.shape) or min(self.shape) < 0:
+            raise ConfigError(f"state {self.name!r}: batch_axis", got=f"{self.batch_axis} of {self.shape}")
+
     def initial(self, first: Float[np.ndarray, "B I"]) -> np.ndarray:
         """The tensor before the first sample, float32."""
         shape = list(self.shape)

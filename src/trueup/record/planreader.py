@@ -229,10 +229,14 @@ class PlanSet:
                 hint=_AGAIN,
             )
         rows = read_block(self.path, number)
-        ids = [row["id"] for row in (*rows["plans"], *rows["skipped"])]
-        known = range(number * BLOCK, min(len(self), (number + 1) * BLOCK))
-        if len(set(ids)) < len(ids) or not set(ids) <= {self._id(place) for place in known}:
-            raise DataError(f"{block_path(self.path, number)} holds other motions than the set", got=ids, hint=_AGAIN)
+        known = [self._id(place) for place in range(number * BLOCK, min(len(self), (number + 1) * BLOCK))]
+        plans, skipped = ([row["id"] for row in rows[name]] for name in ("plans", "skipped"))
+        # Plans that are given one by one fill a block from its beginning.
+        ids = [name for name in known if name in {*plans, *skipped}]
+        whole = ids == known[: len(plans) + len(skipped)] and len(ids) == len(plans) + len(skipped)
+        if not whole or plans != [name for name in ids if name in plans]:
+            path = block_path(self.path, number)
+            raise DataError(f"{path} holds other motions than the set", got=[*plans, *skipped], hint=_AGAIN)
         self._blocks[number] = rows
         if len(self._blocks) > _OPEN_BLOCKS:
             self._blocks.popitem(last=False)
