@@ -1,4 +1,4 @@
-"""Files that are either there whole or not at all."""
+"""Files and folders that are either there whole or not at all."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ import json
 import math
 import os
 import re
+import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from trueup.errors import DataError
+from trueup.errors import DataError, OutputExists
 
 
 def make_folder(path: Path) -> None:
@@ -55,6 +56,40 @@ def replacing(path: Path) -> Iterator[Path]:
         raise DataError(f"cannot write {path}", got=error.strerror or str(error)) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def appearing(folder: Path) -> Iterator[Path]:
+    """A temporary folder beside `folder` that takes its place when the block ends without an error.
+
+    Raises:
+        DataError: the disk is full or not writable.
+        OutputExists: another program made the folder meanwhile.
+    """
+    temporary = None
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".tmp", dir=folder.parent))
+        yield temporary
+        for path in sorted(temporary.rglob("*")):
+            _sync(path)
+        temporary.chmod(0o755)  # mkdtemp makes 0700; datasets are for colleagues too
+        if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
+            raise OutputExists(f"{folder} was made by another program meanwhile")
+        temporary.rename(folder)
+    except OSError as error:
+        raise DataError(f"cannot write {folder}", got=error.strerror or str(error)) from error
+    finally:
+        if temporary is not None:
+            shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def write_bytes(path: Path, data: bytes) -> None:

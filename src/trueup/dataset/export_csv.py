@@ -14,10 +14,9 @@ import pyarrow.csv
 import yaml
 from jaxtyping import Float
 
-from trueup.core.atomic import replacing, write_json, write_text
+from trueup.core.atomic import appearing, replacing, write_json, write_text
 from trueup.core.episode import Episode
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
-from trueup.dataset.lerobot_files import appearing
 from trueup.errors import DataError, NameMismatch, OutputExists
 
 _META = ("robot", "unit", "payload_kg", "condition")

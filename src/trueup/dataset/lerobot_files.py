@@ -1,56 +1,15 @@
-"""Files of a LeRobot dataset while it is written: a folder that appears whole, numbered tables, metadata."""
+"""Files of a LeRobot dataset while it is written: numbered tables, metadata."""
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
-import shutil
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from trueup.errors import DataError, OutputExists
-
 FILES_PER_CHUNK = 1000
-
-
-@contextlib.contextmanager
-def appearing(folder: Path) -> Iterator[Path]:
-    """A temporary folder beside `folder` that takes its place when the block ends without an error.
-
-    Raises:
-        DataError: the disk is full or not writable.
-        OutputExists: another program made the folder meanwhile.
-    """
-    temporary = None
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".tmp", dir=folder.parent))
-        yield temporary
-        for path in sorted(temporary.rglob("*")):
-            _sync(path)
-        temporary.chmod(0o755)  # mkdtemp makes 0700; datasets are for colleagues too
-        if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
-            raise OutputExists(f"{folder} was made by another program meanwhile")
-        temporary.rename(folder)
-    except (OSError, pa.ArrowException) as error:
-        raise DataError(f"cannot write {folder}", got=getattr(error, "strerror", None) or error) from error
-    finally:
-        if temporary is not None:
-            shutil.rmtree(temporary, ignore_errors=True)
-
-
-def _sync(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 class NumberedFiles:
