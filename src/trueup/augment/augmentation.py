@@ -25,7 +25,7 @@ from trueup.augment.networks import build_network
 from trueup.augment.pairs import Pairs
 from trueup.augment.scaling import Scaling, Stops, Summary, counterparts, scaling_of, summarize
 from trueup.augment.training import OnProgress, Outcome, train
-from trueup.core.atomic import json_hash, make_folder, write_bytes
+from trueup.core.atomic import json_hash, make_folder, remove, write_bytes
 from trueup.core.config import build
 from trueup.core.episode import Episode
 from trueup.core.model_card import CARD_NAME, ONNX_NAME, WEIGHTS_NAME, Channel, Input, ModelCard, Output
@@ -192,7 +192,7 @@ class Augmentation:
         state = {name: value.contiguous() for name, value in self.corrector.state_dict().items()}
         weights, graph = save_tensors(state), self.export()
         for name in (CARD_NAME, LATENCY_NAME):
-            (folder / name).unlink(missing_ok=True)
+            remove(folder / name)
         write_bytes(folder / WEIGHTS_NAME, weights)
         write_bytes(folder / ONNX_NAME, graph)
         self.card = self.card.save(folder)

@@ -9,7 +9,7 @@ import typer
 
 from trueup.cli import options
 from trueup.cli.close import show
-from trueup.cli.console import out, track
+from trueup.cli.console import err, out, track
 
 
 def register(app: typer.Typer) -> None:
@@ -29,6 +29,8 @@ def demo(
     """Record virtual hardware, whose physics its model does not know, and close on the recording."""
     from trueup.stages.demonstrating import demo as run
 
+    # Before the first motion come processes that start and plans that are made.
+    err.print(f"planning and recording motions of a virtual {robot}", markup=False)
     closed = run(out_dir, robot=robot, seed=seed, jobs=jobs, overwrite=overwrite, track=track)  # type: ignore[arg-type]
     out.print(
         f"{len(closed.dataset)} motions of a virtual {robot}, whose physics its model does not know", markup=False

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from trueup.core.atomic import read_json
+from trueup.core.atomic import read_json, remove
 from trueup.core.fit_result import FitResult
 from trueup.errors import OutputExists
 
@@ -24,9 +24,13 @@ def forget_explanation(folder: Path, *, unless_of: str | None = None) -> None:
 
 
 def forget_fit(folder: Path) -> None:
-    """Remove what an identification left."""
+    """Remove what an identification left.
+
+    Raises:
+        DataError: something that is called like it cannot be removed.
+    """
     for name in _FIT_FILES:
-        (folder / name).unlink(missing_ok=True)
+        remove(folder / name)
 
 
 def forget_other_ladder(folder: Path) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trueup.core.atomic import json_hash, make_folder
+from trueup.core.atomic import json_hash, make_folder, remove
 from trueup.core.attribution import Attribution
 from trueup.core.fit_result import FitResult
 from trueup.core.results import Ladder
@@ -212,7 +212,7 @@ def _save_graybox(motions: Motions, robot: RobotSpec, model: Path, out: Path) ->
     from trueup.identify import Nominal
     from trueup.identify.regression import GrayboxSettings, fit_graybox
 
-    (out / "graybox.json").unlink(missing_ok=True)
+    remove(out / "graybox.json")
     nominal = Nominal(robot, model)
     episodes = [episode for logs in motions.by_split.values() for episode in logs]
     settings = GrayboxSettings(

@@ -12,7 +12,7 @@ import numpy as np
 
 from trueup.align import cut_rest, position_mse
 from trueup.core.analysis import Analysis
-from trueup.core.atomic import make_folder
+from trueup.core.atomic import make_folder, remove
 from trueup.core.augment_result import AUGMENT_NAME
 from trueup.core.engines import EngineComparison
 from trueup.core.episode import Episode
@@ -61,8 +61,8 @@ class Measurement:
         if self.engines is not None:
             self.engines.save(folder / "engines.json")
         else:  # one of an earlier comparison in this folder
-            (folder / "engines.json").unlink(missing_ok=True)
-        (folder / AUGMENT_NAME).unlink(missing_ok=True)  # likewise, of corrections that are not among these runs
+            remove(folder / "engines.json")
+        remove(folder / AUGMENT_NAME)  # likewise, of corrections that are not among these runs
         self.gap.save(folder / "gap.json")
 
 

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from trueup.augment.config import CHECKPOINT_NAME
-from trueup.core.atomic import file_hash, make_folder, read_json, write_json
+from trueup.core.atomic import file_hash, make_folder, read_json, remove, write_json
 from trueup.core.model_card import CARD_NAME, ONNX_NAME, WEIGHTS_NAME, ModelCard
 from trueup.errors import DataError, OutputExists, TrueupError
 
@@ -78,7 +78,7 @@ class ModelFolder:
             yield scratch
         except TrueupError:
             if not self._checkpoint.is_file():  # nothing is there that one could go on with
-                self._replacing.unlink(missing_ok=True)
+                remove(self._replacing)
             raise
         finally:
             shutil.rmtree(scratch, ignore_errors=True)
@@ -88,14 +88,14 @@ class ModelFolder:
 
         Without that note `resume` would take the old model for the new one.
         """
-        self._checkpoint.unlink(missing_ok=True)
+        remove(self._checkpoint)
         if self._card.is_file():
             write_json(self._replacing, {"asked": self._asked, "card": file_hash(self._card)})
 
     def clean(self) -> None:
         """Leave nothing but the model."""
-        self._replacing.unlink(missing_ok=True)
-        self._checkpoint.unlink(missing_ok=True)
+        remove(self._replacing)
+        remove(self._checkpoint)
         shutil.rmtree(self.path / SCRATCH_NAME, ignore_errors=True)
         for name in (CHECKPOINT_NAME, CARD_NAME, ONNX_NAME, WEIGHTS_NAME, _REPLACING):
             for left in self.path.glob(f".{name}.*.tmp"):  # of a writer that was killed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -162,8 +163,8 @@ class CmaEs:
         self._failed_in_a_row = 0
         self._varied |= bool(finite.max() > self._best_cost)
         # Only ranks matter to CMA-ES, but its stopping rules compute with the values.
-        worst = finite.max()
-        last = worst + max(worst - finite.min(), abs(worst), 1e-300)
+        worst, best = float(finite.max()), float(finite.min())
+        last = min(worst + max(worst - best, abs(worst), 1e-300), sys.float_info.max)
         with _quiet():
             self._strategy.tell(self._drawn, [value if math.isfinite(value) else last for value in cost.tolist()])
             reasons = self._strategy.stop()
