@@ -11,8 +11,8 @@ import numpy as np
 from benchmarks.table import Row, shown
 from trueup.core.protocols import RolloutRequest
 from trueup.robots import ControllerSpec, find_model, load_robot
+from trueup.robots.model import load_spec
 from trueup.sim import DartSimulator, MujocoSimulator
-from trueup.sim.model import load_spec
 
 _ROUNDS = 5
 _STEPS = 500

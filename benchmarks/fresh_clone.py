@@ -30,37 +30,40 @@ def run() -> list[Row]:
     with TemporaryDirectory() as name:
         clone = Path(name) / "trueup"
         subprocess.run(["git", "clone", "--quiet", str(ROOT), str(clone)], check=True)
-        demo_s, _ = _ran(clone, "make", "demo")
+        demo_s, demo_code, _ = _ran(clone, "make", "demo")
         report = clone / "runs" / "demo" / "report.html"
         _ran(clone, "make", "install")
-        _, without = _ran(clone, ".venv/bin/python", "-m", "pytest", "-q", *ON_RECORDINGS)
+        _, without_code, without = _ran(clone, ".venv/bin/python", "-m", "pytest", "-q", *ON_RECORDINGS)
         logs = recording("so101_sage")
         if logs is not None:
             (Path(name) / "shared").symlink_to(logs.parent.parent)
-        test_s, tested = _ran(clone, "make", "test")
+        test_s, test_code, tested = _ran(clone, "make", "test")
         return [
-            at_least("make demo: reports written", int(report.is_file()), 1, ""),
+            at_least("make demo: reports written", int(report.is_file() and not demo_code), 1, ""),
             shown("make demo, with installation", demo_s, "s"),
-            at_most("make test: failed", _count(tested, "failed") + _count(tested, "error"), 0, ""),
+            at_most("make test: failed", _failures(tested, test_code), 0, ""),
             shown("make test: passed", _count(tested, "passed"), ""),
             at_most("make test, with installation of what only tests need", test_s / 60, _TEST_MIN, "min"),
-            at_most("without recordings: failed", _count(without, "failed") + _count(without, "error"), 0, ""),
+            at_most("without recordings: failed", _failures(without, without_code), 0, ""),
             at_least("without recordings: skipped with a message", without.count("real recording"), 1, ""),
             shown("without recordings: passed", _count(without, "passed"), ""),
         ]
 
 
-def _ran(clone: Path, *command: str) -> tuple[float, str]:
-    """Seconds and output of a command that must end with 0, as on a machine that knows nothing of this one."""
+def _ran(clone: Path, *command: str) -> tuple[float, int, str]:
+    """Seconds, exit code and output of a command, as on a machine that knows nothing of this one."""
     own = ("VIRTUAL_ENV", "PYTHONPATH", "TRUEUP_SHARED", "OMP_NUM_THREADS")
     clean = {name: value for name, value in os.environ.items() if name not in own} | {"CI": "true"}
     began = time.perf_counter()
     done = subprocess.run(command, cwd=clone, env=clean, capture_output=True, text=True)
     if done.returncode:
-        raise RuntimeError(
-            f"{' '.join(command)} ended with {done.returncode}:\n{done.stdout[-3000:]}{done.stderr[-3000:]}"
-        )
-    return time.perf_counter() - began, done.stdout
+        print(f"{' '.join(command)} ended with {done.returncode}:\n{done.stdout[-3000:]}{done.stderr[-3000:]}")
+    return time.perf_counter() - began, done.returncode, done.stdout
+
+
+def _failures(output: str, code: int) -> int:
+    """How many tests failed; 1 where something else did."""
+    return max(_count(output, "failed") + _count(output, "error"), int(code != 0))
 
 
 def _count(output: str, word: str) -> int:

@@ -12,8 +12,8 @@ import numpy as np
 from benchmarks.table import Row, at_least, shown
 from trueup.core.protocols import RolloutRequest
 from trueup.robots import ControllerSpec, JointFriction, RobotSpec, find_model, load_robot
+from trueup.robots.model import load_spec
 from trueup.sim import MujocoSimulator
-from trueup.sim.model import load_spec
 
 _ROUNDS = 7
 _MOTIONS, _STEPS = 32, 500

@@ -18,8 +18,8 @@ from jaxtyping import Float64
 from trueup.core.atomic import write_text
 from trueup.lab.simulated_robot import Sensors, SimulatedRobot
 from trueup.robots import JointFriction, RobotSpec, find_model, load_robot
+from trueup.robots.model import compile_spec, load_spec
 from trueup.sim import MujocoSimulator
-from trueup.sim.model import compile_spec, load_spec
 
 # In the middle of every joint's range, so that no motion of the study ends at a limit of the robot [rad].
 HOME = MappingProxyType(

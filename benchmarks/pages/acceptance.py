@@ -70,4 +70,7 @@ def _reasons(lines: Sequence[Mapping[str, Any]], part: str) -> str:
         for row in line["rows"]:
             if line["part"] == part and not row["ok"]:
                 missed.setdefault(row["reason"], []).append(row["name"])
-    return "".join(f"\n\n**Missed: {'; '.join(names)}.** {reason}" for reason, names in missed.items())
+    return "".join(
+        f"\n\n**Missed: {'; '.join(names)}.** {reason or 'Nobody knows why: a defect.'}"
+        for reason, names in missed.items()
+    )

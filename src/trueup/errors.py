@@ -5,8 +5,9 @@ found, what was expected, what is available and what to do next; the command lin
 lines and exits with the class's `exit_code`.
 """
 
+import contextlib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 
 def _plain(value: object, limit: int) -> str:
@@ -121,6 +122,24 @@ class OutputExists(TrueupError):
 
 class MissingDependency(TrueupError):
     """An optional package is needed and not installed."""
+
+
+@contextlib.contextmanager
+def needing(what: str, extra: str) -> Iterator[None]:
+    """Imports of the packages of an extra: `what` needs them.
+
+    Raises:
+        MissingDependency: one is not installed.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        package = str(error.name).partition(".")[0]
+        if package == "trueup":
+            raise
+        raise MissingDependency(
+            f"{what} needs {package}, which is not installed", hint=f"pip install 'trueup[{extra}]'"
+        ) from error
 
 
 class NoPlan(TrueupError):

@@ -48,6 +48,7 @@ def _all(chosen: argparse.Namespace, base: Path) -> int:
         found += len(tally.defects)
         entry = {
             "mutations": tally.mutations,
+            "cut_short": tally.cut_short,
             "outcomes": dict(sorted(tally.outcomes.items())),
             "defects": {str(number): what[:200] for number, what in list(tally.defects.items())[:20]},
             "seconds": round(tally.seconds, 1),
@@ -76,7 +77,7 @@ def _killed(name: str, base: Path) -> Tally:
     wrong = assaulted(name.removeprefix("kill "), base / "killed", KILLS)
     for number, what in wrong.items():
         print(f"{name} {number}: {what}", flush=True)
-    return Tally(KILLS, Counter(completed=KILLS - len(wrong)), wrong, time.monotonic() - start)
+    return Tally(KILLS, 0, Counter(completed=KILLS - len(wrong)), wrong, time.monotonic() - start)
 
 
 def _read(path: Path) -> dict[str, dict[str, object]]:

@@ -34,6 +34,7 @@ HANG_SECONDS = 40.0  # on a wall of a busy machine
 GIGABYTE = 1 << 30
 LONGEST_MESSAGE = 4000
 CASES_PER_WORKER = 2500
+CUT_SHORT = "changes that ended with"
 UNCHANGED = -1  # the number of a case in which nothing is changed
 
 
@@ -88,11 +89,13 @@ class Tally:
 
     Attributes:
         outcomes: `read`, or the class of the error, and how often.
+        cut_short: cases whose damage ended with an error, mostly on what an earlier change had done.
         defects: number of the case -> what went wrong.
         seconds: wall-clock time [s].
     """
 
     mutations: int = 0
+    cut_short: int = 0
     outcomes: Counter[str] = field(default_factory=Counter)
     defects: dict[int, str] = field(default_factory=dict)
     seconds: float = 0.0
@@ -130,7 +133,7 @@ def prepare(parser: Parser, number: int, base: Path) -> tuple[Path, str]:
     try:
         return case / "logs", edit(case / "logs", rng)
     except Exception as error:  # as far as it came
-        return case / "logs", f"changes that ended with {error!r}"
+        return case / "logs", f"{CUT_SHORT} {error!r}"
 
 
 def _listing(base: Path) -> list[tuple[str, int, int]]:
@@ -230,6 +233,7 @@ class Attacker:
         self._process: Any = None
         self._connection: Any = None
         self._cases = 0
+        self.cut_short = 0  # so far
 
     def case(self, name: str, number: int) -> tuple[str, str]:
         """Outcome and defect of one case."""
@@ -250,6 +254,7 @@ class Attacker:
             self._process.join()
             outcome, wrong = "died", f"process ended with {self._process.exitcode}"
             self.close(kill=True)
+        self.cut_short += said.startswith(CUT_SHORT)
         return outcome, f"{wrong} ({said})" if wrong else ""
 
     def _start(self) -> None:
@@ -277,13 +282,14 @@ class Attacker:
 def attack(attacker: Attacker, name: str, numbers: Iterable[int]) -> Iterator[Tally]:
     """The tally of a parser, after every case."""
     tally = Tally()
-    start = time.monotonic()
+    start, before = time.monotonic(), attacker.cut_short
     outcome, wrong = attacker.case(name, UNCHANGED)
-    if outcome != "read" and not all_parsers()[name].refuses:
+    if wrong or (outcome != "read" and not all_parsers()[name].refuses):
         tally.defects[UNCHANGED] = f"the good files are not read: {outcome} {wrong}"
     for number in numbers:
         outcome, wrong = attacker.case(name, number)
         tally.mutations += 1
+        tally.cut_short = attacker.cut_short - before
         tally.outcomes[outcome] += 1
         if wrong:
             tally.defects[number] = wrong

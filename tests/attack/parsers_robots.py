@@ -19,8 +19,8 @@ from trueup.lab.truth import Truth
 from trueup.record import load_workspace
 from trueup.record.urdf import urdf_velocity_limits
 from trueup.robots import find_model, load_robot
+from trueup.robots.model import compile_spec, load_spec
 from trueup.sim import make_simulator
-from trueup.sim.model import compile_spec, load_spec
 
 ROBOT = """
 schema: trueup.robot/1

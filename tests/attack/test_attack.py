@@ -21,7 +21,8 @@ def attacker(tmp_path_factory):
 def test_damaged_files_are_answered_clearly(attacker, name):
     *_, tally = attack(attacker, name, range(MUTATIONS))
     assert not tally.defects
-    assert tally.outcomes
+    assert tally.cut_short <= MUTATIONS / 4
+    assert set(tally.outcomes) - {"read"}, "none of these files was damaged"
 
 
 @pytest.mark.parametrize(

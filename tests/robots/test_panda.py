@@ -7,8 +7,8 @@ import pytest
 from conftest import shared_folder
 from trueup.core.protocols import RolloutRequest
 from trueup.robots import find_model, load_robot
+from trueup.robots.model import load_spec
 from trueup.sim import MujocoSimulator, ReplaySettings
-from trueup.sim.model import load_spec
 
 GRAVITY = 9.81
 HOME = np.array([0, -np.pi / 4, 0, -3 * np.pi / 4, 0, np.pi / 2, np.pi / 4])

@@ -9,8 +9,8 @@ import pytest
 
 from trueup.core.protocols import RolloutRequest
 from trueup.robots import find_model, load_robot
+from trueup.robots.model import load_spec
 from trueup.sim import MujocoSimulator
-from trueup.sim.model import load_spec
 
 # cogimon-gazebo-models, franka/model.urdf: mass, center of mass, ixx iyy izz (no products) of links 0 to 7.
 ROUGH = np.array(

@@ -16,9 +16,9 @@ from sim.test_mujoco_engine import KINDS, request, smooth_command
 from trueup.core.protocols import RolloutRequest, Simulator
 from trueup.errors import ConfigError, DataError, MissingSignal
 from trueup.robots import ControllerSpec, JointFriction, JointSpec, RobotSpec, find_model, load_robot
+from trueup.robots.model import load_spec
 from trueup.sim import DartSimulator, MujocoSimulator
 from trueup.sim.dart_model import refuse_unmatched, skeleton_of
-from trueup.sim.model import load_spec
 
 IMPLICIT = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
 HOME = np.array([0, -np.pi / 4, 0, -3 * np.pi / 4, 0, np.pi / 2, np.pi / 4])

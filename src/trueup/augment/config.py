@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
 from trueup.augment.networks import METHODS, method, network_class
 from trueup.core.config import build, read_yaml
+from trueup.core.model_card import LARGEST_MARGIN
 from trueup.errors import ConfigError
 
 SIGNALS = ("position", "velocity", "torque")
@@ -229,7 +230,9 @@ class AugmentConfig:
             self.data.normalization != "limits" or self.data.stops or self.loss.target != "residual"
         ):
             raise ConfigError(
-                "a moving average has nothing to normalize", expected="data: normalization: limits, stops: false"
+                f"{self.network.kind} is not trained, so that there is nothing to normalize",
+                got=f"normalization: {self.data.normalization}, stops: {self.data.stops}, target: {self.loss.target}",
+                expected="data: {normalization: limits, stops: false}, loss: {target: residual}",
             )
         if self.network.output_activation == "tanh" and self.data.normalization != "limits":
             raise ConfigError(
@@ -239,8 +242,8 @@ class AugmentConfig:
             )
         if not 0 < self.coverage < 1:
             raise ConfigError("coverage", got=self.coverage, expected="a share between 0 and 1")
-        if not (math.isfinite(self.margin) and self.margin >= 0):
-            raise ConfigError("margin", got=self.margin, expected="a share >= 0")
+        if not 0 <= self.margin <= LARGEST_MARGIN:
+            raise ConfigError("margin", got=self.margin, expected=f"a share from 0 to {LARGEST_MARGIN:g}")
 
     def to_json(self) -> dict[str, Any]:
         """JSON types only; `load` reads it back from YAML."""
@@ -258,7 +261,11 @@ class AugmentConfig:
         if base not in ("default", "paper"):
             raise ConfigError(f"{path}: base", got=base, available=("default", "paper"))
         start = preset(str(tree.get("method", "realeasy-rt")), paper=base == "paper")
-        return build(AugmentConfig, _laid_over(asdict(start), tree), str(path))
+        under, network = asdict(start), tree.get("network")
+        if isinstance(network, Mapping) and "kind" in network and network["kind"] != start.network.kind:
+            common = {item.name for item in fields(NetworkConfig)}  # another kind has other options of its own
+            under["network"] = {key: value for key, value in under["network"].items() if key in common}
+        return build(AugmentConfig, _laid_over(under, tree), str(path))
 
 
 @dataclass(frozen=True)

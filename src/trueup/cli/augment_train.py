@@ -16,7 +16,7 @@ from rich.table import Table
 from trueup.augment.networks import METHODS
 from trueup.cli import options
 from trueup.cli.console import note, out, status_line, track
-from trueup.errors import ConfigError, MissingDependency
+from trueup.errors import ConfigError, needing
 
 if TYPE_CHECKING:
     from trueup.augment import AugmentConfig, Progress
@@ -46,7 +46,9 @@ def train(
     command: Annotated[
         list[str] | None, typer.Option("--command", help="Commanded signal to read besides; repeatable.")
     ] = None,
-    epochs: Annotated[int | None, typer.Option("--epochs", min=0, help="Most epochs; 40 if not set.")] = None,
+    epochs: Annotated[
+        int | None, typer.Option("--epochs", min=0, help="Most epochs, over those of the method or the file.")
+    ] = None,
     robot: Annotated[str | None, typer.Option("--robot", help="Robot whose limits normalize.")] = None,
     name: Annotated[str, typer.Option("--name", help="Name of the model; the method if not given.")] = "",
     device: Annotated[Literal["cpu", "cuda"], typer.Option("--device", help="cpu or cuda.")] = "cpu",
@@ -145,10 +147,8 @@ def _watching(folder: Path | None) -> Iterator[Callable[[Progress], None]]:
 
 @contextmanager
 def _board(folder: Path) -> Iterator[Any]:
-    try:
+    with needing("--tensorboard", "tensorboard"):
         from torch.utils.tensorboard import SummaryWriter
-    except ModuleNotFoundError as error:
-        raise MissingDependency("--tensorboard", got=error, hint="pip install 'trueup[tensorboard]'") from error
     with SummaryWriter(str(folder)) as writer:
         yield writer
 

@@ -72,7 +72,9 @@ def gap(
     if out_dir is not None and (out_dir / "gap.json").exists() and not overwrite:
         raise OutputExists(f"{out_dir / 'gap.json'} exists", hint="Give --overwrite, or choose another --out.")
     data = Dataset(dataset)
-    refuse_unknown(bars, runs=_list(runs) or data.runs, splits=sorted({*data.splits.values()} - {""}))
+    refuse_unknown(
+        bars, runs=_list(runs) or data.runs, splits=[split] if split else sorted({*data.splits.values()} - {""})
+    )
     if out_dir is not None:
         folder.refuse_other_fit(out_dir, data.hash)
     measurement = measure(

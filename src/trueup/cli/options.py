@@ -12,7 +12,8 @@ from trueup.errors import ConfigError
 
 Robot = Annotated[str, typer.Option("--robot", help="Name of a shipped robot, or path of a robot.yaml.")]
 Model = Annotated[
-    Path | None, typer.Option("--model", exists=True, help="MJCF or URDF; else looked for in the dataset's model/.")
+    Path | None,
+    typer.Option("--model", exists=True, dir_okay=False, help="MJCF or URDF; else looked for in the dataset's model/."),
 ]
 Jobs = Annotated[int | None, typer.Option("--jobs", min=1, help="Threads; the number of cores if not given.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all draws.")]

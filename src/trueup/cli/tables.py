@@ -58,7 +58,7 @@ def gap_table(gap: GapResult, *, metric: str = "rmse") -> Table:
 
 
 def verdicts(gap: GapResult) -> list[str]:
-    """The paired comparisons of the position in words, one line each."""
+    """What else must be known of the table, one line each: windows, and the paired comparisons of the position."""
     window_s = gap.settings.get("window_s")
     lines = [] if window_s is None else [f"simulations restarted from the measured state every {window_s:g} s"]
     whole = not any(gap.splits.values())  # no splits: the comparison over all motions is the only one

@@ -62,11 +62,14 @@ def replacing(path: Path) -> Iterator[Path]:
 def appearing(folder: Path) -> Iterator[Path]:
     """A temporary folder beside `folder` that takes its place when the block ends without an error.
 
+    Args:
+        folder: not there, or empty; through a link, the folder that it leads to.
+
     Raises:
         DataError: the disk is full or not writable.
         OutputExists: another program made the folder meanwhile.
     """
-    temporary = None
+    folder, temporary = folder.resolve(), None
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".tmp", dir=folder.parent))
@@ -140,9 +143,16 @@ def json_hash(value: Any) -> str:
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    """SHA-256 of a file.
+
+    Raises:
+        DataError: it cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise DataError(f"cannot read {path}", got=error.strerror or str(error)) from error
 
 
 def regular(path: Path) -> Path:
@@ -193,7 +203,7 @@ def read_json(path: Path) -> Any:
         DataError: the file is missing, not UTF-8 or not JSON, or holds a number that is too large, or none.
     """
     try:
-        text = regular(path).read_bytes().decode()
+        text = regular(path).read_bytes().decode("utf-8-sig")
         if _ODD.search(text) is None:
             return json.loads(text)
         tree = json.loads(text, parse_float=_number, parse_int=_number, parse_constant=_number)

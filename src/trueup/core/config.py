@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import types
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
@@ -76,7 +77,10 @@ def build(cls: type[T], data: Any, where: str) -> T:
     """
     if not isinstance(data, Mapping):
         raise ConfigError(f"{where} must be a mapping", got=repr(data))
-    cls = getattr(cls, "variant", lambda _: cls)(data)
+    try:
+        cls = getattr(cls, "variant", lambda _: cls)(data)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error.summary}", hint=error.hint) from error
     fields = {field.name: field for field in dataclasses.fields(cls) if field.init}  # type: ignore[arg-type]
     unknown = [key for key in data if key not in fields]
     if unknown:
@@ -99,8 +103,8 @@ def build_versioned(cls: type[T], data: Any, where: str, *, schema: str, what: s
         FormatError: as `read_versioned`.
         DataError: likewise.
     """
-    plain = {key: value for key, value in data.items() if key != "schema"} if isinstance(data, Mapping) else data
-    return read_versioned(lambda _: build(cls, plain, where), data, where, schema=schema, what=what)
+    with _versioned(data, where, schema, what):
+        return build(cls, {key: value for key, value in data.items() if key != "schema"}, where)
 
 
 def read_versioned(read: Callable[[Any], T], data: Any, where: str, *, schema: str, what: str) -> T:
@@ -117,12 +121,19 @@ def read_versioned(read: Callable[[Any], T], data: Any, where: str, *, schema: s
         FormatError: something else, or of another version.
         DataError: broken.
     """
+    with _versioned(data, where, schema, what):
+        made = read(data)
+        return build(type(made), vars(made), where)
+
+
+@contextlib.contextmanager
+def _versioned(data: Any, where: str, schema: str, what: str) -> Iterator[None]:
+    """Reading of a result file of one version: whatever goes wrong in it, the file is broken."""
     found = data.get("schema") if isinstance(data, Mapping) else type(data).__name__
     if found != schema:
         raise FormatError(f"{where} holds no {what} of this version", got=found, expected=schema)
     try:
-        made = read(data)
-        return build(type(made), vars(made), where)
+        yield
     except ConfigError as error:
         raise DataError(f"{where} is broken", got=error.summary) from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:

@@ -122,8 +122,12 @@ class State:
 
     def __post_init__(self) -> None:
         """Refuse what is no tensor, or has no axis for copies."""
-        if not 0 <= self.batch_axis < len(self.shape) or min(self.shape) < 0:
-            raise ConfigError(f"state {self.name!r}: batch_axis", got=f"{self.batch_axis} of {self.shape}")
+        if not self.shape or min(self.shape) < 0:
+            raise ConfigError(f"state {self.name!r}: shape", got=self.shape, expected="sizes >= 0, at least one")
+        if not 0 <= self.batch_axis < len(self.shape):
+            raise ConfigError(
+                f"state {self.name!r}: batch_axis", got=self.batch_axis, expected=f"an axis of {self.shape}"
+            )
 
     def initial(self, first: Float[np.ndarray, "B I"]) -> np.ndarray:
         """The tensor before the first sample, float32."""
@@ -184,11 +188,10 @@ class ModelCard:
         if not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
             raise ConfigError(f"model {self.name!r}: rate_hz", got=self.rate_hz, expected="a positive number")
         if not (0 <= self.margin <= LARGEST_MARGIN and 0 < self.coverage < 1 and self.warmup_steps >= 0):
-            said = (self.margin, self.coverage, self.warmup_steps)
             raise ConfigError(
                 f"model {self.name!r}: margin, coverage, warmup_steps",
-                got=said,
-                expected="shares, and a number of steps",
+                got=(self.margin, self.coverage, self.warmup_steps),
+                expected=f"a share up to {LARGEST_MARGIN:g}, one between 0 and 1, and a number of steps",
             )
         if not self.inputs or not self.outputs:
             raise ConfigError(f"model {self.name!r} has no inputs or no outputs")

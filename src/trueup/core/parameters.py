@@ -13,7 +13,7 @@ from trueup.errors import ConfigError, NameMismatch
 
 
 @dataclass(frozen=True)
-class Search:
+class SearchRange:
     """Where and how far a kind of number is looked for, if nobody says.
 
     Attributes:

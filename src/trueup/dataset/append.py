@@ -23,7 +23,7 @@ from trueup.dataset.columns import Layout, content_hash, from_table, layout_of, 
 from trueup.dataset.index import StoreSpec, read_index, write_index
 from trueup.dataset.journal import Journal, JournalReader, Row, pack, unpack
 from trueup.dataset.lock import FolderLock
-from trueup.dataset.shards import MAX_BYTES, ShardReader, capacity, damaged, shard_name, write_shard
+from trueup.dataset.shards import MAX_BYTES, READ_ERRORS, ShardReader, capacity, damaged, shard_name, write_shard
 from trueup.errors import DataError
 
 
@@ -106,9 +106,8 @@ class StoreWriter:
                 end = frame.end if frame.begin == end and row["id"] not in self._ids else 0
                 if row["id"] not in self._ids:
                     self.spec.table([row])
-                    layouts = {name: parse_layout(table.schema) for name, table in tables.items()}
-                    series = {name: (from_table(table, layouts[name]), layouts[name]) for name, table in tables.items()}
-                    if content_hash(series) != row["hash"]:
+                    layouts, found = self._understood(tables)
+                    if found != row["hash"]:
                         raise damaged(self.spec.journal_path, f"episode {row['id']!r} is not what was written")
                     self._add(_Pending(row, tables, layouts), len(frame.payload))
         if self._pending and end and not self._full():
@@ -116,6 +115,15 @@ class StoreWriter:
         self._settle()
         self.spec.journal_path.unlink(missing_ok=True)
         return 0
+
+    def _understood(self, tables: Mapping[str, pa.Table]) -> tuple[dict[str, Layout], str]:
+        """The layouts of an episode of the journal, and the hash of its content."""
+        try:
+            layouts = {name: parse_layout(table.schema) for name, table in tables.items()}
+            series = {name: (from_table(table, layouts[name]), layouts[name]) for name, table in tables.items()}
+            return layouts, content_hash(series)
+        except READ_ERRORS as error:
+            raise damaged(self.spec.journal_path, error) from error
 
     def _last_number(self, series: str) -> int:
         number = pc.max(self._table.column(f"{series}_shard")).as_py()

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from trueup.core.model_card import CARD_NAME, ONNX_NAME, ModelCard, State
-from trueup.errors import DataError, MissingDependency
+from trueup.errors import DataError, needing
 
 _TYPE = "tensor(float)"
 # Sizes of a tensor's axes as onnxruntime reports them: numbers, or names (or None) for what may vary.
@@ -69,12 +69,8 @@ class Network:
 
 
 def _onnxruntime() -> Any:
-    try:
+    with needing("running a network", "run"):
         return importlib.import_module("onnxruntime")
-    except ModuleNotFoundError as error:
-        raise MissingDependency(
-            "running a network needs onnxruntime, which is not installed", hint="pip install 'trueup[run]'"
-        ) from error
 
 
 def _check_card(card: ModelCard, folder: Path) -> None:

@@ -13,10 +13,10 @@ from trueup.errors import ConfigError
 from trueup.identify.drive import Drive, drive_of
 from trueup.identify.inertial import Inertial, apply_inertial, inertial_of
 from trueup.robots import ControllerSpec, RobotSpec
+from trueup.robots.model import compile_spec, load_spec
 from trueup.sim import MujocoSimulator
 from trueup.sim.controllers import Channel
 from trueup.sim.friction import harden_friction, has_friction, install
-from trueup.sim.model import compile_spec, load_spec
 
 
 @dataclass

@@ -86,20 +86,20 @@ class ModelSearch:
         """Fit the base model, then richer ones, then without what the motions do not show; the best, and all."""
         models = self.config.models or {}
         best = self._try("base", self.config.fit, rough=bool(models))
-        attempts, fit = [best], dict(self.config.fit)
+        tried, fit = [best], dict(self.config.fit)
         # What changes nothing near the solution is left out from here on; far from it, nothing can be told.
         idle = self._idle(best)
         for name, extra in models.items():
             richer = {**fit, **dict.fromkeys(extra, "all")}
             joined = name if best.row.name == "base" else f"{best.row.name}+{name}"
-            attempts.append(self._try(joined, richer, best.solution, left_out=idle, rough=True))
-            if _better(attempts[-1], best):
-                best, fit = attempts[-1], richer
+            tried.append(self._try(joined, richer, best.solution, left_out=idle, rough=True))
+            if _better(tried[-1], best):
+                best, fit = tried[-1], richer
         if models:
             # What the richer models have brought, and changes nothing either, goes; the motion stays as it is.
             idle = [*idle, *(name for name in self._idle(best) if name not in idle)]
             finished = self._to_the_end(best, fit, idle)
-            attempts[attempts.index(best)] = best = finished
+            tried[tried.index(best)] = best = finished
         known = self.posterior_of(best).of_model()
         absent = absent_names(known)
         surplus = [] if self.chosen_by_user else open_names(known)
@@ -107,10 +107,10 @@ class ModelSearch:
             leaner = self._try(
                 f"{best.row.name}, known only", fit, best.solution, left_out=[*idle, *surplus], absent=absent
             )
-            attempts.append(leaner)
+            tried.append(leaner)
             if _as_good(leaner, best):
                 best = leaner
-        return best, attempts
+        return best, tried
 
     def encoder_zeros(self, item: TriedModel) -> dict[str, float]:
         """What single recordings were off by, where that was fitted: `MOTION:JOINT` -> [rad or m]."""
@@ -121,11 +121,11 @@ class ModelSearch:
         }
 
     def problem_of(self, item: TriedModel) -> Problem:
-        """The problem that an attempt has solved."""
+        """The problem that a model's fit has solved."""
         return self._problem(item.solution.parameters)
 
     def posterior_of(self, item: TriedModel) -> Posterior:
-        """What is known after an attempt."""
+        """What is known after a model's fit."""
         found = item.solution
         return posterior_of(self.problem_of(item), found.z, found.residual, found.jacobian)
 

@@ -11,9 +11,9 @@ from jaxtyping import Float, Float64
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.robots import ControllerSpec, RobotSpec, find_model, load_robot
+from trueup.robots.model import load_spec
 from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode
 from trueup.sim.friction import harden_friction
-from trueup.sim.model import load_spec
 
 _RATE_HZ = 100.0
 _MOTION_S = 10.0

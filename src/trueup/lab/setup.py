@@ -14,7 +14,7 @@ from trueup.lab.plant import JOINT_STATE, NUMBERS, Engine, Settings, State
 from trueup.lab.spec import LabSpec
 from trueup.lab.truth import BodyTruth, Truth, loaded, per_joint
 from trueup.robots import RobotSpec, find_model, load_robot
-from trueup.sim.model import compile_spec, load_spec
+from trueup.robots.model import compile_spec, load_spec
 from trueup.sim.stepping import addresses
 
 # Explicit springs are stable up to frequency times step = 2; half of that is still accurate.

@@ -15,7 +15,7 @@ from trueup.core.config import build
 from trueup.errors import ConfigError
 from trueup.lab.spec import EFFECTS, LabSpec
 from trueup.robots import RobotSpec, find_model, load_robot
-from trueup.sim.model import compile_spec, load_spec
+from trueup.robots.model import compile_spec, load_spec
 
 _SCHEMA = "trueup.truth/1"
 

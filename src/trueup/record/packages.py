@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from trueup.errors import MissingDependency
+from trueup.errors import needing
 
 _ompl = threading.Lock()
 
@@ -19,12 +19,8 @@ def load(name: str) -> Any:
     Raises:
         MissingDependency: it is not installed.
     """
-    try:
+    with needing("planning", "plan"):
         return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        raise MissingDependency(
-            f"planning needs {name.split('.')[0]}, which is not installed", hint="pip install 'trueup[plan]'"
-        ) from error
 
 
 @contextmanager

@@ -178,6 +178,11 @@ class PlanSet:
             spec = replace(self.spec, clearance_m=clearance_share * self.spec.clearance_m)
             return spec.scene(robot, model=model)
         limits = build(_Limits, self.origin.get("limits", {}), f"{self.path / PLANS_NAME}: limits")
+        for name, values in vars(limits).items():
+            if values and len(values) != len(self.joints):
+                raise DataError(
+                    f"{self.path / PLANS_NAME}: limits: {name}", got=values, expected=f"{len(self.joints)} numbers"
+                )
         return Scene(
             robot,
             workspace=build(Workspace, self.origin.get("workspace", {}), str(self.path / PLANS_NAME)),

@@ -254,14 +254,13 @@ def _own(limits: Mapping[str, float], robot: RobotSpec) -> dict[str, float]:
 def _compile(path: Path, workspace: Workspace) -> mujoco.MjModel:
     import mujoco
 
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        for geom in spec.geoms:
-            geom.margin = 0.0
-        _furnish(spec, workspace)
-        model = spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        raise ConfigError(f"{path} is not a model that MuJoCo can read", got=error) from error
+    from trueup.robots.model import compile_spec, load_whole_spec
+
+    spec = load_whole_spec(path)
+    for geom in spec.geoms:
+        geom.margin = 0.0
+    _furnish(spec, workspace)
+    model = compile_spec(spec, path)
     # Contacts are wanted whatever the model says, from a distance on: the margins of two geoms add up.
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     model.geom_margin[:] = _HORIZON_M / 2

@@ -12,9 +12,9 @@ from jaxtyping import Float, Float64
 
 from trueup.errors import ConfigError, MissingSignal
 from trueup.robots import RobotSpec, SimulationSpec
+from trueup.robots.model import compile_spec
 from trueup.sim.controllers import Channel, attach_controller, torque_limit_of
 from trueup.sim.friction import set_friction
-from trueup.sim.model import compile_spec
 
 # A motion beyond this has diverged [rad, m, rad/s or m/s]; MuJoCo itself gives up at accelerations of 1e10.
 ABSURD = 1e6

@@ -13,13 +13,13 @@ from jaxtyping import Float, Float64
 from trueup.core.protocols import RolloutRequest, RolloutResult
 from trueup.errors import DataError
 from trueup.robots import RobotSpec
+from trueup.robots.model import load_spec
 from trueup.sim.actuators import Actuators
 from trueup.sim.compiled_robot import ABSURD, CompiledRobot, compile_robot
 from trueup.sim.controllers import Channel
 from trueup.sim.dart_friction import DartFriction, laws_of
 from trueup.sim.dart_model import JointNumbers, gravity_of, load_dart, refuse_unmatched, skeleton_of
 from trueup.sim.dry_friction import friction_impulse
-from trueup.sim.model import load_spec
 
 
 class DartSimulator(CompiledRobot):

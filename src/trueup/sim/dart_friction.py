@@ -45,14 +45,15 @@ class DartFriction:
 
     def __init__(self, model: mujoco.MjModel, numbers: JointNumbers, laws: Mapping[int, JointFriction]) -> None:
         self._numbers = numbers
-        self._laws = {dof: law for dof, law in laws.items() if law.brakes or law.asymmetry}
+        self._laws = {dof: law for dof, law in laws.items() if law.on or law.asymmetry}
         self._asymmetry = np.zeros(model.nv)
         for dof, law in self._laws.items():
             self._asymmetry[dof] = law.asymmetry
         # MuJoCo gives a friction row only to joints with some frictionloss, and so do we.
         self._rows = numbers.frictionloss > 0
-        # The load of a transmission is counted as if nothing carried the arm's weight, as MuJoCo's qfrc_bias does.
-        heavy = any(law.load for law in self._laws.values())
+        # The load of a transmission is counted as if nothing carried the arm's weight, as MuJoCo's qfrc_bias does. Any
+        # law with a formula may ask for it.
+        heavy = any(law.on for law in self._laws.values())
         self._heavy: Any = skeleton_of(model, compensated=False) if heavy else None
 
     @property

@@ -57,9 +57,9 @@ def set_friction(spec: mujoco.MjSpec, joint: str, friction: JointFriction) -> No
             if any(other.userdata):
                 other.userdata = [MARK, *astuple(friction_of(spec, other.name))]
     target.userdata = [MARK, *astuple(friction)]
-    if friction.brakes:
+    if friction.on:
         target.frictionloss = max(float(target.frictionloss), _LEAST_FRICTIONLOSS)
-    if friction.brakes or friction.asymmetry:
+    if friction.on or friction.asymmetry:
         harden_friction(spec, [joint])
     # The solver's copy of the friction rows per island is made before the callback runs.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)

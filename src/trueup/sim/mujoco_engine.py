@@ -16,10 +16,10 @@ from mujoco import batch, rollout
 from trueup.core.protocols import RolloutRequest, RolloutResult
 from trueup.errors import DataError
 from trueup.robots import RobotSpec
+from trueup.robots.model import load_spec
 from trueup.sim.compiled_robot import ABSURD, CompiledRobot, compile_robot, torque_sensor
 from trueup.sim.controllers import Channel
 from trueup.sim.friction import has_friction, install
-from trueup.sim.model import load_spec
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)

@@ -15,7 +15,7 @@ from trueup.core.atomic import json_hash, make_folder
 from trueup.core.model_card import CARD_NAME, Channel
 from trueup.dataset import Dataset
 from trueup.dataset.writer import is_label_part
-from trueup.errors import ConfigError, NameMismatch
+from trueup.errors import ConfigError, NameMismatch, needing
 from trueup.record.limits import stated_rates
 from trueup.record.urdf import urdf_velocity_limits
 from trueup.robots import RobotSpec, find_model
@@ -97,10 +97,11 @@ def augment(
         NameMismatch: the robot has other joints than the run.
         MissingDependency: torch is not installed, or finds no GPU.
     """
-    config, out = config or AugmentConfig(), Path(out)  # without torch there is no configuration either
-    from trueup.augment import Augmentation, Task
-    from trueup.augment.pairs import channels_of, refuse_overlap, write_pairs
-    from trueup.augment.training import find_device
+    config, out = config or AugmentConfig(), Path(out)
+    with needing("training", "learn"):
+        from trueup.augment import Augmentation, Task
+        from trueup.augment.pairs import channels_of, refuse_overlap, write_pairs
+        from trueup.augment.training import find_device
 
     find_device(device)
     name = name or config.method
@@ -239,7 +240,7 @@ def _unknown_limits(limits: Limits, inputs: Sequence[Channel], config: AugmentCo
 
 def _speeds(robot: RobotSpec, dataset: Dataset) -> dict[str, float]:
     """Velocity limits that the model states; none where there is no model."""
-    from trueup.sim.model import compile_spec, load_spec
+    from trueup.robots.model import compile_spec, load_spec
 
     try:
         path = find_model(robot, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")

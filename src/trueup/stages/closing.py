@@ -11,9 +11,9 @@ from trueup.core.results import Ladder
 from trueup.dataset import Dataset, is_dataset
 from trueup.dataset.importers.base import ImportOptions
 from trueup.errors import OutputExists
-from trueup.robots import RobotSpec
+from trueup.robots import RobotSpec, find_model
 from trueup.stages.folder import forget_explanation, forget_fit, refuse_other_fit
-from trueup.stages.importing import ImportSummary, import_logs
+from trueup.stages.importing import ImportSummary, import_logs, refuse_nesting
 from trueup.stages.ladder import ladder_of
 from trueup.stages.measuring import Measurement, gap
 from trueup.stages.progress import Track, silent
@@ -84,6 +84,10 @@ def close(
         TrueupError: what any step raises.
     """
     source, out = Path(source), Path(out)
+    if not is_dataset(source):
+        refuse_nesting(source, out / "dataset")
+    if model is not None:
+        find_model(robot, given=Path(model))
     make_folder(out)
     if any(out.iterdir()) and not (overwrite or resume):
         raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")

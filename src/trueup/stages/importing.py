@@ -114,7 +114,7 @@ def import_logs(
         TrueupError: the format is unknown, or no episode could be read.
     """
     source, out = Path(source), Path(out)
-    _refuse_nesting(source, out)
+    refuse_nesting(source, out)
     plan = plan_import(source, format=format, options=options)
     notes = list(plan.notes)
     config = {"format": plan.format, "source": source.name, "options": _plain(options)}
@@ -243,12 +243,16 @@ def _refuse_other_options(stored: DatasetInfo, info: DatasetInfo, out: Path) -> 
         )
 
 
-def _refuse_nesting(source: Path, out: Path) -> None:
-    """Logs are never changed: neither is a dataset written over them, nor among them, where it would pass for one."""
+def refuse_nesting(source: Path, out: Path) -> None:
+    """Logs are never changed: nothing is written over them, nor among them, where it would pass for one of them.
+
+    Raises:
+        ConfigError: that would be so.
+    """
     logs, place = source.resolve(), out.resolve()
     if place == logs or place in logs.parents or logs in place.parents:
         raise ConfigError(
-            f"the dataset cannot be written over its source {source}, or into it",
+            f"nothing is written over the logs in {source}, or among them",
             got=out,
             hint="Choose an --out beside the logs.",
         )

@@ -47,6 +47,7 @@ class ModelFolder:
 
         Raises:
             OutputExists: there is another model, or the training of one.
+            DataError: a file of it is broken.
         """
         if not self._card.is_file():
             return False

@@ -9,14 +9,14 @@ from collections.abc import Mapping, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from trueup.errors import ConfigError, MissingDependency
+from trueup.errors import ConfigError, needing
 
 if TYPE_CHECKING:
     from trueup.augment.config import Method, NetworkConfig
     from trueup.augment.networks.base import Network
 
 # Method -> the file that it stands in.
-METHODS: Mapping[str, str] = {
+_FILES: Mapping[str, str] = {
     "realeasy": "recurrent",
     "realeasy-rt": "recurrent",
     "gru": "recurrent",
@@ -26,6 +26,7 @@ METHODS: Mapping[str, str] = {
     "moving-average": "moving_average",
     "moving-average-rt": "moving_average",
 }
+METHODS = tuple(_FILES)
 
 
 def method(name: str) -> Method:
@@ -37,13 +38,13 @@ def method(name: str) -> Method:
     """
     if name not in METHODS:
         raise ConfigError("there is no such method", got=name, available=METHODS)
-    found: Method = next(item for item in _file(METHODS[name]).methods() if item.config.method == name)
+    found: Method = next(item for item in _file(_FILES[name]).methods() if item.config.method == name)
     return found
 
 
 def network_class(kind: str) -> type[Network]:
     """The class of a kind of network; errors as of `method`."""
-    kinds = {name: cls for file in dict.fromkeys(METHODS.values()) for name, cls in _file(file).KINDS.items()}
+    kinds = {name: cls for file in dict.fromkeys(_FILES.values()) for name, cls in _file(file).KINDS.items()}
     if kind not in kinds:
         raise ConfigError("network: kind is not a choice", got=repr(kind), available=kinds)
     found: type[Network] = kinds[kind]
@@ -56,9 +57,5 @@ def build_network(config: NetworkConfig, *, inputs: int, base: Sequence[int], ra
 
 
 def _file(name: str) -> Any:
-    try:
+    with needing("training", "learn"):
         return import_module(f"{__name__}.{name}")
-    except ModuleNotFoundError as error:
-        raise MissingDependency(
-            f"training needs {error.name}", hint="pip install 'trueup[learn]' (or make install in a clone)"
-        ) from error

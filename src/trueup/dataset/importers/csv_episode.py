@@ -17,7 +17,7 @@ from trueup.core.units import conversion
 from trueup.dataset.importers.base import ImportOptions
 from trueup.dataset.importers.clock import common_origin, seconds, usable_clock
 from trueup.dataset.importers.columns import TextTable
-from trueup.dataset.importers.files import file_hash, inside, read_bytes
+from trueup.dataset.importers.files import files_hash, inside, read_bytes
 from trueup.dataset.importers.mapping import COMPONENTS, CsvMapping
 from trueup.dataset.importers.units import override_units
 from trueup.errors import DataError
@@ -57,7 +57,7 @@ def load_episode(root: Path, files: CsvEpisode, mapping: CsvMapping, options: Im
     }
     meta = replace(
         files.meta,
-        source_hash=file_hash(paths.values()),
+        source_hash=files_hash(paths.values()),
         flags=tuple(flag for _, flags in done.values() for flag in flags),
     )
     return Episode(

@@ -8,13 +8,13 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-from trueup.core.atomic import regular
+from trueup.core.atomic import is_inside, regular
 from trueup.errors import DataError
 
 _CHUNK = 1 << 20
 
 
-def file_hash(paths: Iterable[Path]) -> str:
+def files_hash(paths: Iterable[Path]) -> str:
     """SHA-256 of the files' bytes, one after the other, in this order; hexadecimal.
 
     Raises:
@@ -32,7 +32,7 @@ def file_hash(paths: Iterable[Path]) -> str:
 
 
 def bytes_hash(blobs: Iterable[bytes]) -> str:
-    """What `file_hash` gives for files with these contents."""
+    """What `files_hash` gives for files with these contents."""
     digest = hashlib.sha256()
     for blob in blobs:
         digest.update(blob)
@@ -45,13 +45,8 @@ def inside(root: Path, path: Path) -> Path:
     Raises:
         DataError: it leads out of the folder, or through a loop of links.
     """
-    try:
-        resolved = path.resolve()
-        inside_root = resolved.is_relative_to(root.resolve())
-    except (OSError, RuntimeError, ValueError) as error:
-        raise DataError(f"cannot follow {path}", got=error) from error
-    if not inside_root:
-        raise DataError(f"{path} leads out of the folder", got=resolved, expected=f"a file inside {root}")
+    if not is_inside(root, path):
+        raise DataError(f"{path} leads out of the folder, or nowhere", expected=f"a file inside {root}")
     return path
 
 

@@ -33,9 +33,11 @@ class H5File:
         self.source = source
 
     def names(self, group: str = "/") -> tuple[str, ...]:
-        """Names in a group; empty if there is no such group."""
+        """Names in a group, as text for people where they are none; empty if there is no such group."""
         found = self._find(group)
-        return tuple(found) if isinstance(found, h5py.Group) else ()
+        if not isinstance(found, h5py.Group):
+            return ()
+        return tuple(name if isinstance(name, str) else name.decode(errors="replace") for name in found)
 
     def shape(self, name: str) -> tuple[int, ...] | None:
         """The shape that a dataset claims to have; None if there is no such dataset."""

@@ -25,7 +25,7 @@ from trueup.core.units import SI_UNIT, conversion
 from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
 from trueup.dataset.importers.beside import plan_with
 from trueup.dataset.importers.clock import common_origin, shifted, usable_clock
-from trueup.dataset.importers.files import data_files, episode_id, file_hash
+from trueup.dataset.importers.files import data_files, episode_id, files_hash
 from trueup.dataset.importers.h5file import H5File, open_h5
 from trueup.dataset.importers.h5names import ANGLES, LAYOUT, find_groups, joint_names
 from trueup.dataset.importers.parts import on_one_clock
@@ -127,7 +127,7 @@ def _load(root: Path, path: Path, name: str, stated: Stated) -> Episode:
             payload_kg=stated.payload_kg,
             condition=stated.condition,
             source=path.relative_to(root).as_posix(),
-            source_hash=file_hash([path]),
+            source_hash=files_hash([path]),
             flags=tuple(flags),
         ),
         measured=with_units(measured, stated.units, joints),

@@ -22,7 +22,7 @@ from trueup.dataset.importers.lerobot_columns import ACTION, STATE, Columns
 from trueup.dataset.importers.lerobot_info import INFO, LeRobotInfo, read_info, read_splits
 from trueup.dataset.importers.lerobot_rows import OWN, EpisodeRow, FrameReader, read_episodes, reading, vectors
 from trueup.dataset.importers.stated import Stated, read_stated, with_units
-from trueup.errors import DataError, NameMismatch
+from trueup.errors import MissingSignal, NameMismatch
 
 NAME = "lerobot"
 LOOKS_FOR = f"a folder with {INFO}"
@@ -57,6 +57,8 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
     info = read_info(path)
     columns = {series: Columns.of(info, series, stated) for series in ("measured", "command")}
     measured, command = columns["measured"], columns["command"]
+    if not measured.joints:
+        raise MissingSignal(f"{path}: {STATE} has no joints", available=info.features)
     if command.joints and not set(command.joints) & set(measured.joints):
         raise NameMismatch(
             f"{path}: {STATE} and {ACTION} have no joint in common",
@@ -75,6 +77,7 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
             names[row.number],
             partial(_load, path, info, row, names[row.number], columns, reader, stated),
             row.length * 4 * sum(feature.width for series in columns.values() for feature in series.features.values()),
+            row.file.relative_to(path).as_posix(),
         )
         for row in rows
     )
@@ -114,8 +117,6 @@ def _load(
         time_s = grid if on_grid else stamps - stamps[0]
         rows, clock_flags = usable_clock(time_s, source=source)
         series = {kind: item.series(table, time_s, source).rows(rows) for kind, item in columns.items() if item.joints}
-    if "measured" not in series:
-        raise DataError(f"{source} has no measured joints", available=columns)
     joints = tuple(joint for item in series.values() for joint in item.joints)
     series = {kind: with_units(item, stated.units, joints) for kind, item in series.items()}
     return Episode(

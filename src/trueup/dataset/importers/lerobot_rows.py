@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 
 from trueup.core.atomic import regular
-from trueup.dataset.importers.files import file_hash
+from trueup.dataset.importers.files import files_hash
 from trueup.dataset.importers.lerobot_info import LeRobotInfo
 from trueup.dataset.shards import believable
 from trueup.errors import DataError, TrueupError
@@ -106,7 +106,7 @@ class FrameReader:
         """SHA-256 of a file, computed once: it holds many episodes."""
         with self._lock:
             if file not in self._hashes:
-                self._hashes[file] = file_hash([file])
+                self._hashes[file] = files_hash([file])
             return self._hashes[file]
 
     def read(self, row: EpisodeRow) -> pa.Table:
@@ -181,10 +181,11 @@ def vectors(table: pa.Table, name: str, width: int, source: str) -> Float[np.nda
 
 
 @contextlib.contextmanager
-def reading(path: Path) -> Iterator[Path]:
+def reading(path: Path) -> Iterator[None]:
     """Turns every failure of the Parquet library into a DataError that names the file."""
     try:
-        yield regular(path)
+        regular(path)
+        yield
     except TrueupError:
         raise
     except FileNotFoundError:

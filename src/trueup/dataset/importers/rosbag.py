@@ -26,7 +26,7 @@ from trueup.dataset.importers.bagseries import choose_clocks, command_series, me
 from trueup.dataset.importers.bagtopics import read_topics
 from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
 from trueup.dataset.importers.beside import plan_with
-from trueup.dataset.importers.files import episode_id, file_hash
+from trueup.dataset.importers.files import episode_id, files_hash
 from trueup.dataset.importers.stated import Stated, read_stated, with_units
 from trueup.errors import DataError, FormatError
 
@@ -113,7 +113,7 @@ def _load(root: Path, path: Path, name: str, options: ImportOptions, stated: Sta
             payload_kg=stated.payload_kg,
             condition=stated.condition,
             source=_relative(path, root),
-            source_hash=file_hash(bag_files(path)),
+            source_hash=files_hash(bag_files(path)),
             flags=flags,
         ),
         measured=with_units(measured, stated.units, joints),

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from trueup.core.parameters import Parameter, Search
+from trueup.core.parameters import Parameter, SearchRange
 from trueup.core.units import joint_unit
 from trueup.identify.candidate import Candidate, Nominal
 
@@ -47,7 +47,7 @@ class Quantity:
     read: Callable[[Nominal, str], float | None]
     write: Callable[[Candidate, str, float], None]
     excite: str
-    search: Search
+    search: SearchRange
     needs: str = ""
     addable: bool = False
     brakes: bool = False

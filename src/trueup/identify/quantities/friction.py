@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from trueup.core.parameters import Search
+from trueup.core.parameters import SearchRange
 from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.drive import Drive
 from trueup.identify.quantities.base import Cause, Quantity
@@ -15,7 +15,14 @@ from trueup.sim import friction_of, set_friction
 
 
 def _own(
-    name: str, label: str, unit: str, excite: str, search: Search, *, cause: Cause = "friction", brakes: bool = False
+    name: str,
+    label: str,
+    unit: str,
+    excite: str,
+    search: SearchRange,
+    *,
+    cause: Cause = "friction",
+    brakes: bool = False,
 ) -> Quantity:
     """The quantity that is a number which MuJoCo's joints have."""
 
@@ -59,10 +66,15 @@ _DRIVES: Mapping[str, tuple[Callable[[Drive], bool], str]] = {
 }
 
 FRICTION: tuple[Quantity, ...] = (
-    _own("damping", "viscous friction", "Nm s/rad", FAST, Search("log", start=0.01, low=1e-6), brakes=True),
-    _own("frictionloss", "Coulomb friction", "Nm", SLOW, Search("log", start=0.02, low=1e-6), brakes=True),
+    _own("damping", "viscous friction", "Nm s/rad", FAST, SearchRange("log", start=0.01, low=1e-6), brakes=True),
+    _own("frictionloss", "Coulomb friction", "Nm", SLOW, SearchRange("log", start=0.02, low=1e-6), brakes=True),
     _own(
-        "armature", "rotor inertia at the joint", "kg m2", _HARDER, Search("log", start=1e-3, low=1e-7), cause="inertia"
+        "armature",
+        "rotor inertia at the joint",
+        "kg m2",
+        _HARDER,
+        SearchRange("log", start=1e-3, low=1e-7),
+        cause="inertia",
     ),
     *(_quantity(number, law) for law in LAWS.values() for number in law.numbers if number.excite),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from trueup.core.parameters import Search
+from trueup.core.parameters import SearchRange
 from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.inertial import COMPONENTS
 from trueup.identify.quantities.base import Quantity
@@ -68,14 +68,14 @@ RIGID_BODY: tuple[Quantity, ...] = (
         _read_mass,
         _write_mass,
         _POSES,
-        Search("log", start=1e-4, low=1e-6, span=10.0, prior_std=0.5),
+        SearchRange("log", start=1e-4, low=1e-6, span=10.0, prior_std=0.5),
     ),
     *(
         Quantity(
             *(f"com_{axis}", f"center of mass, {axis}", "m", "body", "gravity"),
             *_com(index),
             _POSES,
-            Search(low=-2.0, high=2.0, scale=0.02, prior_std=1.0),
+            SearchRange(low=-2.0, high=2.0, scale=0.02, prior_std=1.0),
         )
         for index, axis in enumerate("xyz")
     ),
@@ -84,7 +84,7 @@ RIGID_BODY: tuple[Quantity, ...] = (
         _one,
         _write_inertia_scale,
         _SWING,
-        Search("log", span=20.0, prior_std=0.7),
+        SearchRange("log", span=20.0, prior_std=0.7),
     ),
     *(
         Quantity(
@@ -92,7 +92,7 @@ RIGID_BODY: tuple[Quantity, ...] = (
             _zero,
             _component(name),
             _SWING,
-            Search(low=-3.0, high=3.0, scale=0.3, prior_std=1.0),
+            SearchRange(low=-3.0, high=3.0, scale=0.3, prior_std=1.0),
         )
         for name in COMPONENTS
     ),
@@ -101,7 +101,7 @@ RIGID_BODY: tuple[Quantity, ...] = (
         _zero,
         _carried("mass"),
         "hold and swing the payload in many poses",
-        Search(low=0.0, high=50.0, scale=0.3, prior_std=3.0),
+        SearchRange(low=0.0, high=50.0, scale=0.3, prior_std=3.0),
     ),
     *(
         Quantity(
@@ -109,7 +109,7 @@ RIGID_BODY: tuple[Quantity, ...] = (
             _zero,
             _carried(axis),
             "turn the payload about several axes",
-            Search(low=-0.5, high=0.5, scale=0.03, prior_std=1.0),
+            SearchRange(low=-0.5, high=0.5, scale=0.03, prior_std=1.0),
         )
         for axis in "xyz"
     ),

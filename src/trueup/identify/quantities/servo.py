@@ -7,7 +7,7 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from trueup.core.parameters import Search
+from trueup.core.parameters import SearchRange
 from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.drive import pid_instance
 from trueup.identify.quantities.base import Quantity
@@ -135,14 +135,14 @@ SERVO: tuple[Quantity, ...] = (
         _read_delay,
         _write_delay,
         "let {target} start and reverse quickly",
-        Search(low=0.0, high=0.2, scale=0.02),
+        SearchRange(low=0.0, high=0.2, scale=0.02),
     ),
     Quantity(
         *("kp", "stiffness of the servo", "Nm/rad", "joint", "gains"),
         _term("kp"),
         _write_kp,
         "load {target} by gravity in several poses, or accelerate it hard",
-        Search("log", span=500.0),
+        SearchRange("log", span=500.0),
         needs="a position servo",
     ),
     Quantity(
@@ -150,7 +150,7 @@ SERVO: tuple[Quantity, ...] = (
         _term("kv"),
         _write_kv,
         "drive {target} into its torque limit at speed; elsewhere the servo's damping acts as viscous friction does",
-        Search("log", start=0.1, span=500.0),
+        SearchRange("log", start=0.1, span=500.0),
         needs="a servo",
     ),
     Quantity(
@@ -158,7 +158,7 @@ SERVO: tuple[Quantity, ...] = (
         _term("ki"),
         _write_ki,
         "hold {target} under different loads for seconds",
-        Search("log", span=500.0),
+        SearchRange("log", span=500.0),
         needs="a PID controller with an integral gain",
     ),
     Quantity(
@@ -166,7 +166,7 @@ SERVO: tuple[Quantity, ...] = (
         _term("torque_offset"),
         _write_torque_offset,
         "move {target} slowly in both directions through several poses",
-        Search(low=-50.0, high=50.0, scale=0.5, prior_std=1.0),
+        SearchRange(low=-50.0, high=50.0, scale=0.5, prior_std=1.0),
         needs="a drive other than a plugin",
     ),
     Quantity(
@@ -174,7 +174,7 @@ SERVO: tuple[Quantity, ...] = (
         _term("torque_gain"),
         _write_torque_gain,
         "move {target} against known gravity with large and small torques",
-        Search("log", low=0.05, high=20.0, span=3.0, prior_std=0.3),
+        SearchRange("log", low=0.05, high=20.0, span=3.0, prior_std=0.3),
         needs="a drive that follows torque",
     ),
     Quantity(
@@ -182,7 +182,7 @@ SERVO: tuple[Quantity, ...] = (
         _term("torque_limit"),
         _write_torque_limit,
         "command {target} so fast that its drive saturates",
-        Search("log", span=20.0),
+        SearchRange("log", span=20.0),
         needs="a torque limit in the model, or a `start`",
         addable=True,
     ),
@@ -191,13 +191,13 @@ SERVO: tuple[Quantity, ...] = (
         _read_joint_offset,
         _write_joint_offset,
         "let {target} swing on both sides of its hanging position",
-        Search(low=-0.3, high=0.3, scale=0.05, prior_std=1.0),
+        SearchRange(low=-0.3, high=0.3, scale=0.05, prior_std=1.0),
     ),
     Quantity(
         *("encoder_zero", "zero of the joint, of each recording", "rad", "motion", "gravity"),
         _zero,
         _write_encoder_zero,
         "let {target} swing on both sides of its hanging position",
-        Search(low=-0.3, high=0.3, scale=0.05, prior_std=1.0),
+        SearchRange(low=-0.3, high=0.3, scale=0.05, prior_std=1.0),
     ),
 )

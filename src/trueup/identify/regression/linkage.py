@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Float64, Int
 
-from trueup.errors import ConfigError, DataError, MissingDependency, NameMismatch
+from trueup.errors import ConfigError, DataError, NameMismatch, needing
 from trueup.identify.inertial import Inertial
 from trueup.identify.regression.pseudo_inertia import PARAMETERS, Pose, parameters_of
 
@@ -194,10 +194,6 @@ def _matrix(quaternion: np.ndarray) -> Float64[np.ndarray, "3 3"]:
 
 
 def _pinocchio() -> Any:
-    try:
+    with needing("inverse-dynamics regression", "dynamics"):
         import pinocchio  # an optional dependency
-    except ImportError:
-        raise MissingDependency(
-            "inverse-dynamics regression needs Pinocchio", hint='pip install "trueup[dynamics]"'
-        ) from None
     return pinocchio

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from trueup.core.parameters import Search
+from trueup.core.parameters import SearchRange
 from trueup.robots.friction.law import Law, Number
 
 _EXCITE = "move {target} in both directions at several speeds"
-_SEARCH = Search(low=-0.9, high=0.9, scale=0.1)
+_SEARCH = SearchRange(low=-0.9, high=0.9, scale=0.1)
 
 LAW = Law(
-    (Number("asymmetry", "1", "share by which it is higher in positive direction", _EXCITE, _SEARCH, domain="share"),),
+    (
+        Number(
+            "asymmetry", "1", "friction by direction, share that is more in positive", _EXCITE, _SEARCH, domain="share"
+        ),
+    ),
     formula="all friction, viscous too, times `1 + asymmetry * sign(v)`",
     source="ES thesis, Table 3.1",
 )

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from trueup.core.parameters import Search
+from trueup.core.parameters import SearchRange
 from trueup.robots.friction.law import Law, Number
 
 _EXCITE = "let {target} stop in many poses, from both directions"
-_SEARCH = Search(low=0.0, high=0.2, scale=0.005)
+_SEARCH = SearchRange(low=0.0, high=0.2, scale=0.005)
 
 LAW = Law(
     (Number("dead_band", "rad", "dead band of the servo, half width", _EXCITE, _SEARCH),),

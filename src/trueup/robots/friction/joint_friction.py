@@ -38,7 +38,7 @@ class _Laws:
             number.check(getattr(self, number.name))
 
     @property
-    def brakes(self) -> bool:
+    def on(self) -> bool:
         """Whether a law with a formula is on."""
         return any(True for _ in self._on())
 
@@ -81,6 +81,10 @@ else:
         "JointFriction",
         [(number.name, float, number.default) for number in NUMBERS],
         bases=(_Laws,),
-        namespace={"__module__": __name__, "__doc__": _Laws.__doc__},
+        namespace={
+            "__module__": __name__,
+            "__doc__": f"{_Laws.__doc__}\n    Attributes:\n"
+            + "".join(f"        {number.name}: {number.label} [{number.unit}].\n" for number in NUMBERS),
+        },
         frozen=True,
     )

@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from trueup.core.parameters import Search
+from trueup.core.parameters import SearchRange
 from trueup.errors import ConfigError
 
 # A float where a formula is compiled into the engine, an array where numpy evaluates it.
@@ -20,8 +20,8 @@ Numbers: TypeAlias = Any
 SLOW = "let {target} creep, stop and reverse at low speed"
 FAST = "let {target} pass through its whole range of speeds"
 # How numbers of a kind are looked for.
-TORQUE = Search(low=0.0, high=100.0, scale=0.1, prior_std=3.0)
-SPEED = Search("log", low=1e-3, span=20.0, prior_std=1.0)
+TORQUE = SearchRange(low=0.0, high=100.0, scale=0.1, prior_std=3.0)
+SPEED = SearchRange("log", low=1e-3, span=20.0, prior_std=1.0)
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Number:
     unit: str
     label: str
     excite: str = ""
-    search: Search = TORQUE
+    search: SearchRange = TORQUE
     default: float = 0.0
     domain: Literal["size", "positive", "signed", "share"] = "size"
     brakes: bool = False

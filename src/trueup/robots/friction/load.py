@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from trueup.core.parameters import Search
+from trueup.core.parameters import SearchRange
 from trueup.robots.friction.law import Law, Number, Numbers, Value
 
 _EXCITE = "move {target} in both directions in poses with large and with small gravity load"
@@ -18,7 +18,12 @@ def brake(_v: Value, g: Value, _q: Value, n: Numbers) -> Value:
 LAW = Law(
     (
         Number(
-            "load", "1", "friction per transmitted torque", _EXCITE, Search(low=0.0, high=5.0, scale=0.2), brakes=True
+            "load",
+            "1",
+            "friction per transmitted torque",
+            _EXCITE,
+            SearchRange(low=0.0, high=5.0, scale=0.2),
+            brakes=True,
         ),
     ),
     formula="load * |g|",

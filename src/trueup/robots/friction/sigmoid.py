@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from trueup.core.parameters import Search
+from trueup.core.parameters import SearchRange
 from trueup.robots.friction.law import FAST, SLOW, Law, Number, Numbers, Value
 
 _TURN = "let {target} move slowly in both directions"
-_LEVEL = Search("log", start=0.1, low=1e-4)
-_SLOPE = Search("log", low=0.1, high=1000.0, prior_std=1.5)
-_SHIFT = Search(low=-1.0, high=1.0, scale=0.05)
+_LEVEL = SearchRange("log", start=0.1, low=1e-4)
+_SLOPE = SearchRange("log", low=0.1, high=1000.0, prior_std=1.5)
+_SHIFT = SearchRange(low=-1.0, high=1.0, scale=0.05)
 
 
 def brake(v: Value, _g: Value, _q: Value, n: Numbers) -> Value:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from trueup.core.parameters import Search
+from trueup.core.parameters import SearchRange
 from trueup.robots.friction.law import Law, Number
 
 _EXCITE = "ramp the torque of {{target}} {} until it breaks away"
-_SEARCH = Search(low=0.0, high=100.0, scale=0.5)
+_SEARCH = SearchRange(low=0.0, high=100.0, scale=0.5)
 
 LAW = Law(
     (

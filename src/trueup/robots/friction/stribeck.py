@@ -16,7 +16,7 @@ def brake(v: Value, _g: Value, _q: Value, n: Numbers) -> Value:
 LAW = Law(
     (
         Number("stribeck", "Nm", "static friction above Coulomb friction", SLOW, TORQUE),
-        Number("stribeck_velocity", "rad/s", "speed at which that is down to 1/e", SLOW, SPEED, 0.1, "positive"),
+        Number("stribeck_velocity", "rad/s", "Stribeck friction, speed at 1/e", SLOW, SPEED, 0.1, "positive"),
     ),
     formula="stribeck * exp(-(v / stribeck_velocity)^2)",
     source="Stribeck: static friction lies above Coulomb friction",

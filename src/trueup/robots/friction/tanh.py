@@ -15,7 +15,7 @@ def brake(v: Value, _g: Value, _q: Value, n: Numbers) -> Value:
 LAW = Law(
     (
         Number("tanh_coulomb", "Nm", "smoothed Coulomb friction", FAST, TORQUE, brakes=True),
-        Number("tanh_velocity", "rad/s", "its smoothing; small is sharp", SLOW, SPEED, 0.05, "positive"),
+        Number("tanh_velocity", "rad/s", "smoothed Coulomb friction, width of the step", SLOW, SPEED, 0.05, "positive"),
     ),
     formula="tanh_coulomb * tanh(|v| / tanh_velocity)",
     source="smoothed Coulomb friction",

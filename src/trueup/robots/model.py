@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
@@ -23,16 +25,34 @@ def load_spec(path: Path) -> mujoco.MjSpec:
     Raises:
         ConfigError: missing file, no valid MJCF or URDF, or masses that hang on missing meshes.
     """
-    if not path.is_file():
-        raise ConfigError(f"there is no model at {path}")
-    try:
+    with _reading(path):
         if _root_tag(path) == "robot":
             return mujoco.MjSpec.from_string(_urdf_without_missing_meshes(path))
         spec = mujoco.MjSpec.from_file(str(path))
-    except (ValueError, RuntimeError, mujoco.FatalError, ET.ParseError, LookupError) as error:
-        raise ConfigError(f"{path} is not a model that MuJoCo can read", got=error) from error
     _drop_missing_meshes(spec, path.parent)
     return spec
+
+
+def load_whole_spec(path: Path) -> mujoco.MjSpec:
+    """An editable model of which nothing is left out, for whom shapes matter: a missing mesh keeps it from compiling.
+
+    Raises:
+        ConfigError: missing file, or no valid MJCF or URDF.
+    """
+    with _reading(path):
+        _root_tag(path)
+        return mujoco.MjSpec.from_file(str(path))
+
+
+@contextlib.contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Every failure of the readers, as one that names the file."""
+    if not path.is_file():
+        raise ConfigError(f"there is no model at {path}")
+    try:
+        yield
+    except (ValueError, RuntimeError, mujoco.FatalError, ET.ParseError, LookupError) as error:
+        raise ConfigError(f"{path} is not a model that MuJoCo can read", got=error) from error
 
 
 def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
@@ -47,13 +67,19 @@ def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
         raise ConfigError(f"{path} does not compile", got=error) from error
 
 
-def _root_tag(path: Path) -> str:
+def _root_tag(path: Path, *, folder: Path | None = None, copied: float = 1.0, within: tuple[Path, ...] = ()) -> str:
     """The tag of the root of a file that does not ask, in a line, for more than a computer has.
 
+    Args:
+        path: the file.
+        folder: where the files that it includes are; its own if None.
+        copied: how often the place where it is included is copied.
+        within: the files that include it.
+
     Raises:
-        ConfigError: it does.
+        ConfigError: it does, or one that it includes.
     """
-    root, copies = "", [1.0]
+    root, copies, folder = "", [copied], folder or path.parent
     try:
         for event, element in ET.iterparse(path, events=("start", "end")):  # noqa: S314 - expat caps entity expansion
             root = root or str(element.tag)
@@ -64,6 +90,9 @@ def _root_tag(path: Path) -> str:
             pixels = max(_product(element, "width", "height"), _product(element, "nrow", "ncol"))
             if copies[-1] > _MOST_COPIES or pixels > _MOST_PIXELS:
                 raise ConfigError(f"{path}: <{element.tag}> asks for too much", got=dict(element.attrib))
+            included = folder / element.get("file", "")
+            if element.tag == "include" and included.is_file() and included not in (path, *within):
+                _root_tag(included, folder=folder, copied=copies[-1], within=(path, *within))
     except ET.ParseError:  # MuJoCo reads some files that are no proper XML
         if not root:
             raise

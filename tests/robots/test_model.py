@@ -4,8 +4,8 @@ import pytest
 
 from trueup.errors import ConfigError
 from trueup.robots import ControllerSpec, JointSpec, RobotSpec
+from trueup.robots.model import load_spec
 from trueup.sim import MujocoSimulator
-from trueup.sim.model import load_spec
 
 URDF = """<?xml version="1.0"?>
 <robot name="arm">
