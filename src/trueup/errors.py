@@ -129,16 +129,16 @@ def needing(what: str, extra: str) -> Iterator[None]:
     """Imports of the packages of an extra: `what` needs them.
 
     Raises:
-        MissingDependency: one is not installed.
+        MissingDependency: one is not installed, or broken.
     """
     try:
         yield
-    except ModuleNotFoundError as error:
-        package = str(error.name).partition(".")[0]
+    except ImportError as error:
+        package = str(error.name or error).partition(".")[0]
         if package == "trueup":
             raise
         raise MissingDependency(
-            f"{what} needs {package}, which is not installed", hint=f"pip install 'trueup[{extra}]'"
+            f"{what} needs {package}, which cannot be imported", got=error, hint=f"pip install 'trueup[{extra}]'"
         ) from error
 
 
