@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from trueup.core.timeseries import TimeSeries
 from trueup.errors import DataError, NotIdentifiable
-
-Indicator = Literal["first", "mean", "norm"]
 
 # Of the largest travel of a joint: what moves less does not start. A simulation without noise never rests exactly.
 _SLIGHTEST = 2e-5
@@ -88,29 +85,21 @@ def detect_start(
     return StartDetection(row, float(mean[last] + values[0]), float(deviation[last]))
 
 
-def detect_motion_start(series: TimeSeries, *, indicator: Indicator = "first") -> StartDetection:
-    """Row at which a robot leaves its rest.
+def detect_motion_start(series: TimeSeries) -> StartDetection:
+    """Row at which a robot leaves its rest: that of the joint which leaves it first.
 
-    The thesis averages the positions over the joints first (`mean`), in which joints that move against each other
-    cancel; `first` searches every joint and takes the earliest, `norm` takes the distance from the first pose.
-    Rows with NaN count as the last value before them. A sample counts as moved only beyond one and a half encoder
-    steps, so that a reading that flickers between two steps is a rest, and beyond 0.002 % of the largest travel.
+    The thesis averages the positions over the joints, in which joints that move against each other cancel. Rows with
+    NaN count as the last value before them. A sample counts as moved only beyond one and a half encoder steps, so that
+    a reading that flickers between two steps is a rest, and beyond 0.002 % of the largest travel.
 
     Args:
         series: with positions, (T, J).
-        indicator: `first`, `mean` or `norm`.
 
     Raises:
         MissingSignal: there are no positions.
         DataError: they start with NaN.
     """
-    values = held_over_nan(series["position"].astype(np.float64))
-    if indicator == "mean":
-        columns = values.mean(axis=1, keepdims=True)
-    elif indicator == "norm":
-        columns = np.linalg.norm(values - values[:1], axis=1, keepdims=True)
-    else:
-        columns = values
+    columns = held_over_nan(series["position"].astype(np.float64))
     samples = max(10, round(_REST_S * series.rate_hz))
     slightest = _SLIGHTEST * float(np.ptp(columns, axis=0).max())
     found = [
