@@ -331,13 +331,25 @@ def read_run_info(spec: StoreSpec) -> dict[str, Any]:
 
     Raises:
         FormatError: it is of another version.
+        DataError: what trueup itself reads of it is of another kind.
     """
     path = spec.folder / RUN_NAME
     data = read_json(path)
     found = data.get("schema") if isinstance(data, dict) else type(data).__name__
     if found != RUN_SCHEMA or not isinstance(data.get("info"), dict):
         raise FormatError(f"{path} is of another version", got=found, expected=RUN_SCHEMA)
-    return dict(data["info"])
+    info = dict(data["info"])
+    for key in ("inputs", "provenance"):
+        _check_kind(path, key, info.get(key, {}), dict, "a mapping")
+    for key in ("corrects", "robot"):
+        _check_kind(path, f"inputs: {key}", info.get("inputs", {}).get(key, {}), dict, "a mapping")
+    _check_kind(path, "seconds", info.get("seconds", 0.0), (int, float), "a number")
+    return info
+
+
+def _check_kind(path: Path, key: str, value: object, kind: type | tuple[type, ...], expected: str) -> None:
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise DataError(f"{path}: {key}", got=repr(value), expected=expected)
 
 
 def _start_run(dataset: Path, spec: StoreSpec, label: str, run_info: Mapping[str, Any]) -> None:

@@ -15,7 +15,7 @@ from trueup.core.episode import Episode
 from trueup.core.model_card import ModelCard
 from trueup.core.provenance import provenance
 from trueup.dataset import Dataset, RunWriter
-from trueup.errors import TrueupError
+from trueup.errors import MissingSignal, TrueupError
 from trueup.stages.progress import Track, silent
 
 if TYPE_CHECKING:
@@ -67,8 +67,11 @@ def correct_unless_same(
         track: shows progress.
 
     Raises:
+        MissingSignal: there are no motions.
         TrueupError: no motion could be corrected; what is wrong with the first.
     """
+    if not ids:
+        raise MissingSignal(f"there is no motion whose run {run!r} could be corrected", available=dataset.ids)
     started = time.perf_counter()
     card, base = predictor.card, dataset.run_info(run)
     label = corrected_label(run, card)
