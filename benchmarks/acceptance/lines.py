@@ -219,6 +219,9 @@ REASONS = {
     "Stream.step": "About 2 % of all work on the machine this was measured on takes 1.7 to 2 times as long, a bare "
     "Python loop too, so that the slowest of a hundred steps takes twice the median. The median keeps its bar in every "
     "run. It would take a core of one's own, or a step below 16 us, of which onnxruntime alone needs 13.",
+    "a whole fit of 21 parameters, 2 threads": "What is left to one thread is the linear algebra of a step and the "
+    "choice of the next, a tenth of the time of so small a fit. In five runs the figure was 1.66 to 1.77, while raw "
+    "`mujoco.rollout` on the same two cores gave 1.78 to 2.07: the cores share more on some days than on others.",
 }
 
 

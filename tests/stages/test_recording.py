@@ -159,12 +159,14 @@ groups:
   - {name: single, kind: joint, count: 3, moving: single, velocity_share: [0.8, 1.0]}
   - {name: line, kind: cartesian, count: 1, split: test}
 """
+# Not done before somebody gets to stop it.
+LONG = YAML.replace("count: 3", "count: 60")
 COMMAND = ("-m", "trueup.cli.main", "record", "--control-hz", "200", "--record-hz", "50")
 
 
-def start(folder, out, *, jobs):
+def start(folder, out, *, jobs, plan=YAML):
     """`trueup record` in a process group of its own."""
-    (folder / "six.yaml").write_text(YAML)
+    (folder / "six.yaml").write_text(plan)
     command = [
         sys.executable,
         *COMMAND,
@@ -241,7 +243,7 @@ def test_kill_9_at_any_moment_and_the_same_again_make_the_same_files(whole, tmp_
 def test_no_process_stays_behind(tmp_path, who):
     """Ctrl-C reaches all processes, `kill -9` only one; both end all of them."""
     out = tmp_path / "data"
-    process = start(tmp_path, out, jobs=2)
+    process = start(tmp_path, out, jobs=2, plan=LONG)
     wait_for(MOMENTS["recording"], out, process)
     if who == "all":
         os.killpg(process.pid, signal.SIGINT)
@@ -256,7 +258,9 @@ def test_no_process_stays_behind(tmp_path, who):
         assert process.returncode == 130
         assert "Traceback" not in problems
         assert "What was finished is kept" in problems
-    assert list(Dataset(out).ids) == IDS[: len(Dataset(out))]
+    ids = [*IDS[:2], *(f"single/{number:05d}" for number in range(60)), IDS[-1]]
+    assert list(Dataset(out).ids) == ids[: len(Dataset(out))]
+    assert len(Dataset(out)) < len(ids)
 
 
 def full_disk(*_, **__):

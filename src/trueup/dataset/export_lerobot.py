@@ -11,10 +11,10 @@ import numpy as np
 import pyarrow as pa
 from jaxtyping import Float32
 
-from trueup.core.atomic import appearing
+from trueup.core.atomic import appearing, write_json
 from trueup.core.episode import Episode
 from trueup.core.timeseries import TimeSeries
-from trueup.dataset.lerobot_files import FILES_PER_CHUNK, NumberedFiles, write_json, write_tasks
+from trueup.dataset.lerobot_files import FILES_PER_CHUNK, NumberedFiles, write_tasks
 from trueup.dataset.lerobot_stats import RunningStats, Values, episode_stats, quantiles
 from trueup.errors import ConfigError, DataError, NameMismatch, OutputExists
 

@@ -61,11 +61,6 @@ class NumberedFiles:
             self._writer = None
 
 
-def write_json(path: Path, content: Any) -> None:
-    """Write JSON as LeRobot does; keys keep their order."""
-    path.write_text(json.dumps(content, indent=4, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
-
-
 def write_tasks(path: Path, task: str) -> None:
     """The table of tasks. LeRobot reads it with pandas and expects the task as the index, which pandas finds here."""
     text = {"pandas_type": "unicode", "numpy_type": "object", "metadata": None}

@@ -46,7 +46,8 @@ class Network:
         folder = Path(folder)
         card = ModelCard.load(folder)
         _check_card(card, folder)
-        runtime = _onnxruntime()
+        with needing("running a network", "run"):
+            runtime = importlib.import_module("onnxruntime")
         options = runtime.SessionOptions()
         options.intra_op_num_threads = 1
         options.inter_op_num_threads = 1
@@ -66,11 +67,6 @@ class Network:
             ) from error
         _check_graph(session, card, folder)
         return Network(folder, card, session)
-
-
-def _onnxruntime() -> Any:
-    with needing("running a network", "run"):
-        return importlib.import_module("onnxruntime")
 
 
 def _check_card(card: ModelCard, folder: Path) -> None:

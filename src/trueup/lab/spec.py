@@ -17,6 +17,9 @@ from trueup.errors import ConfigError
 from trueup.lab.simulated_robot import Sensors
 
 PerJoint = tuple[float, ...]
+# Of a relative spread: five units drawn from it already differ by a factor of thousands, and a wider one overflows.
+_WIDEST = 5.0
+_SPREADS = ("mass", "shape", "armature", "spread", "error")
 
 
 @dataclass(frozen=True)
@@ -282,6 +285,8 @@ class LabSpec:
             signed = name in ("friction.sigmoid_shift", "gravity.offset_nm", "payload_offset_m")
             if not np.isfinite(value) or (value < 0 and not signed):
                 raise ConfigError(f"lab: {name}", got=value, expected="a finite number" if signed else ">= 0")
+            if name.rpartition(".")[2] in _SPREADS and value > _WIDEST:
+                raise ConfigError(f"lab: {name} is a relative spread", got=value, expected=f"at most {_WIDEST:g}")
         positive = ("friction.presliding_rad", "friction.stribeck_velocity", "warming.time_constant_s")
         for name, value in _numbers(self):
             if value == 0 and name in (*positive, "physics_step_s", "saturation.torque_nm", "payload_radius_m"):

@@ -57,7 +57,9 @@ class Linkage:
     """
 
     def __init__(self, model: mujoco.MjModel, joints: Sequence[str] | None = None) -> None:
-        self._pin = _pinocchio()
+        with needing("inverse-dynamics regression", "dynamics"):
+            import pinocchio  # an optional dependency
+        self._pin = pinocchio
         self.model = model
         every = tuple(model.joint(number).name for number in range(model.njnt))
         self.joints = tuple(joints) if joints is not None else every
@@ -191,9 +193,3 @@ def _matrix(quaternion: np.ndarray) -> Float64[np.ndarray, "3 3"]:
     flat = np.empty(9)
     mujoco.mju_quat2Mat(flat, quaternion)
     return flat.reshape(3, 3)
-
-
-def _pinocchio() -> Any:
-    with needing("inverse-dynamics regression", "dynamics"):
-        import pinocchio  # an optional dependency
-    return pinocchio
