@@ -251,22 +251,29 @@ def test_two_links_move_as_with_the_formula_applied_by_hand(name, integrator):
 def test_a_link_stops_sticks_and_turns_around_as_integrated_by_hand(name):
     """A weight, a swinging torque, and friction that brakes to a stop within a step but not further."""
     law, loss, damping = LAWS[name], 0.3, 0.05
-    time_s = np.arange(6000) * STEP_S
-    torque = 0.9 * np.sin(4.0 * time_s) * np.cos(0.9 * time_s)
+    time_s = np.arange(4000) * STEP_S
+    torque = 1.07 * np.sin(5.3 * time_s) * np.cos(time_s)
     start = -1.4  # nearly hanging
-    q, v = start, 0.0
-    expected = []
-    for u in torque:
-        weight = WEIGHT * np.cos(q)
-        free = u - weight - law.asymmetry * damping * abs(v)
-        intended = INERTIA * v / STEP_S + free
-        # The load is the weight (one joint has no Coriolis forces). At rest, the side is that of the push.
-        most = braking(law, v or 1e-12 * np.sign(intended), weight, loss)
-        held = np.clip(intended, -most, most)
-        v = v + STEP_S * (free - held - damping * v) / (INERTIA + STEP_S * damping)
-        q = q + STEP_S * v
-        expected.append((q, v))
-    expected_position, expected_speed = np.array(expected).T
+
+    def by_hand(share=1.0):
+        q, v = start, 0.0
+        rows = []
+        for u in torque:
+            weight = WEIGHT * np.cos(q)
+            free = u - weight - law.asymmetry * damping * abs(v)
+            intended = INERTIA * v / STEP_S + free
+            # The load is the weight (one joint has no Coriolis forces). At rest, the side is that of the push.
+            most = share * braking(law, v or 1e-12 * np.sign(intended), weight, loss)
+            held = np.clip(intended, -most, most)
+            v = v + STEP_S * (free - held - damping * v) / (INERTIA + STEP_S * damping)
+            q = q + STEP_S * v
+            rows.append((q, v))
+        return np.array(rows).T
+
+    expected_position, expected_speed = by_hand()
+    # No push that is just not enough to break away, or another processor's rounding would decide.
+    for share in (0.999, 1.001):
+        np.testing.assert_allclose(by_hand(share)[0], expected_position, atol=2e-3)
     assert (np.abs(expected_speed) < 1e-3).mean() > 0.03
     assert np.ptp(np.sign(np.round(expected_speed, 2))) == 2
     model = link(law, gravity=-9.81, damping=damping, frictionloss=loss)
