@@ -17,7 +17,7 @@ part was built. All of it was measured on one commit, `{commit}`, on {date}, in 
 make acceptance
 ```
 
-which writes this page. A figure without a bar is shown for comparison. {verdict}
+which writes this page. A figure without a bar is shown for comparison. {verdict}{notes}
 
 {parts}
 """
@@ -36,6 +36,7 @@ def page(result: Mapping[str, Any]) -> str:
         date=made["created"][:10],
         hours=made["config"]["seconds"] / 3600,
         verdict=_verdict(lines),
+        notes="".join(f"\n\n{note}" for note in result.get("notes", ())),
         parts="\n\n".join(parts),
     )
 
