@@ -20,7 +20,7 @@ from trueup.align.quality import KINDS
 from trueup.cli.main import app, main
 from trueup.dataset.importers import stated
 from trueup.dataset.importers.mapping import ClockColumn, CsvMapping, SeriesColumns, SignalColumns
-from trueup.robots import ControllerSpec, JointSpec, ReplaySpec, RobotSpec, SimulationSpec, shipped_robots
+from trueup.robots import ControllerSpec, JointSpec, MotorSpec, ReplaySpec, RobotSpec, SimulationSpec, shipped_robots
 from trueup.robots.spec import ControllerKind
 
 ROOT = Path(__file__).parent.parent.parent
@@ -160,7 +160,7 @@ def test_every_key_of_a_mapping_is_explained():
 
 
 def test_every_key_of_a_robot_and_every_controller_is_explained():
-    keys = names_of(RobotSpec, JointSpec, ControllerSpec, SimulationSpec, ReplaySpec) - {"folder"}
+    keys = names_of(RobotSpec, JointSpec, ControllerSpec, MotorSpec, SimulationSpec, ReplaySpec) - {"folder"}
     assert not in_a_table("robots", keys)
     assert not in_a_table("robots", get_args(ControllerKind))
     (said,) = re.findall(r"^These come with trueup: (.*?)\.", TEXT["robots"], re.M | re.S)

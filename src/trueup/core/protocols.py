@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -36,11 +37,19 @@ class RolloutResult:
         velocity: (B, N + 1, J) [rad/s or m/s].
         torque: joint torque of the actuators, (B, N + 1, J) [Nm or N]; row k acts from k to k + 1, and the last
             row repeats the one before.
+        further: other signals of the joints, rows as those of `torque`: `current` [A] and `voltage` [V] of a robot
+            whose motor is known, `load` [Nm or N] where the robot's description asks for it.
+        bodies: signals of M bodies where the description asks for them, rows likewise: `body.position`
+            (B, N + 1, M, 3), `body.rotation` (B, N + 1, M, 3, 3) and others.
+        body_names: of the M bodies.
     """
 
     position: Float[np.ndarray, "B N1 J"]
     velocity: Float[np.ndarray, "B N1 J"]
     torque: Float[np.ndarray, "B N1 J"]
+    further: Mapping[str, Float[np.ndarray, "B N1 J"]] = field(default_factory=dict)
+    bodies: Mapping[str, Float[np.ndarray, "B N1 M ..."]] = field(default_factory=dict)
+    body_names: tuple[str, ...] = ()
 
 
 @runtime_checkable

@@ -57,9 +57,14 @@ SI_UNIT = MappingProxyType(
         "torque": "Nm",
         "current": "A",
         "voltage": "V",
+        "load": "Nm",
         "temperature": "degC",
         "body.position": "m",
         "body.rotation": "1",
+        "body.velocity": "m/s",
+        "body.angular_velocity": "rad/s",
+        "body.force": "N",
+        "body.torque": "Nm",
     }
 )
 

@@ -16,7 +16,7 @@ from trueup.core.config import build, read_yaml
 from trueup.errors import ConfigError
 from trueup.robots.friction import JointFriction
 
-ControllerKind = Literal["model", "position", "pd", "pid", "torque", "velocity", "velocity-integrator"]
+ControllerKind = Literal["model", "position", "pd", "pid", "servo", "torque", "velocity", "velocity-integrator"]
 CommandSignal = Literal["position", "velocity", "torque"]
 
 # The signal of the command series that each controller follows.
@@ -24,6 +24,7 @@ COMMAND_SIGNAL: Mapping[str, CommandSignal] = {
     "position": "position",
     "pd": "position",
     "pid": "position",
+    "servo": "position",
     "torque": "torque",
     "velocity": "velocity",
     "velocity-integrator": "velocity",
@@ -56,11 +57,46 @@ class JointSpec:
     torque_limit: float | None = None
 
 
+@dataclass(frozen=True)
+class MotorSpec:
+    """A brushed DC motor behind a gear, as its output shaft feels it; all joints have the same.
+
+    With V the voltage at the motor and w the velocity of the shaft, the current is i = (V - back_emf w) / resistance,
+    and the torque torque_constant i. The inductance is left out: its time constant is below a millisecond.
+
+    Attributes:
+        resistance_ohm: of the winding [ohm].
+        torque_constant_nm_a: torque of the shaft per current, what the gear loses taken off [Nm/A].
+        back_emf_v_s_rad: voltage per velocity of the shaft [V s/rad].
+        voltage_v: largest voltage in both directions [V].
+
+    Raises:
+        ConfigError: a number that makes no motor.
+    """
+
+    resistance_ohm: float
+    torque_constant_nm_a: float
+    back_emf_v_s_rad: float
+    voltage_v: float
+
+    def __post_init__(self) -> None:
+        """Refuse what turns nothing."""
+        for name, value in asdict(self).items():
+            if not 0 < value < float("inf"):
+                raise ConfigError(f"motor: {name}", got=value, expected="a positive number")
+
+    @property
+    def torque_per_volt(self) -> float:
+        """Of a shaft at rest [Nm/V]."""
+        return self.torque_constant_nm_a / self.resistance_ohm
+
+
 # The gain without which a controller does nothing.
 _NEEDED_GAIN: Mapping[str, Literal["kp", "kv"]] = {
     "position": "kp",
     "pd": "kp",
     "pid": "kp",
+    "servo": "kp",
     "velocity": "kv",
     "velocity-integrator": "kp",
 }
@@ -91,13 +127,14 @@ class ControllerSpec:
         kind: `model` uses the actuators of the MJCF as they are; `position` is a servo with gain kp and damping
             kv on the measured velocity; `pd` follows position and, if the command has it, velocity (GapONet
             eq. 10); `pid` is an effort controller with integral, whose derivative acts on the measured velocity
-            (no kick when the command jumps); `torque` passes torque through; `velocity` is a velocity servo;
+            (no kick when the command jumps); `servo` is the same PID with a voltage in place of a torque, which goes
+            into the robot's `motor`; `torque` passes torque through; `velocity` is a velocity servo;
             `velocity-integrator` integrates the velocity into a position target.
         command: signal of the command that is followed; needed for `model` only.
-        kp: position gain [Nm/rad]; higher is stiffer, too high for the time step is unstable.
-        kv: velocity gain [Nm s/rad]; higher damps more.
-        ki: integral gain [Nm/(rad s)], `pid` only.
-        integral_limit: largest torque of the integral [Nm], `pid` only.
+        kp: position gain [Nm/rad; a `servo`'s V/rad]; higher is stiffer, too high for the time step is unstable.
+        kv: velocity gain [Nm s/rad; a `servo`'s V s/rad]; higher damps more.
+        ki: integral gain [Nm/(rad s); a `servo`'s V/(rad s)], `pid` and `servo` only.
+        integral_limit: largest torque of the integral [Nm; a `servo`'s V], `pid` and `servo` only.
         delay_s: the command acts this much later [s], >= 0.
         per_joint: joint name -> gains and delay of a joint that differs.
 
@@ -145,11 +182,16 @@ class SimulationSpec:
         contacts: whether bodies collide; an arm in free space is faster and calmer without.
         gravity_compensation: whether the weight of every body is carried by something that the model leaves out,
             such as the robot's own controller (Franka's does so in torque control).
+        load: also say what each joint gives on to the parts that it moves (SAT, IV-A): the torque of its actuators
+            without what friction and the motor's own inertia take; MuJoCo only.
+        bodies: those whose pose, velocity and wrench are also said, likewise.
     """
 
     timestep_s: float | None = None
     contacts: bool = False
     gravity_compensation: bool = False
+    load: bool = False
+    bodies: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -186,6 +228,7 @@ class RobotSpec:
         simulation: how the engine is run.
         replay: how logs are replayed.
         friction: joint name -> friction law beyond the model's own `damping` and `frictionloss`.
+        motor: of every joint, for the current and voltage in what is replayed; a `servo` needs it.
         description: for people.
         folder: where the YAML was read from.
     """
@@ -200,6 +243,7 @@ class RobotSpec:
     simulation: SimulationSpec = field(default_factory=SimulationSpec)
     replay: ReplaySpec = field(default_factory=ReplaySpec)
     friction: Mapping[str, JointFriction] = field(default_factory=dict)
+    motor: MotorSpec | None = None
     description: str = ""
     folder: Path | None = None
 
@@ -211,6 +255,11 @@ class RobotSpec:
         strangers = [name for name in (*self.scored, *self.controller.per_joint, *self.friction) if name not in names]
         if strangers:
             raise ConfigError(f"robot {self.name!r}: {strangers} are not joints", available=names)
+        if self.controller.kind == "servo" and self.motor is None:
+            raise ConfigError(
+                f"robot {self.name!r}: a servo needs a motor",
+                hint="motor: {resistance_ohm: …, torque_constant_nm_a: …, back_emf_v_s_rad: …, voltage_v: …}",
+            )
         needed = _NEEDED_GAIN.get(self.controller.kind)
         for name in names:
             gains = {gain: self.controller.gain(gain, name) for gain in ("kp", "kv", "ki")}

@@ -1,5 +1,6 @@
 """Physics engines behind one protocol, controllers, friction laws, and replay of logged commands."""
 
+from trueup.sim.blocks import blocks_of as blocks_of
 from trueup.sim.dart_engine import DartSimulator as DartSimulator
 from trueup.sim.engines import ENGINES as ENGINES
 from trueup.sim.engines import make_simulator as make_simulator
@@ -18,6 +19,7 @@ __all__ = [
     "MujocoSimulator",
     "ReplayPlan",
     "ReplaySettings",
+    "blocks_of",
     "friction_of",
     "install_friction",
     "make_simulator",

@@ -89,10 +89,11 @@ class Actuators:
         names = [model.joint(int(model.actuator_trnid[row, 0])).name for row in range(model.nactuator)]
         controller = robot.controller
         gains = np.zeros((3, model.nactuator))
+        unit = robot.motor.torque_per_volt if controller.kind == "servo" and robot.motor else 1.0
         for row in np.flatnonzero(self._plugin):
-            gains[:, row] = [controller.gain(gain, names[row]) for gain in ("kp", "ki", "kv")]
+            gains[:, row] = [unit * controller.gain(gain, names[row]) for gain in ("kp", "ki", "kv")]
         self._kp, self._ki, self._kd = gains
-        largest = np.inf if controller.integral_limit is None else controller.integral_limit
+        largest = np.inf if controller.integral_limit is None else unit * controller.integral_limit
         # The limit is a torque, the state an integral of the error.
         self._windup = np.divide(largest, self._ki, out=np.full(model.nactuator, np.inf), where=self._ki > 0)
 
@@ -165,7 +166,7 @@ def _refuse_others(model: mujoco.MjModel, robot: RobotSpec) -> None:
         plugin = model.actuator_plugin[row] >= 0
         found = {
             "it does not act on a joint": model.actuator_trntype[row] != int(mujoco.mjtTrn.mjTRN_JOINT),
-            "a plugin of the model's own": plugin and robot.controller.kind != "pid",
+            "a plugin of the model's own": plugin and robot.controller.kind not in ("pid", "servo"),
             "its gain is not fixed": not plugin and model.actuator_gaintype[row] != int(mujoco.mjtGain.mjGAIN_FIXED),
             "its bias is neither none nor affine": not plugin
             and model.actuator_biastype[row]

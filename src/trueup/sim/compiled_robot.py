@@ -13,6 +13,7 @@ from jaxtyping import Float, Float64
 from trueup.errors import ConfigError, MissingSignal
 from trueup.robots import RobotSpec, SimulationSpec
 from trueup.robots.model import compile_spec
+from trueup.sim.body_sensors import add_body_sensors
 from trueup.sim.controllers import Channel, attach_controller, torque_limit_of
 from trueup.sim.friction import set_friction
 
@@ -83,6 +84,16 @@ class CompiledRobot:
                 control[:, :, row] = command[signal][:, :, column]
         return control
 
+    def electrics(
+        self, torque: Float64[np.ndarray, "*B J"], velocity: Float64[np.ndarray, "*B J"]
+    ) -> dict[str, Float64[np.ndarray, "*B J"]]:
+        """Current [A] and voltage [V] of the motors; nothing where the robot's motor is not known."""
+        motor = self.robot.motor
+        if motor is None:
+            return {}
+        current = torque / motor.torque_constant_nm_a
+        return {"current": current, "voltage": motor.resistance_ohm * current + motor.back_emf_v_s_rad * velocity}
+
     def digest(self, versions: str) -> str:
         """SHA-256 of the compiled model, controller and options with it, and of the engines' versions."""
         buffer = np.empty(mujoco.mj_sizeModel(self.model), dtype=np.uint8)
@@ -97,7 +108,7 @@ def compile_robot(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path) -> tup
         ConfigError: the model lacks an actuator, or MuJoCo refuses it.
         NameMismatch: a joint is not in the model.
     """
-    channels = attach_controller(spec, robot.controller, robot.joints)
+    channels = attach_controller(spec, robot)
     for name in robot.joint_names:
         kind = spec.joint(name).type
         if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
@@ -108,6 +119,9 @@ def compile_robot(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path) -> tup
             objtype=mujoco.mjtObj.mjOBJ_JOINT,
             objname=name,
         )
+        if robot.simulation.load:
+            _add_load_sensor(spec, name)
+    add_body_sensors(spec, robot.simulation.bodies)
     for name, friction in robot.friction.items():
         set_friction(spec, name, friction)
     _set_options(spec, robot.simulation)
@@ -117,6 +131,23 @@ def compile_robot(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path) -> tup
 def torque_sensor(joint: str) -> str:
     """Name of the sensor of what the actuators do to a joint."""
     return f"trueup.torque.{joint}"
+
+
+def load_sensor(joint: str) -> str:
+    """Name of the sensor of the wrench between a joint's body and its parent, and of the site where it is."""
+    return f"trueup.load.{joint}"
+
+
+def _add_load_sensor(spec: mujoco.MjSpec, name: str) -> None:
+    joint = spec.joint(name)
+    joint.parent.add_site(name=load_sensor(name), pos=joint.pos)
+    hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
+    spec.add_sensor(
+        name=load_sensor(name),
+        type=mujoco.mjtSensor.mjSENS_TORQUE if hinge else mujoco.mjtSensor.mjSENS_FORCE,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        objname=load_sensor(name),
+    )
 
 
 def _set_options(spec: mujoco.MjSpec, simulation: SimulationSpec) -> None:

@@ -9,9 +9,11 @@ import mujoco
 import numpy as np
 
 from trueup.errors import ConfigError, NameMismatch
-from trueup.robots import ControllerSpec, JointSpec
+from trueup.robots import MotorSpec, RobotSpec
 
 PID_PLUGIN = "mujoco.pid"
+# The actuator of a servo that takes no input.
+_BACK_EMF = "back_emf"
 
 # Everything that decides what an actuator does; names, targets and plugins are set where it is made.
 _ACTUATOR_FIELDS = tuple(
@@ -31,9 +33,7 @@ class Channel:
     signal: str
 
 
-def attach_controller(
-    spec: mujoco.MjSpec, controller: ControllerSpec, joints: tuple[JointSpec, ...]
-) -> tuple[Channel, ...]:
+def attach_controller(spec: mujoco.MjSpec, robot: RobotSpec) -> tuple[Channel, ...]:
     """Put the controller into the model and say how commands reach it.
 
     Every kind but `model` replaces all actuators of the model. `torque_limit` of a joint limits the sum of its
@@ -43,6 +43,7 @@ def attach_controller(
         NameMismatch: a joint is not in the model; both lists are printed.
         ConfigError: kind `model`, and a joint has no actuator of its own, or several.
     """
+    controller, joints = robot.controller, robot.joints
     known = {joint.name: joint for joint in spec.joints}
     missing = [joint.name for joint in joints if joint.name not in known]
     if missing:
@@ -61,9 +62,10 @@ def attach_controller(
         return tuple(channel for joint in joints for channel in _own_channels(spec, joint.name, controller.signal))
     for actuator in list(spec.actuators):
         spec.delete(actuator)
-    channels = {joint: _add(spec, controller, joint.name) for joint in joints}
+    channels = {joint: _add(spec, robot, joint.name) for joint in joints}
     for joint, own in channels.items():
-        if joint.torque_limit is not None and len(own) == 1:
+        # A servo's own limit is its voltage.
+        if joint.torque_limit is not None and len(own) == 1 and controller.kind != "servo":
             # The same limit once more, on the actuator: implicit integrators leave out the derivatives of a saturated
             # actuator, not those of a joint at its limit.
             actuator = spec.actuator(own[0].actuator)
@@ -103,6 +105,8 @@ def _own_channels(spec: mujoco.MjSpec, joint: str, signal: str) -> list[Channel]
     pair = [f"{joint}.position", f"{joint}.velocity"]
     if sorted(names) == pair:
         return [Channel(actuator=name, joint=joint, signal=name.rpartition(".")[2]) for name in pair]
+    if sorted(names) == [f"{joint}.{_BACK_EMF}", pair[0]]:
+        names = pair[:1]
     if len(names) != 1 or not names[0]:
         raise ConfigError(
             f"joint {joint!r} needs exactly one named actuator in the model",
@@ -112,7 +116,8 @@ def _own_channels(spec: mujoco.MjSpec, joint: str, signal: str) -> list[Channel]
     return [Channel(actuator=names[0], joint=joint, signal=signal)]
 
 
-def _add(spec: mujoco.MjSpec, controller: ControllerSpec, joint: str) -> list[Channel]:
+def _add(spec: mujoco.MjSpec, robot: RobotSpec, joint: str) -> list[Channel]:
+    controller = robot.controller
     kp, kv, ki = (controller.gain(name, joint) for name in ("kp", "kv", "ki"))
     match controller.kind:
         case "torque":
@@ -137,7 +142,9 @@ def _add(spec: mujoco.MjSpec, controller: ControllerSpec, joint: str) -> list[Ch
             spec.actuator(servo.actuator).dyntype = mujoco.mjtDyn.mjDYN_INTEGRATOR
             return [servo]
         case "pid":
-            return [_pid(spec, joint, kp=kp, ki=ki, kd=kv, limit=controller.integral_limit)]
+            return [_pid(spec, f"{joint}.pid", joint, kp=kp, ki=ki, kd=kv, limit=controller.integral_limit)]
+        case "servo" if robot.motor is not None:
+            return [_servo(spec, robot.motor, joint, kp=kp, ki=ki, kd=kv, limit=controller.integral_limit)]
         case _:
             raise ConfigError(f"unknown controller {controller.kind!r}")
 
@@ -164,15 +171,36 @@ def _affine(spec: mujoco.MjSpec, channel: Channel, *, gain: float, bias: tuple[f
     actuator.biasprm[:3] = bias
 
 
-def _pid(spec: mujoco.MjSpec, joint: str, *, kp: float, ki: float, kd: float, limit: float | None) -> Channel:
+def _servo(
+    spec: mujoco.MjSpec, motor: MotorSpec, joint: str, *, kp: float, ki: float, kd: float, limit: float | None
+) -> Channel:
+    """A voltage within its limits, as the torque that it makes at rest, and what back-EMF takes of that."""
+    volt, name = motor.torque_per_volt, f"{joint}.position"
+    if ki:
+        limit = None if limit is None else volt * limit
+        channel = _pid(spec, name, joint, kp=volt * kp, ki=volt * ki, kd=volt * kd, limit=limit)
+    else:
+        channel = _motor(spec, name, joint, "position")
+        _affine(spec, channel, gain=volt * kp, bias=(0.0, -volt * kp, -volt * kd))
+    actuator = spec.actuator(name)
+    actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+    actuator.forcerange = [-volt * motor.voltage_v, volt * motor.voltage_v]
+    damper = _motor(spec, f"{joint}.{_BACK_EMF}", joint, "")
+    _affine(spec, damper, gain=0.0, bias=(0.0, 0.0, -volt * motor.back_emf_v_s_rad))
+    return channel
+
+
+def _pid(
+    spec: mujoco.MjSpec, name: str, joint: str, *, kp: float, ki: float, kd: float, limit: float | None
+) -> Channel:
     """MuJoCo's own PID plugin: compiled, so that a rollout needs no Python."""
     spec.activate_plugin(PID_PLUGIN)
-    plugin = spec.add_plugin(name=f"{joint}.pid", plugin_name=PID_PLUGIN, active=True)
+    plugin = spec.add_plugin(name=name, plugin_name=PID_PLUGIN, active=True)
     config = {"kp": repr(kp), "ki": repr(ki), "kd": repr(kd)}
     if limit is not None:
         config["imax"] = repr(limit)
     plugin.config = config
-    actuator = _actuator(spec, f"{joint}.pid", joint)
+    actuator = _actuator(spec, name, joint)
     actuator.plugin = plugin
     actuator.actdim = 1 if ki else 0
-    return Channel(actuator=f"{joint}.pid", joint=joint, signal="position")
+    return Channel(actuator=name, joint=joint, signal="position")

@@ -109,7 +109,7 @@ class DartSimulator(CompiledRobot):
                     hint="Take a smaller simulation.timestep_s in robot.yaml, or lower gains.",
                 )
         torque[:, -1] = torque[:, -2]
-        return RolloutResult(position=position, velocity=velocity, torque=torque)
+        return RolloutResult(position, velocity, torque, self.electrics(torque, velocity))
 
     def reset(self, position: Float[np.ndarray, "B J"], velocity: Float[np.ndarray, "B J"]) -> None:
         """Put B independent copies of the robot into these states, at time 0."""

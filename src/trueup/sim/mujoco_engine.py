@@ -17,7 +17,8 @@ from trueup.core.protocols import RolloutRequest, RolloutResult
 from trueup.errors import DataError
 from trueup.robots import RobotSpec
 from trueup.robots.model import load_spec
-from trueup.sim.compiled_robot import ABSURD, CompiledRobot, compile_robot, torque_sensor
+from trueup.sim.body_sensors import BodySensors
+from trueup.sim.compiled_robot import ABSURD, CompiledRobot, compile_robot, load_sensor, torque_sensor
 from trueup.sim.controllers import Channel
 from trueup.sim.friction import has_friction, install
 
@@ -36,6 +37,8 @@ class _Layout:
     qpos: np.ndarray
     qvel: np.ndarray
     torque: np.ndarray
+    load: np.ndarray  # (J, 3) of the wrench's part, or (0, 3)
+    axis: np.ndarray  # (J, 3), in the axes of the body
     integrators: tuple[tuple[int, int], ...]  # (activation, joint column) whose state is a position target
 
 
@@ -55,6 +58,8 @@ class MujocoSimulator(CompiledRobot):
         super().__init__(model, robot, channels)
         self.threads = threads
         self._layout = _layout(model, robot.joint_names, channels)
+        bodies = robot.simulation.bodies
+        self._bodies = BodySensors(model, bodies) if bodies else None
         if has_friction(model):
             install()
         self._data = [mujoco.MjData(model) for _ in range(threads)]
@@ -147,7 +152,19 @@ class MujocoSimulator(CompiledRobot):
         velocity[:, 1:] = state[:, :, 1 + self.model.nq + layout.qvel]
         torque[:, :-1] = sensors[:, :, layout.torque]
         torque[:, -1] = torque[:, -2]
-        return RolloutResult(position=position, velocity=velocity, torque=torque)
+        further = self.electrics(torque, velocity)
+        if layout.load.size:
+            load = np.empty_like(torque)
+            load[:, :-1] = (sensors[:, :, layout.load] * layout.axis).sum(axis=-1)
+            load[:, -1] = load[:, -2]
+            further["load"] = load
+        bodies = {}
+        if self._bodies is not None:
+            bodies = {
+                name: np.concatenate([values, values[:, -1:]], axis=1)
+                for name, values in self._bodies.read(sensors).items()
+            }
+        return RolloutResult(position, velocity, torque, further, bodies, self.robot.simulation.bodies)
 
     def reset(self, position: Float[np.ndarray, "B J"], velocity: Float[np.ndarray, "B J"]) -> None:
         """Put B independent copies of the robot into these states, at time 0."""
@@ -232,5 +249,13 @@ def _layout(model: mujoco.MjModel, joints: tuple[str, ...], channels: tuple[Chan
         qpos=np.array([model.jnt_qposadr[model.joint(name).id] for name in joints]),
         qvel=np.array([model.jnt_dofadr[model.joint(name).id] for name in joints]),
         torque=np.array([model.sensor_adr[model.sensor(torque_sensor(name)).id] for name in joints]),
+        load=_load_places(model, joints),
+        axis=np.array([model.jnt_axis[model.joint(name).id] for name in joints]),
         integrators=tuple(integrators),
     )
+
+
+def _load_places(model: mujoco.MjModel, joints: tuple[str, ...]) -> np.ndarray:
+    known = {model.sensor(number).name: int(model.sensor_adr[number]) for number in range(model.nsensor)}
+    first = [known[load_sensor(name)] for name in joints if load_sensor(name) in known]
+    return np.array(first, int)[:, None] + np.arange(3)

@@ -28,7 +28,8 @@ def replay_episode(episode: Episode, simulator: Simulator, settings: ReplaySetti
         settings: windows, initial velocity and delay.
 
     Returns:
-        `position`, `velocity` and `torque`, (T, J), on the measured clock from the first command on.
+        `position`, `velocity` and `torque`, and `current` and `voltage` of a robot whose motor is known, (T, J), on the
+        measured clock from the first command on.
 
     Raises:
         DataError: the clocks do not overlap, the starting state or the command is not finite, or the simulation

@@ -9,6 +9,7 @@ from trueup.core.episode import Episode
 from trueup.core.hold import SAME_INSTANT_S, held_rows
 from trueup.core.protocols import RolloutRequest, RolloutResult, Simulator
 from trueup.core.timeseries import TimeSeries
+from trueup.core.units import SI_UNIT, joint_unit
 from trueup.core.windows import window_starts
 from trueup.errors import DataError
 from trueup.sim.replay_settings import ReplaySettings
@@ -92,19 +93,27 @@ class ReplayPlan:
         return np.asarray((1.0 - share) * before + share * after)
 
     def series(self, result: RolloutResult) -> TimeSeries:
-        """The simulated `position`, `velocity` and `torque` at the measured stamps."""
+        """The simulated `position`, `velocity`, `torque` and further signals at the measured stamps.
+
+        Signals of bodies are those of the physics step in which a stamp lies.
+        """
         lengths = self.measured.units["position"]
         signals = {
             "position": self.at_stamps(result.position),
             "velocity": self.at_stamps(result.velocity),
             "torque": result.torque[self._window, self._row],
+            **{name: values[self._window, self._row] for name, values in result.further.items()},
         }
         units = {
             "position": lengths,
             "velocity": tuple(f"{unit}/s" for unit in lengths),
             "torque": tuple("N" if unit == "m" else "Nm" for unit in lengths),
+            **{name: tuple(joint_unit(SI_UNIT[name], unit) for unit in lengths) for name in result.further},
         }
-        return TimeSeries(self.measured.time_s, self.measured.joints, signals, units)
+        for name, values in result.bodies.items():
+            signals[name] = values[self._window, self._row]
+            units[name] = (SI_UNIT[name],) * len(result.body_names)
+        return TimeSeries(self.measured.time_s, self.measured.joints, signals, units, result.body_names)
 
     def _count_steps(self, window_s: float | None) -> int:
         clock, starts = self.measured.time_s, self.starts
