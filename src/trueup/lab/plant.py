@@ -18,8 +18,8 @@ import numpy as np
 from trueup.sim.stepping import engine_step
 
 # Rows of the log.
-POSITION, VELOCITY, TORQUE, MOTOR_POSITION, MOTOR_TORQUE, RISE = range(6)
-LOGGED = 6
+POSITION, VELOCITY, TORQUE, MOTOR_POSITION, MOTOR_TORQUE, RISE, CURRENT, VOLTAGE = range(8)
+LOGGED = 8
 
 # A joint with its brake on: stiff enough not to be seen, soft enough for the physics step.
 _BRAKE_STIFFNESS, _BRAKE_DAMPING = 2e4, 50.0
@@ -80,12 +80,16 @@ NUMBERS = np.dtype(
             "copper",
             "kp",
             "kd",
+            "resistance_ohm",
+            "torque_constant_nm_a",
+            "back_emf_v_s_rad",
+            "voltage_limit",
         )
     ]
 )
 # What changes of a joint, besides MuJoCo's own state: `spring` is the torque between motor and link, `drive` that of
 # the motor, `rise` the temperature above the surroundings, `weight` what the compensation gives, `softness` what
-# warmth leaves of friction.
+# warmth leaves of friction; `voltage` and `current` are of a servo.
 JOINT_STATE = np.dtype(
     [
         (name, np.float64)
@@ -99,6 +103,8 @@ JOINT_STATE = np.dtype(
             "rise",
             "weight",
             "softness",
+            "voltage",
+            "current",
         )
     ]
 )
@@ -110,6 +116,7 @@ class Settings(NamedTuple):
     physics_step_s: float
     steps: int
     torque_control: bool
+    servo: bool
     smoothing: float  # share of the way to a new position that the reference goes in one control step
     delay: float  # [control steps]
     jitter: float  # [control steps]
@@ -268,6 +275,13 @@ def _control(engine: Engine, numbers: np.ndarray, settings: Settings, state: Sta
                 + numbers[j].kd * (rate - state.joints[j].motor_velocity)
                 + state.joints[j].weight
             )
+        if settings.servo:
+            # The winding turns the voltage into torque in every physics step.
+            aim = numbers[j].kp * (state.active[0, j] - state.joints[j].motor_position)
+            aim -= numbers[j].kd * state.joints[j].motor_velocity
+            most = numbers[j].voltage_limit
+            state.joints[j].voltage = 0.0 if stopped else min(max(aim, -most), most)
+            continue
         if stopped:
             wanted = state.joints[j].weight
         change = numbers[j].torque_rate
@@ -288,6 +302,10 @@ def _joint_of(friction: Any) -> Any:
         dt, i = settings.physics_step_s, engine.column[j]
         v = engine.qvel[i]
         elastic = numbers[j].stiffness > 0.0
+        if settings.servo:
+            against = numbers[j].back_emf_v_s_rad * state.joints[j].motor_velocity
+            state.joints[j].current = (state.joints[j].voltage - against) / numbers[j].resistance_ohm
+            state.joints[j].drive = numbers[j].torque_constant_nm_a * state.joints[j].current
         drive = state.joints[j].drive
         # The bristle is bent by the motion; what it resists is the direction in which it is bent.
         before = state.joints[j].bristle
@@ -398,6 +416,8 @@ def _loop(step: Any, weigh: Any, receive: Any, control: Any, joint: Any) -> Any:
                 log[k, MOTOR_POSITION, j] = state.joints[j].motor_position
                 log[k, MOTOR_TORQUE, j] = state.joints[j].drive
                 log[k, RISE, j] = state.joints[j].rise
+                log[k, CURRENT, j] = state.joints[j].current
+                log[k, VOLTAGE, j] = state.joints[j].voltage
             state.counters[0] = tick + 1
         return int(orders.command.shape[0])
 

@@ -17,6 +17,8 @@ from trueup.robots import RobotSpec, find_model, load_robot
 from trueup.robots.model import compile_spec, load_spec
 from trueup.sim.stepping import addresses
 
+# Ends of closed chains that are no further apart are together [m or rad].
+_CLOSED = 1e-4
 # Explicit springs are stable up to frequency times step = 2; half of that is still accurate.
 _STIFFEST = 1.0
 
@@ -52,11 +54,20 @@ class Plant:
         return np.asarray(self.data.qvel[self.engine.column])
 
     def place(self, position: Float64[np.ndarray, "J"]) -> None:
-        """Put links and motors at rest into a pose, with springs that carry the weight."""
+        """Put links and motors at rest into a pose, with springs that carry the weight.
+
+        Raises:
+            ConfigError: the pose would open a closed chain.
+        """
         mujoco.mj_resetData(self.model, self.data)
         column, state = self.engine.column, self.state
         self.data.qpos[column] = position
         mujoco.mj_forward(self.model, self.data)
+        apart = np.abs(self.data.efc_pos[: self.data.ne]).max(initial=0.0)
+        if apart > _CLOSED:
+            raise ConfigError(
+                "this pose opens a closed chain", got=f"{apart:.3g} m or rad", hint="Start from the model's own pose."
+            )
         state.joints["spring"][:] = self.data.qfrc_bias[column]
         stiffness = self.numbers["stiffness"]
         twist = np.divide(state.joints["spring"], stiffness, out=np.zeros_like(stiffness), where=stiffness > 0)
@@ -146,9 +157,15 @@ def build_plant(truth: Truth, payload_kg: float) -> Plant:
 def _refuse_other_robot(truth: Truth, robot: RobotSpec, model: mujoco.MjModel) -> None:
     own = [model.joint(index).name for index in range(model.njnt)]
     kinds = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-    if sorted(own) != sorted(robot.joint_names) or not all(kind in kinds for kind in model.jnt_type):
+    # Joints without a motor are those of closed chains; others would fall.
+    others = [name for name in own if name not in robot.joint_names]
+    if (
+        not set(robot.joint_names) <= set(own)
+        or (others and not model.neq)
+        or not all(kind in kinds for kind in model.jnt_type)
+    ):
         raise ConfigError(
-            f"a virtual {robot.name!r} needs a model with its own hinges and slides and no other joints",
+            f"a virtual {robot.name!r} needs a model with its own hinges and slides, others in closed chains",
             got=own,
             expected=list(robot.joint_names),
         )
@@ -224,6 +241,7 @@ def _settings(spec: LabSpec) -> Settings:
         physics_step_s=spec.physics_step_s,
         steps=round(spec.control_step_s / spec.physics_step_s),
         torque_control=spec.controller.kind == "torque",
+        servo=spec.controller.kind == "servo",
         smoothing=float(-np.expm1(-2 * np.pi * spec.controller.cutoff_hz * spec.control_step_s)),
         delay=delay.delay_s / spec.control_step_s if delay.enabled else 0.0,
         jitter=delay.jitter_s / spec.control_step_s if delay.enabled else 0.0,

@@ -26,6 +26,10 @@ class Sensors:
         velocity_step_rad_s: resolution.
         torque_noise_nm: standard deviation.
         torque_step_nm: resolution.
+        current_noise_a: standard deviation, of servos.
+        current_step_a: resolution.
+        voltage_noise_v: standard deviation, of servos.
+        voltage_step_v: resolution.
 
     Raises:
         ConfigError: a negative value.
@@ -37,6 +41,10 @@ class Sensors:
     velocity_step_rad_s: float = 0.0
     torque_noise_nm: float = 0.0
     torque_step_nm: float = 0.0
+    current_noise_a: float = 0.0
+    current_step_a: float = 0.0
+    voltage_noise_v: float = 0.0
+    voltage_step_v: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what is no sensor."""
@@ -50,6 +58,8 @@ class Sensors:
             "position": (self.position_noise_rad, self.position_step_rad),
             "velocity": (self.velocity_noise_rad_s, self.velocity_step_rad_s),
             "torque": (self.torque_noise_nm, self.torque_step_nm),
+            "current": (self.current_noise_a, self.current_step_a),
+            "voltage": (self.voltage_noise_v, self.voltage_step_v),
         }
 
     def sense(
@@ -57,9 +67,9 @@ class Sensors:
     ) -> dict[str, Float64[np.ndarray, "*T J"]]:
         """One reading of each signal at each time; many at once draw the same noise as one after the other."""
         *times, joints = truth["position"].shape
-        drawn = rng.standard_normal((*times, len(self.by_signal), joints))
+        drawn = rng.standard_normal((*times, len(truth), joints))
         reading = {}
-        for index, (signal, (noise, step)) in enumerate(self.by_signal.items()):
+        for index, (signal, (noise, step)) in enumerate((name, self.by_signal[name]) for name in truth):
             values = truth[signal] + noise * drawn[..., index, :]
             reading[signal] = np.round(values / step) * step if step else values
         return reading

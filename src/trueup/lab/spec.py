@@ -195,6 +195,23 @@ class Readings:
 
 
 @dataclass(frozen=True)
+class Winding:
+    """The motors of servos are not those of the data sheet.
+
+    Attributes:
+        enabled: whether the effect is there.
+        resistance: spread of the resistances, relative.
+        torque_constant: spread of torque per current, relative; half of it is the magnets', and goes into the back-EMF.
+        supply_v: what the supply is off by, from unit to unit [V].
+    """
+
+    enabled: bool = True
+    resistance: float = 0.08
+    torque_constant: float = 0.05
+    supply_v: float = 0.3
+
+
+@dataclass(frozen=True)
 class Warming:
     """Joints warm up by the power that friction and windings dissipate, and warm grease brakes less.
 
@@ -222,13 +239,14 @@ class Controller:
 
     Attributes:
         kind: `impedance` follows positions, and velocities if they are written; `torque` adds commanded torques to
-            the weight.
-        stiffness: of the impedance [Nm/rad]; those that come with libfranka.
-        damping: [Nm s/rad].
+            the weight; `servo` turns the error of the position into the voltage of a DC motor, and knows no weight: the
+            `motor` is that of the robot's description.
+        stiffness: of the impedance [Nm/rad], or gain of the servo [V/rad]; those that come with libfranka.
+        damping: likewise [Nm s/rad; V s/rad].
         cutoff_hz: low-pass of positions that come without velocities; libfranka's is 100 Hz.
     """
 
-    kind: Literal["impedance", "torque"] = "impedance"
+    kind: Literal["impedance", "torque", "servo"] = "impedance"
     stiffness: PerJoint = (3000.0, 3000.0, 3000.0, 2500.0, 2500.0, 2000.0, 2000.0)
     damping: PerJoint = (60.0, 60.0, 50.0, 50.0, 30.0, 25.0, 20.0)
     cutoff_hz: float = 100.0
@@ -249,6 +267,7 @@ class LabSpec:
         delay: of commands.
         readings: sensors.
         warming: friction that changes with temperature.
+        winding: motors of servos.
         controller: inside the robot.
         payload_site: site of the model that a payload hangs on.
         payload_offset_m: from the site to the payload's center of mass, along the site's z axis [m].
@@ -271,6 +290,7 @@ class LabSpec:
     delay: Delay = field(default_factory=Delay)
     readings: Readings = field(default_factory=Readings)
     warming: Warming = field(default_factory=Warming)
+    winding: Winding = field(default_factory=Winding)
     controller: Controller = field(default_factory=Controller)
     payload_site: str = "payload"
     payload_offset_m: float = 0.05
@@ -322,7 +342,11 @@ class LabSpec:
         return replace(self, **{name: replace(getattr(self, name), enabled=value) for name, value in on.items()})
 
 
-EFFECTS = ("inertia", "friction", "gravity", "elasticity", "ripple", "saturation", "delay", "readings", "warming")
+# Each has a stream of draws by its place here: new ones come last.
+EFFECTS = (
+    *("inertia", "friction", "gravity", "elasticity", "ripple", "saturation", "delay", "readings", "warming"),
+    "winding",
+)
 
 
 def load_lab(path: Path) -> LabSpec:

@@ -13,7 +13,7 @@ from jaxtyping import Float64
 from trueup.core.atomic import read_json, write_json
 from trueup.core.config import build
 from trueup.errors import ConfigError
-from trueup.lab.spec import EFFECTS, LabSpec
+from trueup.lab.spec import EFFECTS, LabSpec, Winding
 from trueup.robots import RobotSpec, find_model, load_robot
 from trueup.robots.model import compile_spec, load_spec
 
@@ -60,6 +60,10 @@ class JointTruth:
         ripple_phase: of the first harmonic [rad].
         ripple_phase_second: of the second [rad].
         torque_bias_nm: of the torque sensor [Nm].
+        resistance_ohm: of a servo's winding [ohm]; 0 for any other joint.
+        torque_constant_nm_a: torque of the joint per current [Nm/A].
+        back_emf_v_s_rad: [V s/rad].
+        voltage_limit: what the supply gives [V].
     """
 
     motor_inertia: float
@@ -82,6 +86,10 @@ class JointTruth:
     ripple_phase: float = 0.0
     ripple_phase_second: float = 0.0
     torque_bias_nm: float = 0.0
+    resistance_ohm: float = 0.0
+    torque_constant_nm_a: float = 0.0
+    back_emf_v_s_rad: float = 0.0
+    voltage_limit: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -152,6 +160,7 @@ def draw_truth(spec: LabSpec | None = None, *, unit: int = 1) -> Truth:
         **_elasticity(spec, robot, streams["elasticity"]),
         **_ripple(spec, robot, streams["ripple"]),
         **_bias(spec, robot, streams["readings"]),
+        **_winding(spec, robot, streams["winding"]),
     }
     joints = {
         name: JointTruth(**{key: float(values[index]) for key, values in columns.items()})
@@ -298,6 +307,27 @@ def _bias(spec: LabSpec, robot: RobotSpec, rng: np.random.Generator) -> dict[str
     if not spec.readings.enabled:
         return {}
     return {"torque_bias_nm": spec.readings.torque_bias_nm * rng.standard_normal(len(robot.joints))}
+
+
+def _winding(spec: LabSpec, robot: RobotSpec, rng: np.random.Generator) -> dict[str, Float64[np.ndarray, "J"]]:
+    if spec.controller.kind != "servo":
+        return {}
+    motor, size, ones = robot.motor, spec.winding, np.ones(len(robot.joints))
+    if motor is None:
+        raise ConfigError(f"lab: a servo needs the motor of {robot.name!r}", hint="Write `motor` into its robot.yaml.")
+    resistance, magnets, gear = np.exp(rng.standard_normal((3, ones.size)) * _spreads(size))
+    return {
+        "resistance_ohm": motor.resistance_ohm * resistance,
+        "torque_constant_nm_a": motor.torque_constant_nm_a * magnets * gear,
+        "back_emf_v_s_rad": motor.back_emf_v_s_rad * magnets,
+        "voltage_limit": (motor.voltage_v + (size.supply_v * rng.standard_normal() if size.enabled else 0.0)) * ones,
+    }
+
+
+def _spreads(size: Winding) -> Float64[np.ndarray, "3 1"]:
+    """Of resistance, magnets and gear; the last two make the torque constant."""
+    share = size.torque_constant / np.sqrt(2)
+    return np.array([[size.resistance], [share], [share]]) if size.enabled else np.zeros((3, 1))
 
 
 def loaded(truth: Truth, model: mujoco.MjModel, payload_kg: float) -> dict[str, BodyTruth]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from trueup.core.timeseries import TimeSeries, same_units
 from trueup.errors import ConfigError, DataError, MissingSignal, RobotStopped
 from trueup.lab.faults import FOREVER, Fault, stalls
 from trueup.lab.plant import (
+    CURRENT,
     LOGGED,
     MOTOR_POSITION,
     MOTOR_TORQUE,
@@ -20,6 +21,7 @@ from trueup.lab.plant import (
     RISE,
     TORQUE,
     VELOCITY,
+    VOLTAGE,
     Orders,
     compiled,
 )
@@ -28,10 +30,24 @@ from trueup.lab.simulated_robot import Sensors, ticks_until
 from trueup.lab.truth import Truth, draw_truth
 from trueup.sim.compiled_robot import ABSURD
 
+_COMMANDS: Mapping[str, tuple[str, ...]] = {
+    "impedance": ("position", "velocity"),
+    "torque": ("torque",),
+    "servo": ("position",),
+}
 _USUAL_SPEED = 0.5  # of a joint at work [rad/s]
 _MEASURED = {"position": "rad", "velocity": "rad/s", "torque": "Nm"}
-_HIDDEN = {**_MEASURED, "motor_position": "rad", "motor_torque": "Nm", "rise": "K"}
-_ROWS = dict(zip(_HIDDEN, (POSITION, VELOCITY, TORQUE, MOTOR_POSITION, MOTOR_TORQUE, RISE), strict=True))
+_OF_SERVOS = {"position": "rad", "velocity": "rad/s", "current": "A", "voltage": "V"}
+_HIDDEN = {
+    **_MEASURED,
+    "motor_position": "rad",
+    "motor_torque": "Nm",
+    "rise": "K",
+    "current": "A",
+    "voltage": "V",
+}
+_PLACES = (POSITION, VELOCITY, TORQUE, MOTOR_POSITION, MOTOR_TORQUE, RISE, CURRENT, VOLTAGE)
+_ROWS = dict(zip(_HIDDEN, _PLACES, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +55,9 @@ class Execution:
     """What came of a whole command trajectory.
 
     Attributes:
-        measured: `position`, `velocity`, `torque` as the sensors read them; the first row is from before the first
-            command, the last from after the last one, or from the moment of a stop.
+        measured: `position`, `velocity`, `torque` as the sensors read them, of servos `current` and `voltage` in
+            place of the torque; the first row is from before the first command, the last from after the last one, or
+            from the moment of a stop.
         truth: the same signals without sensors, and `motor_position`, `motor_torque`, `rise` (temperature above the
             surroundings). For tests and studies; it belongs into no dataset.
         stopped_s: when a protective stop ended it [s], None if nothing did.
@@ -85,7 +102,8 @@ class VirtualRobot:
         spec = self.truth.spec
         self.joints: tuple[str, ...] = tuple(self.truth.joints)
         self.control_step_s = spec.control_step_s
-        self.command_signals = ("torque",) if spec.controller.kind == "torque" else ("position", "velocity")
+        self.command_signals = _COMMANDS[spec.controller.kind]
+        self._measured = _OF_SERVOS if spec.controller.kind == "servo" else _MEASURED
         self.payload_kg = payload_kg
         self._plant: Plant = build_plant(self.truth, payload_kg)
         self._sensors = spec.readings.sensors if spec.readings.enabled else Sensors()
@@ -155,14 +173,18 @@ class VirtualRobot:
         self._keep_time()
 
     def read(self) -> dict[str, Float64[np.ndarray, "J"]]:
-        """What the sensors said last: `position` and `velocity` of the links, `torque` between motor and link."""
+        """What the sensors said last: `position` and `velocity` of the links, `torque` between motor and link.
+
+        Of servos `current` and `voltage` in place of the torque.
+        """
         return {signal: values.copy() for signal, values in self._reading.items()}
 
     def write(self, command: dict[str, Float[np.ndarray, "J"]]) -> None:
         """Send this command from now on.
 
         Args:
-            command: `position`, and `velocity` if it is known; a torque-controlled robot takes `torque`.
+            command: `position`, and `velocity` if it is known; a torque-controlled robot takes `torque`, a servo
+                `position` alone.
 
         Raises:
             RobotStopped: after a protective stop.
@@ -210,10 +232,10 @@ class VirtualRobot:
         self._keep_time()
         kept = np.arange(0, done + 1, every)
         clock = (start + kept) * self.control_step_s
-        measured = {signal: np.concatenate([before[signal][None], readings[signal]])[kept] for signal in _MEASURED}
+        measured = {name: np.concatenate([before[name][None], readings[name]])[kept] for name in self._measured}
         true = {signal: np.concatenate([true_before[row][None], log[:, row]])[kept] for signal, row in _ROWS.items()}
         return Execution(
-            measured=TimeSeries(clock, self.joints, measured, same_units(_MEASURED, self.joints)),
+            measured=TimeSeries(clock, self.joints, measured, same_units(self._measured, self.joints)),
             truth=TimeSeries(clock, self.joints, true, same_units(_HIDDEN, self.joints)),
             stopped_s=self.now_s() if done < len(rows) else None,
         )
@@ -292,8 +314,10 @@ class VirtualRobot:
         return readings, log
 
     def _sense(self, log: Float64[np.ndarray, "N S J"]) -> dict[str, Float64[np.ndarray, "N J"]]:
-        truth = {signal: log[:, _ROWS[signal]] for signal in _MEASURED}
-        return self._sensors.sense({**truth, "torque": truth["torque"] + self._bias}, self._noise)
+        truth = {signal: log[:, _ROWS[signal]] for signal in self._measured}
+        if "torque" in truth:
+            truth["torque"] = truth["torque"] + self._bias
+        return self._sensors.sense(truth, self._noise)
 
     def _after_losses(
         self, readings: dict[str, Float64[np.ndarray, "N J"]], first: int, chance: Float64[np.ndarray, "N"]
@@ -325,6 +349,8 @@ class VirtualRobot:
             state.joints["motor_position"],
             state.joints["drive"],
             state.joints["rise"],
+            state.joints["current"],
+            state.joints["voltage"],
         )
         return np.stack([np.array(row) for row in rows])
 
