@@ -24,10 +24,11 @@ from benchmarks.table import Row, at_most, shown
 from trueup.augment import Augmentation, AugmentConfig, Task, preset
 from trueup.augment.config import WindowConfig
 from trueup.augment.corrector import Corrector
+from trueup.augment.loss import Loss
 from trueup.augment.networks import build_network
 from trueup.augment.pairs import Pairs, refuse_overlap, write_pairs
 from trueup.augment.scaling import Scaling
-from trueup.augment.training import batch_loss, train
+from trueup.augment.training import train
 from trueup.augment.windows import Windows
 from trueup.core.config import build
 from trueup.core.episode import Episode, EpisodeMeta
@@ -166,13 +167,13 @@ def _batch_seconds(config: AugmentConfig, pairs: Pairs) -> float:
     corrector = _corrector(config)
     kind = torch.optim.RMSprop if config.optimizer.name == "rmsprop" else torch.optim.AdamW
     optimizer = kind(corrector.parameters(), lr=1e-4)
-    weight = torch.full((21,), 1 / 21)
+    of = Loss(config.loss, pairs.outputs, pairs.rate_hz)
     times = []
     for batch, _ in zip(
         Windows(pairs, config.window, config.batch).epoch(np.random.default_rng(0)), range(40), strict=False
     ):
         started = time.perf_counter()
-        loss = batch_loss(corrector, batch, weight)
+        loss = of.of(corrector, batch)
         optimizer.zero_grad()
         loss.backward()
         if config.optimizer.clip:

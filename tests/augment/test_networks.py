@@ -261,7 +261,9 @@ def test_the_loss_is_the_mean_squared_residual_error():
         x = torch.tensor(rng.normal(size=(12, 3, 6)), dtype=torch.float32)
         y = torch.tensor(rng.normal(size=(12, 3, 4)), dtype=torch.float32)
         expected = ((y - corrector(x)) / corrector.loss_scale) ** 2
-        torch.testing.assert_close(corrector.squares(x, y, None), expected, atol=1e-4, rtol=1e-4)
+        out, wanted = corrector.outputs(x, y, None)
+        found = ((out - wanted) * corrector.out_scale / corrector.loss_scale) ** 2
+        torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
 
 
 def test_recurrent_dropout_leaves_prediction_alone_and_changes_training():

@@ -71,7 +71,10 @@ def test_a_moving_average_needs_no_training(run, data, tmp_path):
         (["--method", "lstm"], "there is no such method: got lstm; available: realeasy, realeasy-rt"),
         (["--method", "gru", "--config", "paper"], "no paper has a configuration of this method"),
         (["--run", "dart/stock"], "has no run 'dart/stock': available: mujoco/stock"),
-        (["--signal", "current"], "data: signals: got current; available: position, velocity, torque"),
+        (
+            ["--signal", "temperature"],
+            "data: signals: got temperature; available: position, velocity, torque, current, voltage",
+        ),
         (["--command", "velocity"], "there is no commanded velocity: available: position"),
         (["--device", "cuda"], "torch finds no GPU"),
         (["--epochs", "0"], "epochs: 0 leaves the network untrained"),

@@ -50,7 +50,8 @@ class Task:
         rate_hz: samples per second.
         train: pairs that are fitted.
         val: pairs that choose.
-        limits: (signal, joint) -> lowest and highest value, for normalization and stops.
+        limits: (signal, joint) -> lowest and highest value, for normalization and stops; of none where the network is
+            modular, and its channels are of any joint.
         data_hash: of the dataset.
         asked: hash of what the caller asked for; kept in the card.
         description: for people.
@@ -169,12 +170,15 @@ class Augmentation:
         Raises:
             TrueupError: what `correction.corrected` raises.
         """
-        return corrected(episode, run or self.card.run, self.card, self._computed)
+        run = run or self.card.run
+        return corrected(episode, run, self.card.of_joints(episode.run(run).joints), self._computed)
 
     def _computed(self, x: np.ndarray) -> np.ndarray:
+        """(N, 1, I) to (N, 1, K); the joints of a modular network go through it side by side."""
+        own = np.ascontiguousarray(x).reshape(len(x), -1, len(self.card.inputs))
         with torch.no_grad():
-            out: np.ndarray = self.corrector(torch.from_numpy(np.ascontiguousarray(x))).numpy()
-        return out
+            out: np.ndarray = self.corrector(torch.from_numpy(own)).numpy()
+        return out.reshape(len(x), 1, -1)
 
     def stream(self, *, rate_hz: float, joints: Sequence[str], settings: StreamSettings | None = None) -> Stream:
         """The stateful step for a control loop, by onnxruntime; see `deploy.Stream`."""
@@ -329,6 +333,7 @@ def _card(
         inputs=inputs,
         outputs=outputs,
         states=corrector.states,
+        modular=config.data.modular,
         warmup_steps=warmup_steps(corrector, pairs, task.rate_hz),
         margin=config.margin,
         coverage=config.coverage,

@@ -13,7 +13,7 @@ from trueup.core.config import build, read_yaml
 from trueup.core.model_card import LARGEST_MARGIN
 from trueup.errors import ConfigError
 
-SIGNALS = ("position", "velocity", "torque")
+SIGNALS = ("position", "velocity", "torque", "current", "voltage")
 CHECKPOINT_NAME = "checkpoint.safetensors"
 # From so many val motions on, an output must help beyond chance.
 FEWEST_FOR_CHANCE = 10
@@ -30,7 +30,7 @@ class NetworkConfig:
             the layers are concatenated, those of the last one summed (Realeasy, IV-C).
         history: samples that a network without a state sees.
         history_s: the same in seconds, whatever the rate; over `history` where it is given.
-        heads: of the attention, `transformer` only.
+        heads: of the attention, `transformer` and `sat` only.
         input_dropout: share of the samples that are skipped in training (Realeasy, IV-C).
         recurrent_dropout: share of the state's units that are left out of the recurrence of a batch; `lstm`, `gru`.
         output_activation: `tanh` bounds the output by the range of its joint; with `normalization: limits`.
@@ -62,6 +62,11 @@ class NetworkConfig:
         network_class(self.kind).check(self)
 
     @property
+    def quantiles(self) -> tuple[float, ...]:
+        """That are learned besides; the middle one is the output."""
+        return ()
+
+    @property
     def trained(self) -> bool:
         """Whether there is anything to train."""
         return network_class(self.kind).trained
@@ -78,28 +83,42 @@ class DataConfig:
 
     Attributes:
         signals: those that are corrected; None for all of position, velocity, torque that both sides have.
-        reads: simulated signals that are read besides those that are corrected.
+        reads: simulated signals that are read besides those that are corrected; here, `load` is one.
         command: commanded signals that are read, as how far they are from the simulated ones; () for none, as in the
             papers.
         rate_hz: samples per second; None for the rate of the logs.
+        joints: those that are trained on and corrected; all that are scored if empty.
         normalization: `limits` maps the joints' limits to [0, 1] (Realeasy, IV-B); `statistics` takes mean and
             standard deviation of the train split.
         stops: whether the network is also told how near each joint is to its limits: a simulated joint that leans on
             its stop is carried by it, and its torque says little. For joints whose limits are known.
+        modular: one network for every joint, which so serves joints and robots that it never saw (SAT, IV); it knows
+            nothing of a joint's place or limits.
     """
 
     signals: tuple[str, ...] | None = None
     reads: tuple[str, ...] = ()
     command: tuple[str, ...] = ()
     rate_hz: float | None = None
+    joints: tuple[str, ...] = ()
     normalization: Literal["limits", "statistics"] = "statistics"
     stops: bool = True
+    modular: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse unknown signals."""
-        for name in (*(self.signals or ()), *self.reads, *self.command):
+        """Refuse unknown signals, and what no joint could be told from another by."""
+        if self.modular and (self.stops or self.normalization != "statistics"):
+            raise ConfigError(
+                "data: a modular network knows no limits of joints",
+                got=f"stops: {self.stops}, normalization: {self.normalization}",
+                expected="stops: false, normalization: statistics",
+            )
+        for name in (*(self.signals or ()), *self.command):
             if name not in SIGNALS:
                 raise ConfigError("data: signals", got=name, available=SIGNALS)
+        for name in self.reads:
+            if name not in (*SIGNALS, "load"):
+                raise ConfigError("data: reads", got=name, available=(*SIGNALS, "load"))
         if self.signals == ():
             raise ConfigError("data: signals is empty", expected="at least one, or none at all for all")
         if self.rate_hz is not None and not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
@@ -140,14 +159,24 @@ class LossConfig:
         scale: `simulator` counts errors in units of the simulator's own error of each output, so that no signal
             drowns another; `normalized` in normalized units, as the papers do.
         weights: signal -> weight; 1 where nothing is said.
+        kind: of an error: its square, its absolute value, or how far quantiles are off; these need a network that says
+            them (`network: quantiles`).
+        consistency: weight of the physics-informed term of SAT, eq. 3: how far the added velocity is from the slope of
+            the added position.
     """
 
     target: Literal["residual", "plain"] = "residual"
     scale: Literal["simulator", "normalized"] = "simulator"
     weights: Mapping[str, float] = field(default_factory=dict)
+    kind: Literal["squares", "absolute", "quantile"] = "squares"
+    consistency: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse weights that are none."""
+        if not (math.isfinite(self.consistency) and self.consistency >= 0):
+            raise ConfigError("loss: consistency", got=self.consistency, expected="a number >= 0")
+        if self.consistency and self.target != "residual":
+            raise ConfigError("loss: consistency is one of what is added", got=self.target, expected="residual")
         for name, value in self.weights.items():
             if name not in SIGNALS:
                 raise ConfigError("loss: weights", got=name, available=SIGNALS)
@@ -226,6 +255,11 @@ class AugmentConfig:
         """Refuse numbers that make no training."""
         if self.batch < 1 or self.epochs < 0 or self.stop_after < 0:
             raise ConfigError("batch, epochs, stop_after", got=(self.batch, self.epochs, self.stop_after))
+        if (self.loss.kind == "quantile") != bool(self.network.quantiles):
+            raise ConfigError(
+                "loss: quantile needs a network that says quantiles, and the other way around",
+                got=f"loss: kind: {self.loss.kind}, network: quantiles: {self.network.quantiles}",
+            )
         if not self.network.trained and (
             self.data.normalization != "limits" or self.data.stops or self.loss.target != "residual"
         ):

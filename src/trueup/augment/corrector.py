@@ -89,12 +89,13 @@ class Corrector(nn.Module):
         near = (x[..., self.stop_index] - self.stop_edge) * self.stop_slope
         return torch.cat([normalized, near.clamp(0, _BEYOND)], dim=-1)
 
-    def squares(self, x: Tensor, y: Tensor, lengths: Tensor | None) -> Tensor:
-        """Squared errors in units of the loss, (T, B, K), without the gate: what training minimizes (eq. 9, 10)."""
-        out = self.network(self.read(x), lengths)
+    def outputs(self, x: Tensor, y: Tensor, lengths: Tensor | None) -> tuple[Tensor, Tensor]:
+        """What the network says without the gate, and what it should, normalized, (T, B, K); Realeasy, eq. 9 and 10."""
         known = x[..., self.base] if self.target == "residual" else self.out_center
-        error: Tensor = out - (y - known) / self.out_scale
-        return (error * (self.out_scale / self.loss_scale)) ** 2
+        wanted: Tensor = (y - known) / self.out_scale
+        read = self.read(x)
+        out: Tensor = self.network.learn(read, wanted, lengths) if self.training else self.network(read, lengths)
+        return out, wanted
 
     def set_gate(self, gate: Float64[np.ndarray, "K"]) -> None:
         """Set which outputs are used."""
@@ -110,7 +111,8 @@ class Corrector(nn.Module):
     def exported(self, metadata: Mapping[str, str]) -> bytes:
         """The ONNX model as `core.model_card` describes it."""
         network, graph = self.network, Graph()
-        x = graph.input("x", ["T", "B", len(self.center)])
+        samples: int | str = 1 if network.stepwise else "T"
+        x = graph.input("x", [samples, "B", len(self.center)])
         shapes = [_named(state.shape, state.batch_axis) for state in self.states]
         given = [graph.input(state.name, shape) for state, shape in zip(self.states, shapes, strict=True)]
         seen, after_buffer = x, []
@@ -125,7 +127,7 @@ class Corrector(nn.Module):
         left = origin if near else torch.zeros_like(origin)
         read = self._bounded(graph, seen, origin - left)
         out, after = network.draw_scaled(graph, read, given, scale, -left * scale, self.gate * self.out_scale)
-        graph.output(self._summed(graph, x, out), "y", ["T", "B", network.outputs])
+        graph.output(self._summed(graph, x, out), "y", [samples, "B", network.outputs])
         for state, name, shape in zip(self.states, (*after, *after_buffer), shapes, strict=True):
             graph.output(name, f"{state.name}_out", shape)
         return graph.serialized(metadata)

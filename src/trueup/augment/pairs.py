@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 
@@ -16,9 +16,9 @@ from jaxtyping import Float32, Float64, UInt64
 
 from trueup.augment.channels import Grid, column, gather
 from trueup.core.episode import Episode
-from trueup.core.model_card import Channel
+from trueup.core.model_card import ANY_JOINT, Channel
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
-from trueup.errors import DataError, MissingSignal
+from trueup.errors import DataError, MissingSignal, UnitError
 
 # Samples of a val motion are looked for among those of train in runs of this many changes; encoders of low resolution
 # repeat short ones by chance, so several must be found.
@@ -53,6 +53,7 @@ class Pairs:
         path: the file.
         inputs: I channels.
         outputs: K channels, measured.
+        rate_hz: samples per second.
         motions: where each is.
         marks: for each motion the numbers of its runs of measured samples, as logged; see `refuse_overlap`.
     """
@@ -60,6 +61,7 @@ class Pairs:
     path: Path
     inputs: tuple[Channel, ...]
     outputs: tuple[Channel, ...]
+    rate_hz: float
     motions: tuple[Motion, ...]
     marks: Path
     _open: list[int] = field(default_factory=list)
@@ -109,6 +111,7 @@ def write_pairs(
     inputs: Sequence[Channel],
     outputs: Sequence[Channel],
     rate_hz: float,
+    joints: Sequence[str] = (),
 ) -> Pairs:
     """Bring motions onto one clock each and append them to a file.
 
@@ -119,6 +122,7 @@ def write_pairs(
         inputs: what the network reads.
         outputs: what it corrects; the measured signals are read.
         rate_hz: of the network.
+        joints: for channels of any joint: those that each become a motion of their own.
 
     Raises:
         DataError: a value is not finite, there is no motion, or the disk is full.
@@ -131,20 +135,46 @@ def write_pairs(
         with path.open("wb") as file, marks.open("wb") as marked:
             for episode in episodes:
                 grid = Grid.of(_common(episode, run), rate_hz, f"episode {episode.id!r}")
-                x = gather(episode, run, inputs, grid.time_s)
-                y = _measured(episode, outputs, grid.time_s)
-                _refuse_gaps(episode, x, inputs)
-                _refuse_gaps(episode, y, outputs)
-                file.write(np.concatenate([x, y], axis=1).tobytes())
                 runs = _runs(episode.measured)
-                marked.write(np.array([len(runs)], np.uint64).tobytes() + runs.tobytes())
-                motions.append(Motion(episode.id, episode.meta.condition, at, len(x)))
-                at += len(x)
+                for joint in joints or ("",):
+                    given, wanted = (_of_joint(channels, joint) for channels in (inputs, outputs))
+                    x = gather(episode, run, given, grid.time_s)
+                    y = _measured(episode, wanted, grid.time_s)
+                    _refuse_gaps(episode, x, given)
+                    _refuse_gaps(episode, y, wanted)
+                    file.write(np.concatenate([x, y], axis=1).tobytes())
+                    marked.write(np.array([len(runs)], np.uint64).tobytes() + runs.tobytes())
+                    name = f"{episode.id} {joint}" if joint else episode.id
+                    motions.append(Motion(name, episode.meta.condition, at, len(x)))
+                    at += len(x)
     except OSError as error:  # of these two files: reading has errors of its own
         raise DataError(f"cannot write {path}", got=error.strerror or str(error)) from error
     if not motions:
         raise DataError(f"there is no motion for {path.stem}")
-    return Pairs(path, tuple(inputs), tuple(outputs), tuple(motions), marks)
+    return Pairs(path, tuple(inputs), tuple(outputs), rate_hz, tuple(motions), marks)
+
+
+def any_joint(channels: Sequence[Channel]) -> tuple[Channel, ...]:
+    """The channels of a modular network: each once, of no joint of its own.
+
+    Raises:
+        UnitError: joints have different units, such as hinges and slides.
+    """
+    found: dict[tuple[str, str], Channel] = {}
+    for channel in channels:
+        own = found.setdefault((channel.series, channel.signal), replace(channel, joint=ANY_JOINT))
+        if own.unit != channel.unit:
+            raise UnitError(
+                f"joints of different kinds cannot share a network: {channel.signal} of {channel.joint!r}",
+                got=channel.unit,
+                expected=own.unit,
+                hint="Train one network for the hinges and one for the slides: name the joints.",
+            )
+    return tuple(found.values())
+
+
+def _of_joint(channels: Sequence[Channel], joint: str) -> tuple[Channel, ...]:
+    return tuple(replace(channel, joint=joint) if joint else channel for channel in channels)
 
 
 def _common(episode: Episode, run: str) -> Float64[np.ndarray, "T"]:

@@ -62,6 +62,7 @@ class ResidualSimulator:
     """
 
     def __init__(self, simulator: Simulator, network: Network, *, warmup: bool = False) -> None:
+        network = network.of_joints(simulator.joints)
         card = network.card
         refuse_other_joints(simulator.joints, card, "the simulator")
         _refuse_other_signals(card)

@@ -43,7 +43,8 @@ class Trained:
         Raises:
             TrueupError: what `augment.correction.corrected` raises.
         """
-        return corrected(episode, run, self.card, self._predictor.run)
+        own = self._predictor.of_joints(episode.run(run).joints)
+        return corrected(episode, run, own.card, own.run)
 
     def stream(
         self,

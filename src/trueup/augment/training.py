@@ -10,15 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float64
 from torch import Tensor
 from torch.optim import Optimizer
 
 from trueup.augment.checkpoint import Checkpoint, Epoch, read_checkpoint, save_checkpoint
 from trueup.augment.config import AugmentConfig, OptimizerConfig
 from trueup.augment.corrector import Corrector
+from trueup.augment.loss import Loss, on_device
 from trueup.augment.pairs import Pairs
-from trueup.augment.windows import Batch, Windows, whole_motions
+from trueup.augment.windows import Windows, whole_motions
 from trueup.errors import ConfigError, MissingDependency
 
 # A loss this many times the lowest of an earlier epoch has run away.
@@ -114,8 +114,7 @@ def train(
     if resume and checkpoint.is_file():
         state, best = read_checkpoint(checkpoint, inputs, corrector.network, optimizer)
         history, best_number = list(state.history), state.best
-    # With weights that add up to 1, the sum over outputs is their weighted mean.
-    weight = torch.tensor(_weights(config, train_pairs), dtype=torch.float32, device=place)
+    loss = Loss(config.loss, train_pairs.outputs, train_pairs.rate_hz, config.network.quantiles)
     while len(history) < config.epochs:
         if _is_over(history, best_number, config.stop_after):
             status = "stopped early"
@@ -123,13 +122,13 @@ def train(
         number = len(history) + 1
         started = time.perf_counter()
         with torch.random.fork_rng(devices=[place] if place.type == "cuda" else []):
-            loss, rate = _epoch(corrector, windows, optimizer, config, history, weight, seed, on_progress)
-        val = float(val_loss(corrector, val_pairs, weight)) if math.isfinite(loss) else math.nan
-        if _runs_away(loss, [epoch.train for epoch in history]) or _runs_away(val, [e.val for e in history]):
+            mean, rate = _epoch(corrector, windows, optimizer, config, history, loss, seed, on_progress)
+        val = float(val_loss(corrector, val_pairs, loss)) if math.isfinite(mean) else math.nan
+        if _runs_away(mean, [epoch.train for epoch in history]) or _runs_away(val, [e.val for e in history]):
             status = "diverged"
             break
         improved = val < min((epoch.val for epoch in history), default=math.inf)
-        history.append(Epoch(number, loss, val, rate, time.perf_counter() - started))
+        history.append(Epoch(number, mean, val, rate, time.perf_counter() - started))
         if improved:
             best_number = number
             best = {name: value.detach().clone() for name, value in corrector.network.state_dict().items()}
@@ -170,13 +169,14 @@ def _epoch(
     optimizer: Optimizer,
     config: AugmentConfig,
     history: Sequence[Epoch],
-    weight: Tensor,
+    loss: Loss,
     seed: int,
     on_progress: OnProgress | None,
 ) -> tuple[float, float]:
     """Mean loss and last learning rate of one epoch."""
     corrector.train()
     number = len(history) + 1
+    corrector.network.begin(number, config.epochs)
     torch.manual_seed(np.random.SeedSequence([seed, number]).generate_state(1, np.uint64).astype(np.int64)[0])
     total, rate = 0.0, 0.0
     started = time.perf_counter()
@@ -184,13 +184,13 @@ def _epoch(
         rate = _rate(config, history, done + len(windows) * (number - 1), len(windows))
         for group in optimizer.param_groups:
             group["lr"] = rate
-        loss = batch_loss(corrector, batch, weight)
+        found = loss.of(corrector, batch)
         optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
+        found.backward()  # type: ignore[no-untyped-call]
         if config.optimizer.clip > 0:
             torch.nn.utils.clip_grad_norm_(corrector.parameters(), config.optimizer.clip)
         optimizer.step()
-        total += float(loss.detach())
+        total += float(found.detach())
         if not math.isfinite(total):
             return total, rate
         if on_progress:
@@ -200,33 +200,15 @@ def _epoch(
     return total / len(windows), rate
 
 
-def batch_loss(corrector: Corrector, batch: Batch, weight: Tensor) -> Tensor:
-    """The loss of a batch; `weight` of the outputs adds up to 1, (K,)."""
-    x, y, lengths = _on(corrector, batch)
-    squares = corrector.squares(x, y, lengths) @ weight
-    if lengths is None:
-        return squares.mean()
-    valid = torch.arange(len(x), device=x.device)[:, None] < lengths
-    return (squares * valid).sum() / valid.sum()
-
-
-def val_loss(corrector: Corrector, pairs: Pairs, weight: Tensor) -> float:
+def val_loss(corrector: Corrector, pairs: Pairs, loss: Loss) -> float:
     """The loss over all samples of whole motions, without the gate."""
     corrector.eval()
     total, count = 0.0, 0
     with torch.no_grad():
         for _, batch in whole_motions(pairs, _VAL_BATCH):
-            total += float(batch_loss(corrector, batch, weight)) * int(batch.lengths.sum())
+            total += float(loss.of(corrector, batch)) * int(batch.lengths.sum())
             count += int(batch.lengths.sum())
     return total / count
-
-
-def _on(corrector: Corrector, batch: Batch) -> tuple[Tensor, Tensor, Tensor | None]:
-    """A batch on the corrector's device; no lengths where nothing is padded."""
-    place = corrector.center.device
-    full = bool(np.all(batch.lengths == len(batch.x)))
-    x, y = (torch.from_numpy(values).to(place) for values in (batch.x, batch.y))
-    return x, y, None if full else torch.from_numpy(batch.lengths).to(place)
 
 
 def predictions(corrector: Corrector, pairs: Pairs) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
@@ -235,24 +217,11 @@ def predictions(corrector: Corrector, pairs: Pairs) -> Iterator[tuple[int, np.nd
     base = corrector.base.cpu().numpy()
     with torch.no_grad():
         for numbers, batch in whole_motions(pairs, _VAL_BATCH):
-            x, _, lengths = _on(corrector, batch)
+            x, _, lengths = on_device(corrector, batch)
             y = corrector(x, lengths).cpu().numpy()
             for place, number in enumerate(numbers):
                 rows = batch.lengths[place]
                 yield int(number), batch.x[:rows, place][:, base], y[:rows, place], batch.y[:rows, place]
-
-
-def _weights(config: AugmentConfig, pairs: Pairs) -> Float64[np.ndarray, "K"]:
-    """Weight of each output; they add up to 1, so that the loss is a mean."""
-    signals = list(dict.fromkeys(channel.signal for channel in pairs.outputs))
-    unknown = sorted(set(config.loss.weights) - set(signals))
-    if unknown:
-        raise ConfigError(f"loss: weights of {', '.join(unknown)}, which is not corrected", available=signals)
-    weights = np.array([config.loss.weights.get(channel.signal, 1.0) for channel in pairs.outputs])
-    if weights.sum() <= 0:
-        raise ConfigError("loss: weights leave nothing to learn", got=dict(config.loss.weights))
-    shares: np.ndarray = weights / weights.sum()
-    return shares
 
 
 def _optimizer(parameters: list[torch.nn.Parameter], config: OptimizerConfig) -> Optimizer:

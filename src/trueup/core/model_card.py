@@ -11,14 +11,15 @@ inside. With B copies side by side and any number T of samples:
     y (T, B, K) float32            the corrected output channels, in the card's order
     STATE_out                      the states after the last sample, same shapes
 
-A network that looks into the future (`causal: false`) has no states and takes whole motions.
+A network that looks into the future (`causal: false`) has no states and takes whole motions. A modular one has the
+channels of one joint, called `*`: it takes all joints of a robot side by side, whichever robot it is (`of_joints`).
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -34,6 +35,7 @@ CARD_SCHEMA = "trueup.model/1"
 CARD_NAME = "model.json"
 ONNX_NAME = "model.onnx"
 WEIGHTS_NAME = "weights.safetensors"
+ANY_JOINT = "*"
 # Beyond, an input would be in range whatever it is.
 LARGEST_MARGIN = 1e6
 _HASH = "sha256"
@@ -154,6 +156,7 @@ class ModelCard:
         inputs: I channels.
         outputs: K channels.
         states: what a stream carries; empty if not causal.
+        modular: whether it is a network for a joint, and each joint of a robot goes through it (SAT, IV).
         warmup_steps: samples after a start from which on the state is informative.
         margin: share of a channel's training range by which an input may leave it.
         coverage: share of samples that the intervals are to cover.
@@ -174,6 +177,7 @@ class ModelCard:
     inputs: tuple[Input, ...]
     outputs: tuple[Output, ...]
     states: tuple[State, ...] = ()
+    modular: bool = False
     warmup_steps: int = 0
     margin: float = 0.1
     coverage: float = 0.9
@@ -203,6 +207,26 @@ class ModelCard:
     def base(self) -> Int[np.ndarray, "K"]:
         """For each output the input that it corrects, (K,)."""
         return np.array([output.base for output in self.outputs])
+
+    @property
+    def copies(self) -> int:
+        """How often one robot goes through the network: its joints, where that is modular."""
+        return len(self.joints) if self.modular else 1
+
+    def of_joints(self, joints: Sequence[str]) -> ModelCard:
+        """The card for a robot with these joints: the channels of a modular one for each of them, one after the other.
+
+        Any other card, or one that has joints already, is returned as it is.
+        """
+        if not self.modular or self.joints != (ANY_JOINT,):
+            return self
+        outputs = tuple(
+            replace(output, joint=joint, base=number * len(self.inputs) + output.base)
+            for number, joint in enumerate(joints)
+            for output in self.outputs
+        )
+        inputs = tuple(replace(channel, joint=joint) for joint in joints for channel in self.inputs)
+        return replace(self, joints=tuple(joints), inputs=inputs, outputs=outputs)
 
     def to_json(self) -> dict[str, Any]:
         """The content of model.json, with a hash over all the rest."""

@@ -24,7 +24,7 @@ class Cell:
         network: a causal network.
 
     Attributes:
-        x: the input channels, to be written before a run, (I,).
+        x: the input channels, to be written before a run, (I,); of a modular network joint after joint.
         y: the output channels of the last run, (K,).
     """
 
@@ -33,7 +33,8 @@ class Cell:
         self.x: Float32[np.ndarray, "I"] = np.zeros(len(card.inputs), np.float32)
         self.y: Float32[np.ndarray, "K"] = np.zeros(len(card.outputs), np.float32)
         self._specs = card.states
-        first = np.zeros((1, len(card.inputs)))
+        self._copies = card.copies
+        first = np.zeros((self._copies, self.x.size // self._copies))
         # The bindings hold addresses only: these arrays, x and y must live as long as they do.
         self._states = [{state.name: state.initial(first) for state in card.states} for _ in range(2)]
         self._session = network.session
@@ -46,7 +47,8 @@ class Cell:
         """Put the states to where they are before the first sample, which is in `x`."""
         for state in self._specs:
             # Broadcast over the rows of a buffer that begins full of the first sample.
-            self._states[0][state.name][...] = self.x if state.start == "first" else 0.0
+            first = self.x.reshape(self._copies, -1)
+            self._states[0][state.name][...] = first if state.start == "first" else 0.0
         self._turn = 0
 
     def run(self) -> bool:
@@ -79,8 +81,8 @@ class Cell:
         def bind(place: Any, name: str, tensor: np.ndarray, shape: tuple[int, ...]) -> None:
             place(name, "cpu", 0, np.float32, shape, tensor.ctypes.data)
 
-        bind(binding.bind_input, "x", self.x, (1, 1, self.x.size))
-        bind(binding.bind_output, "y", self.y, (1, 1, self.y.size))
+        for place, name, values in ((binding.bind_input, "x", self.x), (binding.bind_output, "y", self.y)):
+            bind(place, name, values, (1, self._copies, values.size // self._copies))
         for name, tensor in before.items():
             bind(binding.bind_input, name, tensor, tensor.shape)
             bind(binding.bind_output, f"{name}_out", after[name], tensor.shape)

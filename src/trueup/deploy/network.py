@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +68,16 @@ class Network:
         _check_graph(session, card, folder)
         return Network(folder, card, session)
 
+    @property
+    def stepwise(self) -> bool:
+        """Whether it takes one sample at a time only."""
+        samples, *_ = next(tensor.shape for tensor in self.session.get_inputs() if tensor.name == "x")
+        return bool(samples == 1)
+
+    def of_joints(self, joints: Sequence[str]) -> Network:
+        """The network on a robot with these joints; see `ModelCard.of_joints`."""
+        return replace(self, card=self.card.of_joints(joints))
+
 
 def _check_card(card: ModelCard, folder: Path) -> None:
     """What a card must say to be run, beyond what its own constructor checks."""
@@ -84,15 +94,20 @@ def _check_card(card: ModelCard, folder: Path) -> None:
 
 
 def _check_graph(session: Any, card: ModelCard, folder: Path) -> None:
-    """Names, types and shapes of the graph's inputs and outputs are those of the card."""
+    """Names, types and shapes of the graph's inputs and outputs are those of the card.
+
+    A graph with states may take one sample at a time.
+    """
     states = {state.name: _shape(state) for state in card.states}
+    one = any(tensor.name == "x" and list(tensor.shape[:1]) == [1] for tensor in session.get_inputs())
+    samples = 1 if one and states else None
     _check_tensors(
-        f"{folder / ONNX_NAME}, inputs", session.get_inputs(), {"x": (None, None, len(card.inputs)), **states}
+        f"{folder / ONNX_NAME}, inputs", session.get_inputs(), {"x": (samples, None, len(card.inputs)), **states}
     )
     _check_tensors(
         f"{folder / ONNX_NAME}, outputs",
         session.get_outputs(),
-        {"y": (None, None, len(card.outputs)), **{f"{name}_out": shape for name, shape in states.items()}},
+        {"y": (samples, None, len(card.outputs)), **{f"{name}_out": shape for name, shape in states.items()}},
     )
 
 

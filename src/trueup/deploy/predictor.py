@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,10 @@ class Predictor:
     def load(folder: Path | str) -> Predictor:
         """Open a model folder; the errors are those of `Network.load`."""
         return Predictor(Network.load(folder))
+
+    def of_joints(self, joints: Sequence[str]) -> Predictor:
+        """For a robot with these joints; see `ModelCard.of_joints`."""
+        return Predictor(self._network.of_joints(joints))
 
     @property
     def card(self) -> ModelCard:
@@ -66,14 +71,16 @@ class Predictor:
                 f"model {self.card.name!r} cannot read values that are not finite",
                 got=f"{bad.sum()}, the first in {channels[channel].name}, sample {t} of motion {b}",
             )
-        first = x[0].astype(np.float64)
-        feed = {state.name: state.initial(first) for state in self._states}
-        piece = _PIECE if self._states else len(x)
+        # The joints of a modular network stand side by side, like motions.
+        split = (len(x), x.shape[1] * self.card.copies, -1)
+        own = x.reshape(split)
+        feed = {state.name: state.initial(own[0].astype(np.float64)) for state in self._states}
+        piece = 1 if self._network.stepwise else _PIECE if self._states else len(x)
         parts = []
         for start in range(0, len(x), piece):
-            feed["x"] = np.ascontiguousarray(x[start : start + piece], np.float32)
+            feed["x"] = np.ascontiguousarray(own[start : start + piece], np.float32)
             y, *after = self._network.session.run(self._outputs, feed)
             feed |= {state.name: value for state, value in zip(self._states, after, strict=True)}
             parts.append(y)
-        corrected: Float32[np.ndarray, "T B K"] = np.concatenate(parts)
+        corrected: Float32[np.ndarray, "T B K"] = np.concatenate(parts).reshape(*x.shape[:2], -1)
         return corrected

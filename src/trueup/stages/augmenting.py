@@ -12,7 +12,7 @@ import numpy as np
 
 from trueup.augment.config import FEWEST_FOR_CHANCE, SIGNALS, AugmentConfig
 from trueup.core.atomic import json_hash, make_folder
-from trueup.core.model_card import CARD_NAME, Channel
+from trueup.core.model_card import ANY_JOINT, CARD_NAME, Channel
 from trueup.dataset import Dataset
 from trueup.dataset.writer import is_label_part
 from trueup.errors import ConfigError, NameMismatch, needing
@@ -100,7 +100,7 @@ def augment(
     config, out = config or AugmentConfig(), Path(out)
     with needing("training", "learn"):
         from trueup.augment import Augmentation, Task
-        from trueup.augment.pairs import channels_of, refuse_overlap, write_pairs
+        from trueup.augment.pairs import any_joint, channels_of, refuse_overlap, write_pairs
         from trueup.augment.training import find_device
 
     find_device(device)
@@ -137,7 +137,9 @@ def augment(
     inputs, outputs = channels_of(
         first, run, signals=data.signals, reads=data.reads, command=data.command, known=SIGNALS
     )
-    outputs = tuple(channel for channel in outputs if channel.joint in source.scored)
+    outputs = tuple(channel for channel in outputs if channel.joint in _joints(source, config))
+    if data.modular:
+        inputs, outputs, limits = any_joint(inputs), any_joint(outputs), {}
     rate_hz = data.rate_hz or rate_of(first, run)
     with folder.scratch() as scratch, contextlib.ExitStack() as stack:
         pairs = {
@@ -149,6 +151,7 @@ def augment(
                     inputs=inputs,
                     outputs=outputs,
                     rate_hz=rate_hz,
+                    joints=_joints(source, config) if data.modular else (),
                 )
             )
             for split, chosen in ids.items()
@@ -157,7 +160,7 @@ def augment(
         task = Task(
             name=name,
             robot=source.robot,
-            joints=source.joints,
+            joints=(ANY_JOINT,) if data.modular else source.joints,
             run=run,
             rate_hz=rate_hz,
             train=pairs["train"],
@@ -202,6 +205,19 @@ def _drawn(ids: list[tuple[int, str]], count: int, seed: int) -> list[tuple[int,
         raise ConfigError("train_motions", got=count, expected="at least 1")
     order = np.random.default_rng(seed).permutation(len(ids))[:count]
     return [ids[number] for number in sorted(order)]
+
+
+def _joints(source: TrainingData, config: AugmentConfig) -> tuple[str, ...]:
+    """The joints that are trained on and corrected."""
+    strange = [name for name in config.data.joints if name not in source.joints]
+    if strange:
+        raise NameMismatch(
+            f"data: joints {strange} are not in the run",
+            left=config.data.joints,
+            right=source.joints,
+            right_name="run has",
+        )
+    return config.data.joints or source.scored
 
 
 Limits = dict[tuple[str, str], tuple[float, float]]

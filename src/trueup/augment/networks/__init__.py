@@ -23,6 +23,7 @@ _FILES: Mapping[str, str] = {
     "mlp": "perceptron",
     "linear": "perceptron",
     "transformer": "transformer",
+    "sat": "sat",
     "moving-average": "moving_average",
     "moving-average-rt": "moving_average",
 }

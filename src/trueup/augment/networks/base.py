@@ -36,6 +36,7 @@ class Network(nn.Module, ABC):
         outputs: K.
         causal: whether it needs no sample of the future.
         past: samples before the current one that it sees besides.
+        stepwise: whether its graph takes one sample at a time.
         tanh: whether the output is bounded.
     """
 
@@ -44,6 +45,7 @@ class Network(nn.Module, ABC):
     both_ends: ClassVar[bool] = False
     causal: bool = True
     past: int = 0
+    stepwise: bool = False
 
     def __init__(self, config: NetworkConfig, inputs: int, base: Sequence[int], rate_hz: float) -> None:
         del rate_hz
@@ -74,6 +76,18 @@ class Network(nn.Module, ABC):
             states: tensors of the shapes in `states`.
             lengths: valid samples of each of the B motions, (B,); None if all are.
         """
+
+    def begin(self, epoch: int, epochs: int) -> None:
+        """Called before each epoch of a training, the first is 1."""
+
+    def learn(self, x: Tensor, wanted: Tensor, lengths: Tensor | None) -> Tensor:
+        """Outputs in training (T, B, K), where it is known what they should be; `forward`, unless that is of use.
+
+        Several numbers for each output, (T, B, Q, K), are quantiles.
+        """
+        del wanted
+        out: Tensor = self(x, lengths)
+        return out
 
     @abstractmethod
     def draw(self, graph: Graph, x: str, states: Sequence[str]) -> tuple[str, tuple[str, ...]]:

@@ -1,0 +1,145 @@
+"""One network for all joints: it is trained on some, and corrects others, on other robots, in streams and offline alike."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from augment.augment_cases import RATE_HZ, RUN, make_dataset
+from trueup.augment import Augmentation, AugmentConfig
+from trueup.augment.config import DataConfig, NetworkConfig, OptimizerConfig, WindowConfig
+from trueup.augment.networks.sat import SatConfig
+from trueup.augment.trained import Trained
+from trueup.core.model_card import ANY_JOINT, ModelCard
+from trueup.deploy import Network, Stream
+from trueup.errors import ConfigError, MissingSignal, NameMismatch, UnitError
+from trueup.stages import augment, evaluate
+
+LSTM = AugmentConfig(
+    "modular",
+    NetworkConfig("lstm", (16,)),
+    data=DataConfig(stops=False, modular=True),
+    window=WindowConfig("fixed", samples=60, draws=4),
+    optimizer=OptimizerConfig(rate=1e-2),
+    epochs=12,
+)
+SAT = replace(
+    LSTM,
+    network=SatConfig(hidden=(16,), heads=2, history=12, dropout=0.0),
+    epochs=3,
+    window=WindowConfig("fixed", 60, 2),
+)
+THREE = ("left", "right", "lid")
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("modular")
+    data = make_dataset(folder / "two", counts=(16, 12, 3), noise=0.001)
+    models = {}
+    for name, config in {"lstm": LSTM, "sat": SAT}.items():
+        made = augment([data], folder / name, run=RUN, config=config, name=name, jobs=1)
+        models[name] = folder / name, made.augmentation
+    return folder, models
+
+
+@pytest.mark.parametrize("name", ["lstm", "sat"])
+def test_the_card_has_the_channels_of_any_joint(trained, name):
+    card = ModelCard.load(trained[1][name][0])
+    assert (card.modular, card.joints, card.copies) == (True, (ANY_JOINT,), 1)
+    assert {channel.joint for channel in (*card.inputs, *card.outputs)} == {ANY_JOINT}
+    own = card.of_joints(THREE)
+    assert (own.joints, own.copies) == (THREE, 3)
+    width = len(card.inputs)
+    for output in own.outputs:
+        base = own.inputs[output.base]
+        assert (base.signal, base.joint) == (output.signal, output.joint)
+        assert output.base // width == THREE.index(output.joint)
+    assert own.of_joints(("other",)) is own
+    assert ModelCard.from_json(card.to_json()) == card
+
+
+def test_it_helps_on_a_robot_that_it_never_saw(trained):
+    folder, models = trained
+    path = folder / "three"
+    other = make_dataset(path, counts=(1, 1, 12), noise=0.001, joints=THREE, seed=5)
+    found = evaluate(other, [models["lstm"][0]], folder / "out", run=RUN)
+    for joint in THREE:
+        assert found.result.model("lstm").cuts[""]["torque"][joint].factor.low > 2
+    assert any("used here on" in line for line in found.warnings) or found.warnings == ()
+
+
+@pytest.mark.parametrize("name", ["lstm", "sat"])
+def test_a_stream_of_three_joints_is_the_motion_offline(trained, name):
+    folder, models = trained
+    path = folder / f"three-{name}"
+    other = make_dataset(path, counts=(1, 1, 1), noise=0.0, joints=THREE, seed=6)
+    episode = other.episode("test0", runs=[RUN])
+    model = Trained.load(models[name][0])
+    offline = model.predict(episode, RUN)
+    by_torch = Augmentation.load(models[name][0]).predict(episode, RUN)
+    simulated = episode.run(RUN)
+    signals = {channel.signal for channel in model.card.inputs}
+    stream = Stream.load(models[name][0], rate_hz=RATE_HZ, joints=THREE)
+    assert stream.card.joints == THREE
+    for row in range(len(simulated)):
+        step = stream.step({name: simulated[name][row] for name in signals})
+        if step.status.value != "ok":
+            continue
+        for signal in dict.fromkeys(output.signal for output in stream.card.outputs):
+            np.testing.assert_allclose(step[signal], offline[signal][row], atol=1e-4, rtol=1e-5)
+            np.testing.assert_allclose(by_torch[signal][row], offline[signal][row], atol=1e-4, rtol=1e-5)
+    assert step.status.value == "ok"
+
+
+def test_it_is_the_same_network_for_every_joint(trained):
+    """A joint's correction does not depend on the others beside it."""
+    folder, models = trained
+    other = make_dataset(folder / "alone", counts=(1, 1, 1), joints=THREE, seed=7)
+    episode = other.episode("test0", runs=[RUN])
+    model = Trained.load(models["lstm"][0])
+    whole = model.predict(episode, RUN)
+    alone = replace(
+        episode,
+        measured=episode.measured.select(["lid"]),
+        command=episode.command.select(["lid"]),
+        simulated={RUN: episode.run(RUN).select(["lid"])},
+    )
+    np.testing.assert_allclose(model.predict(alone, RUN)["torque"][:, 0], whole["torque"][:, 2], atol=1e-6)
+
+
+def test_some_joints_are_trained_on(trained, tmp_path):
+    folder, _ = trained
+    from trueup.dataset import Dataset
+
+    data = Dataset(folder / "two")
+    config = replace(LSTM, epochs=1, data=replace(LSTM.data, joints=("lift",)))
+    made = augment([data], tmp_path / "one", run=RUN, config=config, jobs=1)
+    assert made.augmentation.card.provenance["training"]["motions"]["train"] == 16
+    with pytest.raises(NameMismatch, match="elbow"):
+        augment(
+            [data], tmp_path / "none", run=RUN, config=replace(config, data=replace(config.data, joints=("elbow",)))
+        )
+    with pytest.raises(MissingSignal, match="load"):
+        augment([data], tmp_path / "load", run=RUN, config=replace(config, data=replace(config.data, reads=("load",))))
+
+
+def test_hinges_and_slides_are_two_kinds():
+    from trueup.augment.pairs import any_joint
+    from trueup.core.model_card import Channel
+
+    with pytest.raises(UnitError, match="different kinds"):
+        any_joint([Channel("position", "a", "rad"), Channel("position", "b", "m")])
+
+
+def test_a_modular_network_knows_no_limits():
+    with pytest.raises(ConfigError, match="knows no limits"):
+        DataConfig(modular=True)
+    with pytest.raises(ConfigError, match="knows no limits"):
+        DataConfig(modular=True, stops=False, normalization="limits")
+
+
+def test_a_graph_of_single_steps_says_so(trained):
+    _, models = trained
+    assert Network.load(models["sat"][0]).stepwise
+    assert not Network.load(models["lstm"][0]).stepwise

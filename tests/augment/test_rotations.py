@@ -1,0 +1,67 @@
+"""Orientations in six numbers: any six are a rotation, and a rotation comes back as it was."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from trueup.augment.rotations import rotation_of, six_of
+
+NUMBERS = st.lists(st.floats(-1e30, 1e30, width=64), min_size=6, max_size=6)
+
+
+def is_rotation(matrix, tolerance=1e-9):
+    np.testing.assert_allclose(matrix.T @ matrix, np.eye(3), atol=tolerance)
+    assert np.linalg.det(matrix) == pytest.approx(1.0, abs=tolerance)
+
+
+@given(NUMBERS)
+def test_any_six_numbers_are_a_rotation(six):
+    is_rotation(rotation_of(torch.tensor(six, dtype=torch.float64)).numpy())
+
+
+@pytest.mark.parametrize(
+    "six",
+    [
+        [0, 0, 0, 0, 0, 0],
+        [1, 2, 3, 2, 4, 6],
+        [1, 2, 3, -1, -2, -3],
+        [0, 0, 0, 1, 0, 0],
+        [1e-30, 0, 0, 0, 1e-30, 0],
+        [1, 0, 0, 1, 1e-13, 0],
+        [1e300, 1e300, 0, -1e300, 1e300, 1e-300],
+    ],
+)
+def test_six_numbers_that_say_nothing_are_one_too(six):
+    is_rotation(rotation_of(torch.tensor(six, dtype=torch.float64)).numpy())
+
+
+def test_a_rotation_comes_back():
+    rotations = Rotation.random(200, rng=3).as_matrix()
+    six = six_of(torch.tensor(rotations))
+    assert six.shape == (200, 6)
+    np.testing.assert_allclose(rotation_of(six).numpy(), rotations, atol=1e-12)
+    np.testing.assert_array_equal(six[0].numpy(), [*rotations[0, :, 0], *rotations[0, :, 1]])
+
+
+def test_gram_schmidt_keeps_the_first_column_and_the_plane_of_both():
+    rng = np.random.default_rng(0)
+    first, second = rng.normal(size=(2, 50, 3))
+    made = rotation_of(torch.tensor(np.concatenate([first, second], axis=1))).numpy()
+    np.testing.assert_allclose(np.cross(made[:, :, 0], first), 0, atol=1e-12)
+    np.testing.assert_allclose((made[:, :, 2] * second).sum(axis=1), 0, atol=1e-12)
+    assert ((made[:, :, 1] * second).sum(axis=1) > 0).all()
+
+
+def test_its_gradient_is_that_of_differences():
+    rng = np.random.default_rng(1)
+    six = torch.tensor(rng.normal(size=(4, 6)), requires_grad=True)
+    assert torch.autograd.gradcheck(rotation_of, six)
+
+
+def test_gradients_of_numbers_that_say_nothing_are_finite():
+    six = torch.zeros(6, dtype=torch.float64, requires_grad=True)
+    rotation_of(six).sum().backward()
+    assert torch.isfinite(six.grad).all()
