@@ -63,13 +63,9 @@ class Loss:
         total = _mean(each, valid)
         if self._consistency and len(x) > 1:
             both = None if valid is None else valid[1:]
-            said = out[..., self._middle, :] if len(self._quantiles) and out.ndim == 4 else out
+            said = out[..., len(self._quantiles) // 2, :] if out.ndim == 4 else out  # the median
             total = total + self._consistency * _mean(self._apart(said * corrector.out_scale, corrector), both)
         return total
-
-    @property
-    def _middle(self) -> int:
-        return len(self._quantiles) // 2
 
     def _each(self, out: Tensor, wanted: Tensor, unit: Tensor) -> Tensor:
         """The loss of each output, (T, B, K)."""

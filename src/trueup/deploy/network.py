@@ -71,8 +71,7 @@ class Network:
     @property
     def stepwise(self) -> bool:
         """Whether it takes one sample at a time only."""
-        samples, *_ = next(tensor.shape for tensor in self.session.get_inputs() if tensor.name == "x")
-        return bool(samples == 1)
+        return _takes_one(self.session)
 
     def of_joints(self, joints: Sequence[str]) -> Network:
         """The network on a robot with these joints; see `ModelCard.of_joints`."""
@@ -99,8 +98,7 @@ def _check_graph(session: Any, card: ModelCard, folder: Path) -> None:
     A graph with states may take one sample at a time.
     """
     states = {state.name: _shape(state) for state in card.states}
-    one = any(tensor.name == "x" and list(tensor.shape[:1]) == [1] for tensor in session.get_inputs())
-    samples = 1 if one and states else None
+    samples = 1 if _takes_one(session) and states else None
     _check_tensors(
         f"{folder / ONNX_NAME}, inputs", session.get_inputs(), {"x": (samples, None, len(card.inputs)), **states}
     )
@@ -109,6 +107,10 @@ def _check_graph(session: Any, card: ModelCard, folder: Path) -> None:
         session.get_outputs(),
         {"y": (samples, None, len(card.outputs)), **{f"{name}_out": shape for name, shape in states.items()}},
     )
+
+
+def _takes_one(session: Any) -> bool:
+    return any(tensor.name == "x" and list(tensor.shape[:1]) == [1] for tensor in session.get_inputs())
 
 
 def _check_tensors(what: str, found: Sequence[Any], expected: Mapping[str, _Shape]) -> None:

@@ -55,7 +55,6 @@ class BodySensors:
     """
 
     def __init__(self, model: mujoco.MjModel, bodies: Sequence[str]) -> None:
-        self.names = tuple(bodies)
         numbers = [model.body(name).id for name in bodies]
         self._mass = model.body_mass[numbers]
         self._inertia = model.body_inertia[numbers]
@@ -93,10 +92,7 @@ def _name(body: str, quantity: str) -> str:
 
 
 def _matrices(quaternion: Float64[np.ndarray, "*B 4"]) -> Float64[np.ndarray, "*B 3 3"]:
-    w, x, y, z = np.moveaxis(quaternion, -1, 0)
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    from scipy.spatial.transform import Rotation  # takes 0.1 s that robots without such sensors do not need
+
+    matrices = Rotation.from_quat(quaternion.reshape(-1, 4), scalar_first=True).as_matrix()
+    return np.asarray(matrices).reshape(*quaternion.shape[:-1], 3, 3)

@@ -137,7 +137,8 @@ def augment(
     inputs, outputs = channels_of(
         first, run, signals=data.signals, reads=data.reads, command=data.command, known=SIGNALS
     )
-    outputs = tuple(channel for channel in outputs if channel.joint in _joints(source, config))
+    joints = _joints(source, config)
+    outputs = tuple(channel for channel in outputs if channel.joint in joints)
     if data.modular:
         inputs, outputs, limits = any_joint(inputs), any_joint(outputs), {}
     rate_hz = data.rate_hz or rate_of(first, run)
@@ -151,7 +152,7 @@ def augment(
                     inputs=inputs,
                     outputs=outputs,
                     rate_hz=rate_hz,
-                    joints=_joints(source, config) if data.modular else (),
+                    joints=joints if data.modular else (),
                 )
             )
             for split, chosen in ids.items()

@@ -183,3 +183,9 @@ def draw_linear(graph: Graph, layer: nn.Module, x: str) -> str:
     assert isinstance(layer, nn.Linear)
     x = graph.add("MatMul", x, graph.floats(layer.weight.detach().T.numpy()))
     return graph.add("Add", x, graph.floats(layer.bias.detach().numpy()))
+
+
+def draw_norm(graph: Graph, norm: nn.LayerNorm, x: str) -> str:
+    """The node of a normalization of the last axis."""
+    parts = (graph.floats(part.detach().numpy()) for part in (norm.weight, norm.bias))
+    return graph.add("LayerNormalization", x, *parts, axis=-1, epsilon=norm.eps)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from trueup.augment.graph import Graph
+from trueup.augment.networks.base import draw_norm
 
 
 class Gated(nn.Module):
@@ -25,7 +26,7 @@ class Gated(nn.Module):
     def draw(self, graph: Graph, x: str, skipped: str) -> str:
         """The same as nodes, (B, inputs) and (B, width)."""
         gated = _draw_glu(graph, draw_gemm(graph, self.both, x))
-        return _draw_norm(graph, self.norm, graph.add("Add", gated, skipped))
+        return draw_norm(graph, self.norm, graph.add("Add", gated, skipped))
 
 
 class GatedResidual(nn.Module):
@@ -83,7 +84,7 @@ class VariableSelection(nn.Module):
         said = graph.add("Elu", graph.add("Add", said, graph.floats(self.offset.detach().numpy()[:, None])))
         both = graph.add("MatMul", said, graph.floats(self.inner.detach().numpy()))
         both = graph.add("Add", both, graph.floats(self.inner_offset.detach().numpy()[:, None]))
-        normed = _draw_norm(graph, self.norm, graph.add("Add", said, _draw_glu(graph, both)))
+        normed = draw_norm(graph, self.norm, graph.add("Add", said, _draw_glu(graph, both)))
         weights = graph.add("Unsqueeze", graph.add("Transpose", shares, perm=[1, 0]), last)
         return graph.add("ReduceSum", graph.add("Mul", normed, weights), first, keepdims=0)
 
@@ -178,8 +179,3 @@ def draw_gemm(graph: Graph, layer: nn.Linear, x: str) -> str:
 def _draw_glu(graph: Graph, x: str) -> str:
     value, gate = graph.add_many("Split", [x], 2, axis=-1)
     return graph.add("Mul", value, graph.add("Sigmoid", gate))
-
-
-def _draw_norm(graph: Graph, norm: nn.LayerNorm, x: str) -> str:
-    parts = (graph.floats(part.detach().numpy()) for part in (norm.weight, norm.bias))
-    return graph.add("LayerNormalization", x, *parts, axis=-1, epsilon=norm.eps)

@@ -95,7 +95,7 @@ class Recurrent(Network):
         per_layer = 2 if self.cell == "lstm" else 1
         for number, size in enumerate(self.hidden):
             layers = [self.forwards[number], *(self.backwards[number : number + 1])]
-            weights = [self._weights(layer) for layer in layers]
+            weights = [onnx_weights(layer, self.cell) for layer in layers]
             before = list(states[number * per_layer : (number + 1) * per_layer])
             made = graph.add_many(
                 self.cell.upper(),
@@ -132,16 +132,17 @@ class Recurrent(Network):
         out, after = scaled.draw(graph, x, states)
         return graph.add("Mul", out, graph.floats(outputs.numpy())) if self.tanh else out, after
 
-    def _weights(self, layer: nn.Module) -> tuple[Tensor, Tensor, Tensor]:
-        """Input weights, recurrent weights and both biases with the gates in the order of ONNX."""
-        order = _GATES[self.cell]
 
-        def arranged(name: str) -> Tensor:
-            parts = getattr(layer, name).detach().chunk(len(order))
-            return torch.cat([parts[gate] for gate in order])
+def onnx_weights(layer: nn.Module, cell: str) -> tuple[Tensor, Tensor, Tensor]:
+    """Input weights, recurrent weights and both biases of an `lstm` or `gru`, gates in the order of ONNX."""
+    order = _GATES[cell]
 
-        biases = torch.cat([arranged("bias_ih_l0"), arranged("bias_hh_l0")])
-        return arranged("weight_ih_l0"), arranged("weight_hh_l0"), biases
+    def arranged(name: str) -> Tensor:
+        parts = getattr(layer, name).detach().chunk(len(order))
+        return torch.cat([parts[gate] for gate in order])
+
+    biases = torch.cat([arranged("bias_ih_l0"), arranged("bias_hh_l0")])
+    return arranged("weight_ih_l0"), arranged("weight_hh_l0"), biases
 
 
 def _turn(samples: int, lengths: Tensor | None) -> Tensor:

@@ -27,6 +27,7 @@ from trueup.augment.config import (
 from trueup.augment.graph import Graph
 from trueup.augment.networks.base import Network, States
 from trueup.augment.networks.fusion import Attention, Gated, GatedResidual, VariableSelection, draw_gemm
+from trueup.augment.networks.recurrent import onnx_weights
 from trueup.core.model_card import State
 from trueup.errors import ConfigError
 
@@ -320,14 +321,7 @@ def _draw_dense(graph: Graph, layers: nn.Sequential, x: str) -> str:
 
 def _draw_lstm(graph: Graph, lstm: nn.LSTM, x: str, hidden: str, cell: str) -> tuple[str, str]:
     """Hidden state and cell (1, B, W) after one sample (B, W)."""
-
-    def arranged(values: Tensor) -> Tensor:  # torch: input, forget, cell, output; ONNX: input, output, forget, cell
-        entry, forget, candidate, out = values.detach().chunk(4)
-        return torch.cat([entry, out, forget, candidate])
-
-    weights = [arranged(lstm.get_parameter("weight_ih_l0")), arranged(lstm.get_parameter("weight_hh_l0"))]
-    weights.append(torch.cat([arranged(lstm.get_parameter("bias_ih_l0")), arranged(lstm.get_parameter("bias_hh_l0"))]))
-    given = [graph.floats(part.numpy()[None]) for part in weights]
+    given = [graph.floats(part.numpy()[None]) for part in onnx_weights(lstm, "lstm")]
     row = graph.add("Unsqueeze", x, graph.integers([0]))
     made = graph.add_many("LSTM", [row, *given, "", hidden, cell], 3, hidden_size=lstm.hidden_size)
     return made[1], made[2]

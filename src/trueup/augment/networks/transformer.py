@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from trueup.augment.config import AugmentConfig, Method, NetworkConfig
 from trueup.augment.graph import Graph
-from trueup.augment.networks.base import Windowed, draw_linear
+from trueup.augment.networks.base import Windowed, draw_linear, draw_norm
 from trueup.errors import ConfigError
 
 _HIDDEN = -1e9  # of a sample that attention must not see
@@ -58,7 +58,7 @@ class Transformer(Windowed):
         if self.past:
             end = graph.integers([np.iinfo(np.int64).max])
             x = graph.add("Slice", x, graph.integers([self.past]), end, graph.integers([0]))
-        x = draw_linear(graph, self.dense, _draw_norm(graph, self.norm, x))
+        x = draw_linear(graph, self.dense, draw_norm(graph, self.norm, x))
         return graph.add("Tanh", x) if self.tanh else x
 
 
@@ -103,7 +103,7 @@ class _Block(nn.Module):
         """The same as nodes."""
         width = self.merge.in_features
         inner = width // self.heads
-        parts = draw_linear(graph, self.project, _draw_norm(graph, self.before, x))
+        parts = draw_linear(graph, self.project, draw_norm(graph, self.before, x))
         parts = graph.add("Reshape", parts, graph.integers([0, 0, 3, self.heads, inner]))
         query, key, value = graph.add_many(
             "Split", [graph.add("Transpose", parts, perm=[2, 1, 3, 0, 4]), graph.integers([1, 1, 1])], 3, axis=0
@@ -122,13 +122,8 @@ class _Block(nn.Module):
         seen = graph.add("Transpose", graph.add("MatMul", weights, value), perm=[2, 0, 1, 3])
         seen = graph.add("Reshape", seen, graph.integers([0, 0, width]))
         x = graph.add("Add", x, draw_linear(graph, self.merge, seen))
-        wide = graph.add("Relu", draw_linear(graph, self.widen, _draw_norm(graph, self.between, x)))
+        wide = graph.add("Relu", draw_linear(graph, self.widen, draw_norm(graph, self.between, x)))
         return graph.add("Add", x, draw_linear(graph, self.narrow, wide))
-
-
-def _draw_norm(graph: Graph, norm: nn.LayerNorm, x: str) -> str:
-    parts = (graph.floats(part.detach().numpy()) for part in (norm.weight, norm.bias))
-    return graph.add("LayerNormalization", x, *parts, axis=-1, epsilon=norm.eps)
 
 
 KINDS = {"transformer": Transformer}
