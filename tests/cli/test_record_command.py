@@ -116,6 +116,7 @@ BAD = {
     "faults": (("--faults", "2"), "share"),
     "faults of an engine": (("--hardware", "mujoco", "--faults", "0.5"), "no faults"),
     "no lab": (("--lab", "nothing.yaml"), "does not exist"),
+    "no such lab": (("--lab", "xm540"), "xm430"),
     "model": (("--model", "nothing.xml"), "nothing.xml"),
     "truth of an engine": (("--hardware", "mujoco", "--truth", "t.json"), "truth"),
     "truth in the data": (("--truth", "D/truth.json"), "kept apart"),
@@ -143,6 +144,17 @@ PLANS_THAT_ARE_NONE = {
         "[{name: a, kind: joint, count: 1}]\nfractions: {tran: 1.0}",
         "available: train, val, test",
     ),
+    "animations that are not there": (
+        "[{name: a, kind: animation, count: 1, animations: [bow]}]\nanimations: {nod: {duration_s: 1, joints: {j: []}}}",
+        "available: nod",
+    ),
+    "no animations": ("[{name: a, kind: animation, count: 1}]", "Describe them under `animations:`"),
+    "keyframes out of order": (
+        "[{name: a, kind: animation, count: 1}]\nanimations: {nod: {duration_s: 1, joints: {j: [[2, 0.1]]}}}",
+        "increasing times between 0 and 1 s",
+    ),
+    "a speed of nothing": ("[{name: a, kind: joint, count: 1, speed: [0, 1]}]", "speed of group 'a' is no range"),
+    "few control points": ("[{name: a, kind: b-spline, count: 1, control_points: 3}]", "more than 4 control_points"),
     "fractions of more": ("[{name: a, kind: joint, count: 1}]\nfractions: {train: 0.9, test: 0.9}", "add up to 1"),
 }
 

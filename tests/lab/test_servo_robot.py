@@ -7,7 +7,7 @@ import pytest
 
 from trueup.core.protocols import RolloutRequest
 from trueup.errors import ConfigError, MissingSignal
-from trueup.lab import LabSpec, VirtualRobot, draw_truth
+from trueup.lab import LabSpec, VirtualRobot, draw_truth, load_lab
 from trueup.lab.simulated_robot import Sensors
 from trueup.lab.spec import Controller, Friction, Readings, Saturation, Warming, Winding
 from trueup.robots import find_model, load_robot
@@ -114,3 +114,20 @@ def test_what_makes_no_servo_is_refused():
         robot.write({"position": np.zeros(12), "velocity": np.zeros(12)})
     with pytest.raises(ConfigError, match="winding"):
         lab("kickbot_a", winding=Winding(resistance=-1.0))
+
+
+def test_a_shipped_lab_serves_any_robot_with_servos():
+    for name in ("kickbot_a", "dancebot"):
+        spec = load_lab("xm430", robot=name)
+        assert (spec.robot, spec.controller.kind) == (name, "servo")
+        robot = VirtualRobot(draw_truth(spec, unit=1))
+        done = robot.execute({"position": np.zeros((200, 12))}, every=4)
+        assert set(done.measured.signals) == {"position", "velocity", "current", "voltage"}
+        assert np.abs(np.degrees(done.measured["position"])).max() < 5  # it stands
+    with pytest.raises(ConfigError, match=r"no lab 'xm540'.*available: xm430"):
+        load_lab("xm540")
+
+
+def test_a_file_that_names_its_robot_is_of_that_one(tmp_path):
+    (tmp_path / "own.yaml").write_text("robot: dancebot\n")
+    assert load_lab(tmp_path / "own.yaml", robot="kickbot_a").robot == "dancebot"

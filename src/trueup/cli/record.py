@@ -27,14 +27,19 @@ def record(
     hardware: Annotated[str, typer.Option("--hardware", help="lab, or an engine: mujoco, dart.")] = "lab",
     unit: Annotated[int, typer.Option("--unit", min=0, help="Which individual of the lab's robots.")] = 1,
     plan: Annotated[
-        str, typer.Option("--plan", help="paper, a YAML file that describes motions, or the folder of a plan set.")
+        str,
+        typer.Option(
+            "--plan", help="Name of a shipped set, a YAML file that describes motions, or the folder of a plan set."
+        ),
     ] = "paper",
     scale: Annotated[float, typer.Option("--scale", help="Share of the motions of each group.")] = 1.0,
     payload_kg: Annotated[
         list[float] | None,
         typer.Option("--payload-kg", help="Payload of the lab's robot [kg], 0 if not given; repeatable."),
     ] = None,
-    lab: Annotated[Path | None, typer.Option("--lab", help="YAML with the sizes of the lab's effects.")] = None,
+    lab: Annotated[
+        str | None, typer.Option("--lab", help="Sizes of the lab's effects: xm430 (servos), or a YAML file.")
+    ] = None,
     faults: Annotated[
         float,
         typer.Option("--faults", help="Share of the motions in which the lab's robot stops, stalls or drops out."),
@@ -44,6 +49,12 @@ def record(
     ] = None,
     control_hz: Annotated[float, typer.Option("--control-hz", help="Commands per second.")] = 1000.0,
     record_hz: Annotated[float, typer.Option("--record-hz", help="Rows per second of the recording.")] = 100.0,
+    tolerance_rad: Annotated[
+        float, typer.Option("--tolerance-rad", help="How far a joint may rest from where it should be [rad or m].")
+    ] = 0.05,
+    path_tolerance_rad: Annotated[
+        float, typer.Option("--path-tolerance-rad", help="How far a joint may be from its command on its way.")
+    ] = 0.2,
     model: Annotated[
         Path | None, typer.Option("--model", help="MJCF or URDF; what robot.yaml names if not given.")
     ] = None,
@@ -78,7 +89,7 @@ def record(
         find_model(spec, given=model),
         unit=unit,
         seed=seed,
-        lab=load_lab(lab) if lab else None,
+        lab=load_lab(lab, robot=robot) if lab else None,
         fault_share=faults,
         control_hz=control_hz,
     )
@@ -88,7 +99,12 @@ def record(
         rig,
         plans,
         payloads_kg=tuple(payload_kg or (0.0,)),
-        settings=RecordSettings(control_hz=control_hz, record_hz=record_hz),
+        settings=RecordSettings(
+            control_hz=control_hz,
+            record_hz=record_hz,
+            tolerance_rad=tolerance_rad,
+            path_tolerance_rad=path_tolerance_rad,
+        ),
         model=model,
         jobs=jobs or os.cpu_count() or 1,
         overwrite=overwrite,

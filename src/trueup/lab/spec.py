@@ -7,6 +7,7 @@ per joint, or one for all joints.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,6 +18,7 @@ from trueup.errors import ConfigError
 from trueup.lab.simulated_robot import Sensors
 
 PerJoint = tuple[float, ...]
+_SHIPPED = Path(str(resources.files("trueup.lab"))) / "labs"
 # Of a relative spread: five units drawn from it already differ by a factor of thousands, and a wider one overflows.
 _WIDEST = 5.0
 _SPREADS = ("mass", "shape", "armature", "spread", "error")
@@ -349,13 +351,28 @@ EFFECTS = (
 )
 
 
-def load_lab(path: Path) -> LabSpec:
-    """A lab from a YAML file; what the file leaves out is as in `LabSpec`.
+def load_lab(name_or_path: str | Path, *, robot: str | None = None) -> LabSpec:
+    """A lab by the name of a shipped one (`xm430`), or from a YAML file; what it leaves out is as in `LabSpec`.
+
+    Args:
+        name_or_path: of the lab.
+        robot: whose effects they are, where the file names no robot.
 
     Raises:
-        ConfigError: no such file, unknown keys, wrong types or numbers.
+        ConfigError: no such lab or file, unknown keys, wrong types or numbers.
     """
-    return build(LabSpec, read_yaml(path), str(path))
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        shipped = {file.stem: file for file in sorted(_SHIPPED.glob("*.yaml"))}
+        if str(name_or_path) not in shipped:
+            raise ConfigError(
+                f"there is no lab {str(name_or_path)!r}",
+                available=shipped,
+                hint="Give one of these names, or a YAML file with the sizes of a lab's effects.",
+            )
+        path = shipped[str(name_or_path)]
+    tree = read_yaml(path)
+    return build(LabSpec, tree if robot is None else {"robot": robot, **tree}, str(path))
 
 
 def _numbers(tree: Any, prefix: str = "") -> list[tuple[str, float]]:

@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
+from importlib import resources
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal
@@ -15,17 +16,19 @@ import numpy as np
 from trueup.core.config import build, read_yaml
 from trueup.dataset import SPLITS
 from trueup.errors import ConfigError
+from trueup.record.keyframes import Animation, animated
 from trueup.record.lines import PLANES, random_line
 from trueup.record.motion import MotionSettings, random_joint_motion
 from trueup.record.plan import Plan
 from trueup.record.references import FUNCTIONS, ReferenceSettings, random_reference
 from trueup.record.scene import Scene
-from trueup.record.splines import ORDERS, random_spline
+from trueup.record.splines import CONTROL_POINTS, EXTENT_M, ORDERS, SPAN_S, random_joint_spline, random_spline
 from trueup.record.workspace import Workspace, load_workspace
 from trueup.robots import RobotSpec
 
 PLANS_SCHEMA = "trueup.plans/1"
 
+_SHIPPED = Path(str(resources.files("trueup.record"))) / "plans"
 # With more joints than this, sets of joints are drawn; with fewer, each of them has its turn.
 _ALL_SUBSETS = 10
 
@@ -36,26 +39,52 @@ class MotionGroup:
 
     Attributes:
         name: for ids and as the condition of the episodes; letters, digits, `_ . -`.
-        kind: `joint` (to a random goal), `cartesian` (lines), `b-spline`, or a function of time: `chirp`,
-            `multisine`, `random-field`, `chebyshev`.
+        kind: `joint` (to a random goal), `cartesian` (lines), `b-spline` (of sites), `joint-b-spline`, `animation`
+            (keyframes), or a function of time: `chirp`, `multisine`, `random-field`, `chebyshev`.
         count: number of motions.
         moving: `single` moves one joint at a time, each in its turn; `multi` two or more, all sets of them in turn;
-            `all` all. Not for `cartesian` and `b-spline`, which move what they must.
+            `all` all. Not for `cartesian`, `b-spline` and `animation`, which move what they must.
         joints: the joints that may be chosen; all if empty.
         split: the split of all of them; drawn by the set's fractions if empty.
-        velocity_share: range from which the share of the velocity limits is drawn.
+        velocity_share: range from which the share of the velocity limits is drawn; not for `animation`.
+        control_points: of each spline.
+        range_share: of `joint-b-spline`: range from which the share of the position ranges is drawn that is used.
+        span_s: of `joint-b-spline`: time from one knot to the next, at least [s].
+        sites: of `b-spline`: those that follow a spline each; the end effector if empty.
+        extent_m: of `b-spline`: half the edge of the cube that control points are drawn from [m].
+        animations: of `animation`: those of the set that are played in turn; all if empty.
+        speed: of `animation`: range from which the speed is drawn, 1 as it was made.
+        amplitude: of `animation`: likewise the size of its movements.
 
     Raises:
-        ConfigError: no name, a negative count, a range that is none.
+        ConfigError: no name, a negative count, a range that is none, too few control points.
     """
 
     name: str
-    kind: Literal["joint", "cartesian", "b-spline", "chirp", "multisine", "random-field", "chebyshev"]
+    kind: Literal[
+        "joint",
+        "cartesian",
+        "b-spline",
+        "joint-b-spline",
+        "animation",
+        "chirp",
+        "multisine",
+        "random-field",
+        "chebyshev",
+    ]
     count: int
     moving: Literal["single", "multi", "all"] = "multi"
     joints: tuple[str, ...] = ()
     split: Literal["", "train", "val", "test"] = ""
     velocity_share: tuple[float, float] = (0.2, 1.0)
+    control_points: int = CONTROL_POINTS
+    range_share: tuple[float, float] = (1.0, 1.0)
+    span_s: float = SPAN_S
+    sites: tuple[str, ...] = ()
+    extent_m: float = EXTENT_M
+    animations: tuple[str, ...] = ()
+    speed: tuple[float, float] = (1.0, 1.0)
+    amplitude: tuple[float, float] = (1.0, 1.0)
 
     def __post_init__(self) -> None:
         """Refuse groups that cannot be planned."""
@@ -63,10 +92,21 @@ class MotionGroup:
             raise ConfigError("this is no name for a group", got=repr(self.name), expected="letters, digits, _ . -")
         if self.count < 0:
             raise ConfigError(f"group {self.name!r} has a negative count", got=self.count)
-        low, high = self.velocity_share
-        if not 0 < low <= high <= 1:
+        for name in ("velocity_share", "range_share"):
+            low, high = getattr(self, name)
+            if not 0 < low <= high <= 1:
+                raise ConfigError(
+                    f"{name} of group {self.name!r} is no range of shares", got=(low, high), expected="in (0, 1]"
+                )
+        for name in ("speed", "amplitude"):
+            low, high = getattr(self, name)
+            if not 0 < low <= high < np.inf:
+                raise ConfigError(f"{name} of group {self.name!r} is no range", got=(low, high), expected="above 0")
+        if self.control_points <= max(ORDERS) or not all(0 < size < np.inf for size in (self.extent_m, self.span_s)):
             raise ConfigError(
-                f"velocity_share of group {self.name!r} is no range of shares", got=(low, high), expected="in (0, 1]"
+                f"splines of group {self.name!r}",
+                got=(self.control_points, self.extent_m, self.span_s),
+                expected=f"more than {max(ORDERS)} control_points, extent_m and span_s above 0",
             )
 
 
@@ -86,10 +126,12 @@ class PlanSetSpec:
         reference: what functions of time are drawn.
         velocity_limits: joint -> largest speed, where the model has none [rad/s or m/s].
         acceleration_limits: joint -> largest acceleration, where the model has none [rad/s^2 or m/s^2].
+        animations: name -> motion made by hand, for the groups of this kind.
         schema: `trueup.plans/1`.
 
     Raises:
-        ConfigError: no motion, two groups of one name, fractions that do not add up to 1, a negative seed.
+        ConfigError: no motion, two groups of one name, an animation that there is not, fractions that do not add up to
+            1, a negative seed.
     """
 
     name: str
@@ -102,6 +144,7 @@ class PlanSetSpec:
     reference: ReferenceSettings = field(default_factory=ReferenceSettings)
     velocity_limits: Mapping[str, float] = field(default_factory=dict)
     acceleration_limits: Mapping[str, float] = field(default_factory=dict)
+    animations: Mapping[str, Animation] = field(default_factory=dict)
     schema: Literal["trueup.plans/1"] = "trueup.plans/1"
 
     def __post_init__(self) -> None:
@@ -109,6 +152,15 @@ class PlanSetSpec:
         names = [group.name for group in self.groups]
         if len(set(names)) != len(names):
             raise ConfigError("groups of a plan set need different names", got=names)
+        for group in self.groups:
+            unknown = [name for name in group.animations if name not in self.animations]
+            if unknown or (group.kind == "animation" and not self.animations):
+                raise ConfigError(
+                    f"group {group.name!r} plays animations that the set does not have",
+                    got=unknown or "none at all",
+                    available=list(self.animations),
+                    hint="Describe them under `animations:` in the same file.",
+                )
         if not sum(group.count for group in self.groups):
             raise ConfigError("a plan set needs motions", got={group.name: group.count for group in self.groups})
         if not set(self.fractions) <= set(SPLITS):
@@ -234,7 +286,7 @@ def paper_plans() -> PlanSetSpec:
 
 
 def load_plans(name_or_path: str | Path) -> PlanSetSpec:
-    """A description by the name of a built-in one (`paper`), or from a YAML file.
+    """A description by the name of a shipped one (`paper`, `kickbot-splines`, ...), or from a YAML file.
 
     `workspace` in the file is a mapping, the name of a shipped workspace, or the path of a file beside it.
 
@@ -243,13 +295,16 @@ def load_plans(name_or_path: str | Path) -> PlanSetSpec:
     """
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
-        if str(name_or_path) != "paper":
+        if str(name_or_path) == "paper":
+            return paper_plans()
+        shipped = {file.stem: file for file in sorted(_SHIPPED.glob("*.yaml"))}
+        if str(name_or_path) not in shipped:
             raise ConfigError(
                 f"there is no plan set {str(name_or_path)!r}",
-                available=["paper"],
-                hint="Give this name, a YAML file with `groups`, or a folder with a plans.json.",
+                available=["paper", *shipped],
+                hint="Give one of these names, a YAML file with `groups`, or a folder with a plans.json.",
             )
-        return paper_plans()
+        path = shipped[str(name_or_path)]
     tree = read_yaml(path)
     workspace = tree.get("workspace")
     if isinstance(workspace, str):
@@ -278,9 +333,37 @@ def _planned(spec: PlanSetSpec, group: MotionGroup, index: int, scene: Scene, rn
     settings = spec.motion
     if group.kind == "cartesian":
         return random_line(scene, PLANES[index % len(PLANES)], rng, velocity_share=share, settings=settings)
+    order = ORDERS[index % len(ORDERS)]
     if group.kind == "b-spline":
-        return random_spline(scene, ORDERS[index % len(ORDERS)], rng, velocity_share=share, settings=settings)
+        return random_spline(
+            scene,
+            order,
+            rng,
+            velocity_share=share,
+            sites=group.sites,
+            control_points=group.control_points,
+            extent_m=group.extent_m,
+            settings=settings,
+        )
+    if group.kind == "animation":
+        names = group.animations or tuple(spec.animations)
+        speed, amplitude = float(rng.uniform(*group.speed)), float(rng.uniform(*group.amplitude))
+        name = names[index % len(names)]
+        plan = animated(scene, spec.animations[name], speed=speed, amplitude=amplitude, settings=settings)
+        return replace(plan, details={"animation": name, **plan.details})
     moving = _moving(spec, group, index, scene, rng)
+    if group.kind == "joint-b-spline":
+        return random_joint_spline(
+            scene,
+            moving,
+            order,
+            rng,
+            velocity_share=share,
+            control_points=group.control_points,
+            range_share=float(rng.uniform(*group.range_share)),
+            span_s=group.span_s,
+            settings=settings,
+        )
     if group.kind in FUNCTIONS:
         return random_reference(
             scene,

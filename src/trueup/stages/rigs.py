@@ -200,7 +200,7 @@ def make_rig(
                 f"the lab's {own.name!r} is no {robot.name!r}",
                 left=own.joint_names,
                 right=robot.joint_names,
-                hint="Give --lab with a YAML file that names this robot and the sizes of its effects.",
+                hint="Give --lab: xm430 for servos, or a YAML file with this robot and the sizes of its effects.",
             )
         return LabRig(spec, unit, seed, fault_share)
     if hardware not in ("mujoco", "dart"):
