@@ -155,3 +155,14 @@ def test_shipped_sets_can_be_planned(name):
     if name.endswith("animations"):
         assert {spec.split(number) for number in range(len(spec))} == {"test"}
         np.testing.assert_array_equal(plan.start, scene.home)
+
+
+def test_joints_rest_each_for_itself():
+    scene = scene_of("kickbot_a")
+    rng = np.random.default_rng(3)
+    plan = random_joint_spline(
+        scene, scene.joints, 1, rng, velocity_share=1.0, control_points=40, pause_share=0.7, settings=SETTINGS
+    )
+    rests = (plan.velocity == 0)[(plan.time_s > plan.start_s) & (plan.time_s < plan.end_s)]
+    assert (rests.mean(axis=0) > 0.2).all()
+    assert rests.all(axis=1).mean() < 0.1

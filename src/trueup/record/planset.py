@@ -49,9 +49,11 @@ class MotionGroup:
         velocity_share: range from which the share of the velocity limits is drawn; not for `animation`.
         control_points: of each spline.
         range_share: of `joint-b-spline`: range from which the share of the position ranges is drawn that is used.
+        pause_share: of `joint-b-spline`: share of the control points at which a joint rests, each for itself.
         span_s: of `joint-b-spline`: time from one knot to the next, at least [s].
         sites: of `b-spline`: those that follow a spline each; the end effector if empty.
         extent_m: of `b-spline`: half the edge of the cube that control points are drawn from [m].
+        from_home: of splines: begin at home, where no way before the motion has left anything in the joints.
         animations: of `animation`: those of the set that are played in turn; all if empty.
         speed: of `animation`: range from which the speed is drawn, 1 as it was made.
         amplitude: of `animation`: likewise the size of its movements.
@@ -79,9 +81,11 @@ class MotionGroup:
     velocity_share: tuple[float, float] = (0.2, 1.0)
     control_points: int = CONTROL_POINTS
     range_share: tuple[float, float] = (1.0, 1.0)
+    pause_share: float = 0.0
     span_s: float = SPAN_S
     sites: tuple[str, ...] = ()
     extent_m: float = EXTENT_M
+    from_home: bool = False
     animations: tuple[str, ...] = ()
     speed: tuple[float, float] = (1.0, 1.0)
     amplitude: tuple[float, float] = (1.0, 1.0)
@@ -102,6 +106,8 @@ class MotionGroup:
             low, high = getattr(self, name)
             if not 0 < low <= high < np.inf:
                 raise ConfigError(f"{name} of group {self.name!r} is no range", got=(low, high), expected="above 0")
+        if not 0 <= self.pause_share < 1:
+            raise ConfigError(f"pause_share of group {self.name!r}", got=self.pause_share, expected="a share below 1")
         if self.control_points <= max(ORDERS) or not all(0 < size < np.inf for size in (self.extent_m, self.span_s)):
             raise ConfigError(
                 f"splines of group {self.name!r}",
@@ -343,6 +349,7 @@ def _planned(spec: PlanSetSpec, group: MotionGroup, index: int, scene: Scene, rn
             sites=group.sites,
             control_points=group.control_points,
             extent_m=group.extent_m,
+            from_home=group.from_home,
             settings=settings,
         )
     if group.kind == "animation":
@@ -361,7 +368,9 @@ def _planned(spec: PlanSetSpec, group: MotionGroup, index: int, scene: Scene, rn
             velocity_share=share,
             control_points=group.control_points,
             range_share=float(rng.uniform(*group.range_share)),
+            pause_share=group.pause_share,
             span_s=group.span_s,
+            from_home=group.from_home,
             settings=settings,
         )
     if group.kind in FUNCTIONS:

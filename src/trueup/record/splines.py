@@ -117,6 +117,8 @@ def limbs_reference(
         targets[site] = np.tile(np.eye(4), (len(where), 1, 1))
         targets[site][:, :3, :3], targets[site][:, :3, 3] = rotation, position + b_spline(points[site], order)(where)
     poses = solver.follow(start, targets)
+    if not any(own[0].any() for own in points.values()):
+        poses[0] = start  # to rounding it is
     details = {"points_m": {site: own.tolist() for site, own in points.items()}}
     return _as_plan(
         _reference(where, poses, order), scene, spans, velocity_share, settings, id=id, order=order, details=details
@@ -237,6 +239,7 @@ def random_spline(
     sites: Sequence[str] = (),
     control_points: int = CONTROL_POINTS,
     extent_m: float = EXTENT_M,
+    from_home: bool = False,
     settings: MotionSettings | None = None,
 ) -> Plan:
     """A B-spline whose control points are drawn from a cube around the end effector in a random pose.
@@ -249,6 +252,7 @@ def random_spline(
         sites: a spline for each of these instead, as near as their limbs reach.
         control_points: of each spline.
         extent_m: half the length of the edges of the cube [m].
+        from_home: begin at home, with home as the first control point, instead of in a random pose; for `sites`.
         settings: clock, share of the acceleration limits, attempts.
 
     Raises:
@@ -260,7 +264,11 @@ def random_spline(
 
     def draw() -> tuple[Float64[np.ndarray, "J"], Float64[np.ndarray, "S K 3"]]:
         shape = (max(1, len(sites)), control_points, 3)
-        return random_pose(scene, rng), rng.uniform(-extent_m, extent_m, shape)
+        start = scene.home if from_home else random_pose(scene, rng)
+        points = rng.uniform(-extent_m, extent_m, shape)
+        if from_home:
+            points[:, 0] = 0.0
+        return start, points
 
     def plan(drawn: tuple[Float64[np.ndarray, "J"], Float64[np.ndarray, "S K 3"]]) -> Plan:
         start, offsets = drawn
@@ -281,7 +289,9 @@ def random_joint_spline(
     velocity_share: float,
     control_points: int = CONTROL_POINTS,
     range_share: float = 1.0,
+    pause_share: float = 0.0,
     span_s: float = SPAN_S,
+    from_home: bool = False,
     settings: MotionSettings | None = None,
 ) -> Plan:
     """Joints that follow B-splines whose control points are drawn from a part of their ranges, itself drawn.
@@ -294,7 +304,9 @@ def random_joint_spline(
         velocity_share: share of the velocity limits.
         control_points: of each spline.
         range_share: how large that part is; the smaller, the faster the joints turn back.
+        pause_share: share of the control points that are the one before them again, each joint's own: it rests there.
         span_s: time from one knot to the next, at least [s].
+        from_home: whether the first control point is home.
         settings: clock, share of the acceleration limits, attempts.
 
     Raises:
@@ -308,7 +320,15 @@ def random_joint_spline(
 
     def draw() -> Float64[np.ndarray, "K M"]:
         least = low + rng.uniform(0, 1 - range_share, len(columns)) * (high - low)
-        return rng.uniform(least, least + range_share * (high - low), (control_points, len(columns)))
+        points = rng.uniform(least, least + range_share * (high - low), (control_points, len(columns)))
+        if pause_share:
+            pauses = rng.random(points.shape) < pause_share
+            pauses[0] = False
+            rows = np.maximum.accumulate(np.where(pauses, 0, np.arange(control_points)[:, None]))
+            points = np.take_along_axis(points, rows, axis=0)
+        if from_home:
+            points[0] = scene.home[columns]
+        return points
 
     def plan(drawn: Float64[np.ndarray, "K M"]) -> Plan:
         points = dict(zip(moving, drawn.T, strict=True))
