@@ -21,7 +21,6 @@ from trueup.augment.config import CHECKPOINT_NAME, AugmentConfig
 from trueup.augment.correction import corrected
 from trueup.augment.corrector import Corrector
 from trueup.augment.gating import Errors, errors_of, gates_of
-from trueup.augment.line import Line
 from trueup.augment.networks import build_network
 from trueup.augment.pairs import Pairs
 from trueup.augment.scaling import Scaling, Stops, Summary, counterparts, scaling_of, summarize
@@ -142,8 +141,7 @@ class Augmentation:
             limits=task.limits,
         )
         stops = Stops.of(task.train.inputs, task.limits if config.data.stops else {})
-        line = Line.fitted(task.train, summary, scaling, base) if config.line else None
-        corrector = _made(config, task.train.inputs, base, scaling, stops, line, task.rate_hz, seed)
+        corrector = _made(config, task.train.inputs, base, scaling, stops, task.rate_hz, seed)
         trained = train(
             corrector,
             task.train,
@@ -225,8 +223,7 @@ class Augmentation:
             width = len(card.outputs)
             blank = Scaling(*(np.ones(n) for n in (len(card.inputs), len(card.inputs), width, width, width)))
             stops = Stops.none(len(state["stop_edge"]))
-            line = Line.blank(width, len(card.inputs)) if config.line else None
-            corrector = _made(config, card.inputs, card.base, blank, stops, line, card.rate_hz, 0)
+            corrector = _made(config, card.inputs, card.base, blank, stops, card.rate_hz, 0)
             corrector.load_state_dict(state)
         except (SafetensorError, KeyError, TypeError, RuntimeError) as error:  # torch's error for shapes is the last
             raise DataError(f"{path} holds no weights of this network", got=error) from error
@@ -243,7 +240,6 @@ def _made(
     base: np.ndarray,
     scaling: Scaling,
     stops: Stops,
-    line: Line | None,
     rate_hz: float,
     seed: int,
 ) -> Corrector:
@@ -251,8 +247,7 @@ def _made(
     torch.manual_seed(seed)
     network = build_network(config.network, inputs=len(inputs) + stops.edge.size, base=base.tolist(), rate_hz=rate_hz)
     torch.set_rng_state(before)
-    relative = counterparts(inputs)
-    return Corrector(network, scaling, base, target=config.loss.target, relative=relative, stops=stops, line=line)
+    return Corrector(network, scaling, base, target=config.loss.target, relative=counterparts(inputs), stops=stops)
 
 
 @contextlib.contextmanager

@@ -237,8 +237,6 @@ class AugmentConfig:
         stop_after: epochs without improvement on val after which training stops; 0 for never.
         margin: share of an input's training range by which a stream's input may leave it.
         coverage: share of samples that the intervals are to cover.
-        line: whether a line is fitted first, by least squares, and goes on where inputs leave the training range; the
-            network learns what it leaves.
     """
 
     method: str = "realeasy-rt"
@@ -252,7 +250,6 @@ class AugmentConfig:
     stop_after: int = 15
     margin: float = 0.1
     coverage: float = 0.9
-    line: bool = False
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no training."""
@@ -262,12 +259,6 @@ class AugmentConfig:
             raise ConfigError(
                 "loss: quantile needs a network that says quantiles, and the other way around",
                 got=f"loss: kind: {self.loss.kind}, network: quantiles: {self.network.quantiles}",
-            )
-        if self.line and (self.loss.target != "residual" or not self.network.trained):
-            raise ConfigError(
-                "line: it is one of what is added, under a network that is trained",
-                got=f"target: {self.loss.target}, kind: {self.network.kind}",
-                expected="loss: {target: residual}, a network that is trained",
             )
         if not self.network.trained and (
             self.data.normalization != "limits" or self.data.stops or self.loss.target != "residual"

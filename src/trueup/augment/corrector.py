@@ -1,4 +1,4 @@
-"""A network between SI values: normalization, network and the line under it, sum with the simulator, gate."""
+"""A network between SI values: normalization, network, sum with the simulator, gate."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from jaxtyping import Float64, Int
 from torch import Tensor, nn
 
 from trueup.augment.graph import Graph
-from trueup.augment.line import Line
 from trueup.augment.networks.base import Network
 from trueup.augment.scaling import Scaling, Stops
 from trueup.core.model_card import State
@@ -32,7 +31,6 @@ class Corrector(nn.Module):
         target: what the network's output stands for: what is added to the simulator, or the signal itself.
         relative: for each input the one that is subtracted from it, -1 for none, (I,); none at all if None.
         stops: limits that the network feels; its inputs are one more for each.
-        line: what the network adds to; nothing if None.
     """
 
     center: Tensor
@@ -47,10 +45,6 @@ class Corrector(nn.Module):
     stop_slope: Tensor
     other: Tensor
     has_other: Tensor
-    line_weight: Tensor
-    line_bias: Tensor
-    line_low: Tensor
-    line_high: Tensor
 
     def __init__(
         self,
@@ -61,15 +55,10 @@ class Corrector(nn.Module):
         target: Literal["residual", "plain"],
         relative: Int[np.ndarray, "I"] | None = None,
         stops: Stops | None = None,
-        line: Line | None = None,
     ) -> None:
         super().__init__()
         self.network = network
         self.target = target
-        self.lined = line is not None
-        if line is not None:
-            for name in ("weight", "bias", "low", "high"):
-                self.register_buffer(f"line_{name}", torch.tensor(getattr(line, name), dtype=torch.float32))
         for name in ("center", "scale", "out_center", "out_scale", "loss_scale"):
             self.register_buffer(name, torch.tensor(getattr(scaling, name), dtype=torch.float32))
         self.register_buffer("base", torch.tensor(base))
@@ -87,39 +76,26 @@ class Corrector(nn.Module):
     def forward(self, x: Tensor, lengths: Tensor | None = None) -> Tensor:
         """Corrected outputs of whole motions: (T, B, I) to (T, B, K), SI."""
         base = x[..., self.base]
-        out: Tensor = self.network(self.read(x), lengths)
-        if self.lined:
-            out = out + self._line(x)
-        out = self.out_center + self.out_scale * out
+        out: Tensor = self.out_center + self.out_scale * self.network(self.read(x), lengths)
         corrected: Tensor = base + self.gate * (out if self.target == "residual" else out - base)
         return corrected
 
     def read(self, x: Tensor) -> Tensor:
         """What the network reads: normalized inputs, and how near they are to their limits, (T, B, I + N)."""
-        normalized = self._normalized(x)
-        if self.lined:
-            normalized = torch.minimum(torch.maximum(normalized, self.line_low), self.line_high)
+        shifted = x - x[..., self.other] * self.has_other if self._any_relative else x
+        normalized: Tensor = (shifted - self.center) / self.scale
         if not len(self.stop_edge):
             return normalized
         near = (x[..., self.stop_index] - self.stop_edge) * self.stop_slope
         return torch.cat([normalized, near.clamp(0, _BEYOND)], dim=-1)
 
-    def _normalized(self, x: Tensor) -> Tensor:
-        shifted = x - x[..., self.other] * self.has_other if self._any_relative else x
-        normalized: Tensor = (shifted - self.center) / self.scale
-        return normalized
-
-    def _line(self, x: Tensor) -> Tensor:
-        return nn.functional.linear(self._normalized(x), self.line_weight, self.line_bias)
-
     def outputs(self, x: Tensor, y: Tensor, lengths: Tensor | None) -> tuple[Tensor, Tensor]:
         """What the network says without the gate, and what it should, normalized, (T, B, K); Realeasy, eq. 9 and 10."""
         known = x[..., self.base] if self.target == "residual" else self.out_center
         wanted: Tensor = (y - known) / self.out_scale
-        read, line = self.read(x), self._line(x) if self.lined else torch.zeros_like(wanted)
-        left = wanted - line  # for the network
-        out: Tensor = self.network.learn(read, left, lengths) if self.training else self.network(read, lengths)
-        return out + (line[:, :, None] if out.ndim == 4 else line), wanted
+        read = self.read(x)
+        out: Tensor = self.network.learn(read, wanted, lengths) if self.training else self.network(read, lengths)
+        return out, wanted
 
     def set_gate(self, gate: Float64[np.ndarray, "K"]) -> None:
         """Set which outputs are used."""
@@ -151,8 +127,6 @@ class Corrector(nn.Module):
         left = origin if near else torch.zeros_like(origin)
         read = self._bounded(graph, seen, origin - left)
         out, after = network.draw_scaled(graph, read, given, scale, -left * scale, self.gate * self.out_scale)
-        if self.lined:
-            out = graph.add("Add", out, self._drawn_line(graph, x))
         graph.output(self._summed(graph, x, out), "y", [samples, "B", network.outputs])
         for state, name, shape in zip(self.states, (*after, *after_buffer), shapes, strict=True):
             graph.output(name, f"{state.name}_out", shape)
@@ -170,25 +144,12 @@ class Corrector(nn.Module):
             x = graph.add("Gather", x, graph.integers(rows), axis=2)
         if origin.any():
             x = graph.add("Sub", x, graph.floats(origin.numpy()))
-        if not count and not self.lined:
+        if not count:
             return x
         bounds = np.full((2, len(origin)), np.inf) * [[-1], [1]]
-        if self.lined:
-            own = len(self.center)
-            ends = torch.stack([self.line_low, self.line_high]) * self.scale + self.center
-            bounds[:, :own] = ends.numpy() - origin[:own].numpy()
-        if count:
-            edge = self.stop_edge.numpy() - origin[-count:].numpy()
-            bounds[:, -count:] = np.sort([edge, edge + _BEYOND / self.stop_slope.numpy()], axis=0)
+        edge = self.stop_edge.numpy() - origin[-count:].numpy()
+        bounds[:, -count:] = np.sort([edge, edge + _BEYOND / self.stop_slope.numpy()], axis=0)
         return graph.add("Min", graph.add("Max", x, graph.floats(bounds[0])), graph.floats(bounds[1]))
-
-    def _drawn_line(self, graph: Graph, x: str) -> str:
-        """The line as nodes, (.., B, K), with scales and gate in its weights."""
-        factor = (self.gate * self.out_scale)[:, None].double().numpy()
-        weight = factor * self.line_weight.double().numpy() / self.scale.double().numpy()
-        bias = factor[:, 0] * self.line_bias.double().numpy() - weight @ self.center.double().numpy()
-        np.subtract.at(weight.T, self.other.numpy(), (weight * self.has_other.numpy()).T)
-        return graph.add("Add", graph.add("MatMul", x, graph.floats(weight.T)), graph.floats(bias))
 
     def _summed(self, graph: Graph, x: str, out: str) -> str:
         """The simulator's signal, and the share of the network's correction that the gate lets pass."""
