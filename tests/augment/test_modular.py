@@ -8,7 +8,12 @@ import pytest
 from augment.augment_cases import RATE_HZ, RUN, make_dataset
 from trueup.augment import Augmentation, AugmentConfig
 from trueup.augment.config import DataConfig, NetworkConfig, OptimizerConfig, WindowConfig
+from trueup.augment.corrector import Corrector
+from trueup.augment.gating import errors_of
+from trueup.augment.networks import build_network
 from trueup.augment.networks.sat import SatConfig
+from trueup.augment.pairs import any_joint, channels_of, write_pairs
+from trueup.augment.scaling import Scaling
 from trueup.augment.trained import Trained
 from trueup.core.model_card import ANY_JOINT, ModelCard
 from trueup.deploy import Network, Stream
@@ -57,6 +62,43 @@ def test_the_card_has_the_channels_of_any_joint(trained, name):
         assert output.base // width == THREE.index(output.joint)
     assert own.of_joints(("other",)) is own
     assert ModelCard.from_json(card.to_json()) == card
+
+
+def test_joints_of_one_motion_are_one_motion(trained, tmp_path):
+    """They move together: the bootstrap of the gate and the promise of intervals must not count them twice."""
+    _, models = trained
+    folder, _ = models["lstm"]
+    training = ModelCard.load(folder).provenance["training"]["motions"]
+    assert training == {"train": 16, "val": 12}
+    few = make_dataset(tmp_path / "few", counts=(4, 5, 1), seed=8)
+    card = augment([few], tmp_path / "model", run=RUN, config=replace(LSTM, epochs=1), jobs=1).augmentation.card
+    assert card.coverage_note.startswith("5 val motions")
+
+
+def test_the_errors_of_a_motion_are_those_of_its_joints(tmp_path):
+    data = make_dataset(tmp_path / "data", counts=(1, 1, 3))
+    episodes = [data.episode(name, runs=[RUN]) for name in data.select(split="test")]
+    inputs, outputs = (any_joint(part) for part in channels_of(episodes[0], RUN, signals=["torque"], known=["torque"]))
+    written = write_pairs(
+        episodes,
+        tmp_path / "test.f32",
+        run=RUN,
+        inputs=inputs,
+        outputs=outputs,
+        rate_hz=RATE_HZ,
+        joints=("pan", "lift"),
+    )
+    one = np.ones(1)
+    network = build_network(NetworkConfig("lstm", (4,)), inputs=1, base=[0], rate_hz=RATE_HZ)
+    corrector = Corrector(network, Scaling(one, one, one, one, one), np.array([0]), target="residual")
+    corrector.set_gate(np.zeros(1))
+    found = errors_of(corrector, written)
+    assert (written.episodes, len(written.motions)) == (3, 6)
+    assert found.conditions == tuple(episode.meta.condition for episode in episodes)
+    for number, episode in enumerate(episodes):
+        apart = (episode.measured["torque"] - episode.run(RUN)["torque"]) ** 2
+        assert found.rows[number] == apart.size
+        assert found.simulated[number, 0] == pytest.approx(apart.sum(), rel=1e-4)
 
 
 def test_it_helps_on_a_robot_that_it_never_saw(trained):
@@ -125,7 +167,6 @@ def test_some_joints_are_trained_on(trained, tmp_path):
 
 
 def test_hinges_and_slides_are_two_kinds():
-    from trueup.augment.pairs import any_joint
     from trueup.core.model_card import Channel
 
     with pytest.raises(UnitError, match="different kinds"):

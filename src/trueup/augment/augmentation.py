@@ -318,7 +318,7 @@ def _card(
         "best_epoch": trained.best,
         "seconds": trained.seconds,
         "history": losses(trained.history),
-        "motions": {"train": len(task.train.motions), "val": len(task.val.motions)},
+        "motions": {"train": task.train.episodes, "val": task.val.episodes},
         "val_conditions": sorted({motion.condition for motion in task.val.motions}),
         "rows": {"train": task.train.rows, "val": task.val.rows},
     }

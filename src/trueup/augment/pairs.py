@@ -33,13 +33,15 @@ class Motion:
     """Where a motion stands in the file.
 
     Attributes:
-        id: episode id.
+        id: episode id; with the joint behind it where joints are motions of their own.
+        episode: number of the episode: what the joints of a robot do at one time says no more than one motion.
         condition: its condition.
         start: its first row.
         rows: number of rows.
     """
 
     id: str
+    episode: int
     condition: str
     start: int
     rows: int
@@ -70,6 +72,11 @@ class Pairs:
     def rows(self) -> int:
         """Rows of all motions."""
         return sum(motion.rows for motion in self.motions)
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes; that of the motions where these are not joints."""
+        return len({motion.episode for motion in self.motions})
 
     def read(self, start: int, rows: int) -> Float32[np.ndarray, "N C"]:
         """Rows of the file, (N, I + K)."""
@@ -133,7 +140,7 @@ def write_pairs(
     at = 0
     try:
         with path.open("wb") as file, marks.open("wb") as marked:
-            for episode in episodes:
+            for number, episode in enumerate(episodes):
                 grid = Grid.of(_common(episode, run), rate_hz, f"episode {episode.id!r}")
                 runs = _runs(episode.measured)
                 for joint in joints or ("",):
@@ -145,7 +152,7 @@ def write_pairs(
                     file.write(np.concatenate([x, y], axis=1).tobytes())
                     marked.write(np.array([len(runs)], np.uint64).tobytes() + runs.tobytes())
                     name = f"{episode.id} {joint}" if joint else episode.id
-                    motions.append(Motion(name, episode.meta.condition, at, len(x)))
+                    motions.append(Motion(name, number, episode.meta.condition, at, len(x)))
                     at += len(x)
     except OSError as error:  # of these two files: reading has errors of its own
         raise DataError(f"cannot write {path}", got=error.strerror or str(error)) from error
