@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from augment.augment_cases import RATE_HZ, RUN, make_dataset
-from trueup.augment import Augmentation, AugmentConfig
+from trueup.augment import Augmentation, AugmentConfig, preset
 from trueup.augment.config import DataConfig, NetworkConfig, OptimizerConfig, WindowConfig
 from trueup.augment.corrector import Corrector
 from trueup.augment.gating import errors_of
@@ -164,6 +164,72 @@ def test_some_joints_are_trained_on(trained, tmp_path):
         )
     with pytest.raises(MissingSignal, match="load"):
         augment([data], tmp_path / "load", run=RUN, config=replace(config, data=replace(config.data, reads=("load",))))
+
+
+@pytest.fixture(scope="module")
+def upright(tmp_path_factory):
+    """A robot with joints that stand elsewhere and turn the other way around than those that were trained on."""
+    folder = tmp_path_factory.mktemp("upright")
+    data = make_dataset(folder / "data", counts=(16, 4, 3))
+    shown = DataConfig(signals=("position",), reads=("velocity",), stops=False, modular=True)
+    models = {}
+    for name, config in {"plain": shown, "odd": replace(shown, blind=("position",), mirrored=True)}.items():
+        made = augment([data], folder / name, run=RUN, config=replace(LSTM, data=config, epochs=20), name=name, jobs=1)
+        models[name] = made.augmentation
+    return folder, data, models
+
+
+def moved(data, *, by=0.0, turned=1.0):
+    episode = data.episode("test0", runs=[RUN])
+    run = episode.run(RUN)
+    signals = {name: turned * values for name, values in run.signals.items()}
+    return replace(episode, simulated={RUN: replace(run, signals={**signals, "position": signals["position"] + by})})
+
+
+def test_who_does_not_read_a_position_corrects_it_the_same_elsewhere(upright):
+    _, data, models = upright
+
+    def added(model, by):
+        episode = moved(data, by=by)
+        return model.predict(episode)["position"] - episode.run(RUN)["position"]
+
+    here, there = added(models["odd"], 0.0), added(models["odd"], 40.0)
+    assert np.abs(here).max() > 0.01
+    np.testing.assert_allclose(there, here, atol=1e-5)
+    assert np.abs(added(models["plain"], 40.0) - added(models["plain"], 0.0)).max() > 0.01
+
+
+def test_what_was_learned_the_other_way_around_prefers_no_direction(upright):
+    _, data, models = upright
+    apart = {}
+    for name, model in models.items():
+        there, back = moved(data), moved(data, turned=-1.0)
+        added = [model.predict(item)["position"] - item.run(RUN)["position"] for item in (there, back)]
+        apart[name] = np.abs(added[0] + added[1]).mean() / np.abs(added[0]).mean()
+    assert models["odd"].corrector.center.abs().max() < 1e-6
+    assert apart["odd"] < 0.5
+
+
+def test_a_graph_leaves_out_what_is_not_read(upright):
+    folder, data, models = upright
+    episode = moved(data, by=40.0)
+    by_torch, by_onnx = models["odd"].predict(episode), Trained.load(folder / "odd").predict(episode, RUN)
+    np.testing.assert_allclose(by_onnx["position"], by_torch["position"], atol=1e-4)
+    card = models["odd"].card
+    assert [np.isinf(channel.high) for channel in card.inputs] == [True, False]
+    assert ModelCard.from_json(card.to_json()) == card
+    again = Augmentation.load(folder / "odd").predict(episode)
+    np.testing.assert_array_equal(again["position"], by_torch["position"])
+
+
+def test_blind_and_mirrored_where_they_mean_something():
+    with pytest.raises(ConfigError, match="not corrected"):
+        DataConfig(signals=("position",), blind=("velocity",))
+    with pytest.raises(ConfigError, match="modular"):
+        DataConfig(mirrored=True)
+    average = preset("moving-average")
+    with pytest.raises(ConfigError, match="averages"):
+        replace(average, data=replace(average.data, blind=("position",)))
 
 
 def test_hinges_and_slides_are_two_kinds():

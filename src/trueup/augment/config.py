@@ -94,6 +94,10 @@ class DataConfig:
             its stop is carried by it, and its torque says little. For joints whose limits are known.
         modular: one network for every joint, which so serves joints and robots that it never saw (SAT, IV); it knows
             nothing of a joint's place or limits.
+        blind: signals that are corrected without being read: the position of a joint that it never saw says something
+            else to a modular network than those of the joints that it knows.
+        mirrored: a modular network also learns every motion the other way around, so that it prefers no direction:
+            what one joint is off by to one side all the time, another one is not.
     """
 
     signals: tuple[str, ...] | None = None
@@ -104,9 +108,18 @@ class DataConfig:
     normalization: Literal["limits", "statistics"] = "statistics"
     stops: bool = True
     modular: bool = False
+    blind: tuple[str, ...] = ()
+    mirrored: bool = False
 
     def __post_init__(self) -> None:
         """Refuse unknown signals, and what no joint could be told from another by."""
+        if self.mirrored and not self.modular:
+            raise ConfigError(
+                "data: mirrored is for modular networks",
+                got="modular: false",
+                expected="modular: true",
+                hint="A whole robot knows up from down.",
+            )
         if self.modular and (self.stops or self.normalization != "statistics"):
             raise ConfigError(
                 "data: a modular network knows no limits of joints",
@@ -116,6 +129,11 @@ class DataConfig:
         for name in (*(self.signals or ()), *self.command):
             if name not in SIGNALS:
                 raise ConfigError("data: signals", got=name, available=SIGNALS)
+        for name in self.blind:
+            if name not in SIGNALS or (self.signals is not None and name not in self.signals):
+                raise ConfigError(
+                    "data: blind to a signal that is not corrected", got=name, available=self.signals or SIGNALS
+                )
         for name in self.reads:
             if name not in (*SIGNALS, "load"):
                 raise ConfigError("data: reads", got=name, available=(*SIGNALS, "load"))
@@ -274,6 +292,8 @@ class AugmentConfig:
                 expected="data: normalization: limits",
                 hint="Its bound is the scale of the output: with limits the range of the joint.",
             )
+        if not self.network.trained and self.data.blind:
+            raise ConfigError(f"{self.network.kind} averages what it corrects", got=f"data: blind: {self.data.blind}")
         if not 0 < self.coverage < 1:
             raise ConfigError("coverage", got=self.coverage, expected="a share between 0 and 1")
         if not 0 <= self.margin <= LARGEST_MARGIN:

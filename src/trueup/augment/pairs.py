@@ -119,6 +119,7 @@ def write_pairs(
     outputs: Sequence[Channel],
     rate_hz: float,
     joints: Sequence[str] = (),
+    mirrored: bool = False,
 ) -> Pairs:
     """Bring motions onto one clock each and append them to a file.
 
@@ -130,6 +131,7 @@ def write_pairs(
         outputs: what it corrects; the measured signals are read.
         rate_hz: of the network.
         joints: for channels of any joint: those that each become a motion of their own.
+        mirrored: each motion also comes the other way around.
 
     Raises:
         DataError: a value is not finite, there is no motion, or the disk is full.
@@ -149,11 +151,13 @@ def write_pairs(
                     y = _measured(episode, wanted, grid.time_s)
                     _refuse_gaps(episode, x, given)
                     _refuse_gaps(episode, y, wanted)
-                    file.write(np.concatenate([x, y], axis=1).tobytes())
-                    marked.write(np.array([len(runs)], np.uint64).tobytes() + runs.tobytes())
                     name = f"{episode.id} {joint}" if joint else episode.id
-                    motions.append(Motion(name, number, episode.meta.condition, at, len(x)))
-                    at += len(x)
+                    rows = np.concatenate([x, y], axis=1)
+                    for sign in (1, -1) if mirrored else (1,):
+                        file.write((sign * rows).tobytes())
+                        marked.write(np.array([len(runs)], np.uint64).tobytes() + runs.tobytes())
+                        motions.append(Motion(name, number, episode.meta.condition, at, len(rows)))
+                        at += len(rows)
     except OSError as error:  # of these two files: reading has errors of its own
         raise DataError(f"cannot write {path}", got=error.strerror or str(error)) from error
     if not motions:

@@ -153,6 +153,7 @@ def augment(
                     outputs=outputs,
                     rate_hz=rate_hz,
                     joints=joints if data.modular else (),
+                    mirrored=data.mirrored and split == "train",
                 )
             )
             for split, chosen in ids.items()
