@@ -86,6 +86,8 @@ class DataConfig:
         reads: simulated signals that are read besides those that are corrected; here, `load` is one.
         command: commanded signals that are read, as how far they are from the simulated ones; () for none, as in the
             papers.
+        measured: signals of the robot that are read one sample late, as how far they are from the simulated ones
+            (SAT, V); for networks that run beside a robot with sensors.
         rate_hz: samples per second; None for the rate of the logs.
         joints: those that are trained on and corrected; all that are scored if empty.
         normalization: `limits` maps the joints' limits to [0, 1] (Realeasy, IV-B); `statistics` takes mean and
@@ -103,6 +105,7 @@ class DataConfig:
     signals: tuple[str, ...] | None = None
     reads: tuple[str, ...] = ()
     command: tuple[str, ...] = ()
+    measured: tuple[str, ...] = ()
     rate_hz: float | None = None
     joints: tuple[str, ...] = ()
     normalization: Literal["limits", "statistics"] = "statistics"
@@ -126,7 +129,7 @@ class DataConfig:
                 got=f"stops: {self.stops}, normalization: {self.normalization}",
                 expected="stops: false, normalization: statistics",
             )
-        for name in (*(self.signals or ()), *self.command):
+        for name in (*(self.signals or ()), *self.command, *self.measured):
             if name not in SIGNALS:
                 raise ConfigError("data: signals", got=name, available=SIGNALS)
         for name in self.blind:
@@ -291,6 +294,12 @@ class AugmentConfig:
                 "network: output_activation: tanh would cut the peaks of every correction",
                 expected="data: normalization: limits",
                 hint="Its bound is the scale of the output: with limits the range of the joint.",
+            )
+        if self.data.measured and self.network.bidirectional:
+            raise ConfigError(
+                "data: measured, which is what is known in a control loop",
+                got="network: bidirectional: true",
+                expected="a network that does not see the future",
             )
         if not self.network.trained and self.data.blind:
             raise ConfigError(f"{self.network.kind} averages what it corrects", got=f"data: blind: {self.data.blind}")

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt64
@@ -287,6 +288,7 @@ def channels_of(
     signals: Sequence[str] | None,
     reads: Sequence[str] = (),
     command: Sequence[str] = (),
+    measured: Sequence[str] = (),
     known: Sequence[str],
 ) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
     """Inputs and outputs for an episode: all joints of each signal, simulated ones before commanded ones.
@@ -297,13 +299,14 @@ def channels_of(
         signals: those to correct; None for those of `known` that both sides have.
         reads: other simulated signals to read.
         command: commanded signals to read.
+        measured: measured signals to read, one sample late.
         known: signals that can be corrected, in order.
 
     Raises:
         MissingSignal: a signal is on one side only.
     """
-    series, measured = episode.run(run), episode.measured
-    both = [name for name in known if name in series and name in measured]
+    series, truth = episode.run(run), episode.measured
+    both = [name for name in known if name in series and name in truth]
     chosen = list(both if signals is None else signals)
     for name in chosen:
         if name not in both:
@@ -313,17 +316,20 @@ def channels_of(
         raise MissingSignal(f"episode {episode.id!r}: robot and run {run!r} share no signal", available=known)
     corrected = _channels(series, chosen)
     read = _channels(series, [name for name in reads if name not in chosen])
-    told = _channels(episode.commanded(), command, of_command=True) if command else []
-    return (*corrected, *read, *told), tuple(corrected)
+    told = _channels(episode.commanded(), command, "command") if command else []
+    sensed = _channels(truth, measured, "measured") if measured else []
+    return (*corrected, *read, *told, *sensed), tuple(corrected)
 
 
-def _channels(series: TimeSeries, signals: Sequence[str], *, of_command: bool = False) -> list[Channel]:
+def _channels(
+    series: TimeSeries, signals: Sequence[str], kind: Literal["simulated", "command", "measured"] = "simulated"
+) -> list[Channel]:
     for name in signals:
         if name not in series:
-            what = "commanded" if of_command else "simulated"
+            what = "commanded" if kind == "command" else kind
             raise MissingSignal(f"there is no {what} {name}", available=series.signals)
     return [
-        Channel(name, joint, unit, "command" if of_command else "simulated")
+        Channel(name, joint, unit, kind)
         for name in signals
         for joint, unit in zip(series.joints, series.units[name], strict=True)
     ]

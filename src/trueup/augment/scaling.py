@@ -71,12 +71,12 @@ def summarize(pairs: Pairs, base: Int[np.ndarray, "K"]) -> Summary:
 
 
 def counterparts(inputs: Sequence[Channel]) -> Int[np.ndarray, "I"]:
-    """For each commanded input the simulated one of the same signal and joint, (I,); -1 where there is none.
+    """For each commanded or measured input the simulated one of its signal and joint, (I,); -1 where there is none.
 
     A servo's error is small beside the range of its joint: read as a number of its own it would drown.
     """
     simulated = {(c.signal, c.joint): number for number, c in enumerate(inputs) if c.series == "simulated"}
-    return np.array([simulated.get((c.signal, c.joint), -1) if c.series == "command" else -1 for c in inputs])
+    return np.array([simulated.get((c.signal, c.joint), -1) if c.series != "simulated" else -1 for c in inputs])
 
 
 class _Moments:
