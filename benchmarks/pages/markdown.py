@@ -10,6 +10,19 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1)
     return "\n".join("| " + " | ".join(cells) + " |" for cells in (heads, rule, *rows))
 
 
+def with_part(text: str, name: str, content: str) -> str:
+    """A page with another text between its lines `<!-- made: NAME -->` and `<!-- /made: NAME -->`.
+
+    Raises:
+        ValueError: it has no such lines, or several.
+    """
+    begin, end = f"<!-- made: {name} -->\n", f"<!-- /made: {name} -->\n"
+    if text.count(begin) != 1 or text.count(end) != 1 or text.index(begin) > text.index(end):
+        raise ValueError(f"the page has no place for {name}")
+    before, rest = text.split(begin)
+    return f"{before}{begin}{content.strip()}\n{end}{rest.split(end)[1]}"
+
+
 def with_rows(text: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A page with other rows in its one table with these heads.
 

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from benchmarks.acceptance.lines import LINES, REASONS
 from benchmarks.pages import kinds, laws, thesis
-from benchmarks.pages.__main__ import NAMES, figures, text
+from benchmarks.pages.__main__ import NAMES, PARTS, figures, text, with_parts
+from benchmarks.pages.markdown import with_part
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -19,6 +20,21 @@ def stored(name):
 def test_a_page_and_its_figures_are_made_from_its_result(name, file):
     for path, content in {file: text(name), **figures(name)}.items():
         assert (ROOT / "docs" / path).read_text() == content
+
+
+@pytest.mark.parametrize("file", sorted(set(PARTS.values())))
+def test_the_parts_of_a_page_are_made_from_their_results(file):
+    assert (ROOT / "docs" / file).read_text() == with_parts(file)
+
+
+def test_a_part_has_one_place_in_its_page():
+    page = "a\n<!-- made: x -->\nold\n<!-- /made: x -->\nb\n"
+    made = with_part(page, "x", "new\n")
+    assert made == "a\n<!-- made: x -->\nnew\n<!-- /made: x -->\nb\n"
+    assert with_part(made, "x", "new") == made
+    for broken in ("a\n", page + page, page.replace("/made", "/maid")):
+        with pytest.raises(ValueError, match="no place for x"):
+            with_part(broken, "x", "new")
 
 
 def test_the_tables_of_what_there_is_are_made_from_the_code():
