@@ -8,7 +8,7 @@ Identifies the recorded SO-101, trains what is missing under runs/sat_so101, eva
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,11 +25,11 @@ from trueup.augment.networks.sat import SatConfig
 from trueup.core.atomic import make_folder, write_json
 from trueup.core.model_card import ModelCard
 from trueup.core.provenance import provenance
-from trueup.core.results import GapResult
+from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset
 from trueup.measure import paired_difference
 from trueup.robots import load_robot
-from trueup.stages import FITTED, augment, evaluate, gap
+from trueup.stages import FITTED, augment, evaluate
 from trueup.stages.correcting import in_run_names
 
 RESULT = Path(__file__).parent / "results" / "sat_so101.json"
@@ -38,6 +38,7 @@ UNSEEN = ("wrist_flex", "wrist_roll")
 SEEDS = (0, 1, 2)
 METRICS = ("mae", "rmse")
 SIMULATOR, HELD = "simulator", "held"
+_RESTING = 0.05  # rad/s
 # Trained with every seed.
 REPEATED = ("sat", "sat-sensed")
 _PAIRS = (("sat-all", "realeasy-rt"), ("sat-all", "sat-whole"))
@@ -89,25 +90,10 @@ def score(arm: Dataset, chosen: Mapping[str, Any]) -> list[Row]:
     """Look at the test motions with what is trained, and write the result file."""
     made = [(name, seed) for name in MODELS for seed in seeds_of(name)]
     evaluated = evaluate(arm, [folder_of(*item) for item in made], FOLDER / "evaluated", run=FITTED, overwrite=True)
-    labels = [FITTED, *(label_of(*item) for item in made)]
-    measured = gap(arm, runs=labels, split="test", signals=["position"], metrics=list(METRICS)).gap
-    motions = sorted(measured.episodes[FITTED])
-    errors = {
-        SIMULATOR: {
-            metric: {key: [_errors(measured, FITTED, metric, GROUPS[key])] for key in GROUPS} for metric in METRICS
-        },
-        HELD: _held(arm, motions),
-        **{
-            name: {
-                metric: {
-                    key: [_errors(measured, label_of(name, seed), metric, GROUPS[key]) for seed in seeds_of(name)]
-                    for key in GROUPS
-                }
-                for metric in METRICS
-            }
-            for name in MODELS
-        },
-    }
+    motions = sorted(arm.select(split="test"))
+    errors = {SIMULATOR: _as_means([_errors(arm, motions, FITTED)]), HELD: _as_means([_held(arm, motions)])}
+    for name in MODELS:
+        errors[name] = _as_means([_errors(arm, motions, label_of(name, seed)) for seed in seeds_of(name)])
     result = {
         "schema": "trueup.sat_so101/1",
         "motions": motions,
@@ -119,6 +105,7 @@ def score(arm: Dataset, chosen: Mapping[str, Any]) -> list[Row]:
             for name, base in [*((name, SIMULATOR) for name in (HELD, *MODELS)), ("sat-sensed", HELD), *_PAIRS]
         },
         "rungs": {rung.name: rung.splits["test"]["position"]["rmse"].to_json() for rung in evaluated.ladder.rungs},
+        "left": _left_by_simulator(arm, motions),
         "training": {name: [_training(name, seed) for seed in seeds_of(name)] for name in MODELS},
         "choice": chosen,
         "provenance": provenance(
@@ -168,33 +155,66 @@ def train(arm: Dataset, name: str, seed: int) -> Path:
     return folder
 
 
-def _errors(measured: GapResult, label: str, metric: str, joints: Sequence[str]) -> list[float]:
-    """One error per test motion, the mean over joints [rad]."""
-    motions = sorted(measured.episodes[FITTED])
-    own = [measured.episodes[label][name]["position"][metric] for name in motions]
-    return [float(np.mean([values[joint] for joint in joints])) for values in own]
+# Of one run: metric -> joint -> one error per motion [rad].
+Errors = dict[str, dict[str, list[float]]]
 
 
-def _held(arm: Dataset, motions: Sequence[str]) -> dict[str, Any]:
-    """What needs no network: the simulator and the error that the encoder has shown one sample before."""
-    info = arm.run_info(FITTED)
-    squares, sizes = [], []
-    for name in motions:
-        episode = in_run_names(arm.episode(name, runs=[FITTED]), info)
-        run, truth = episode.run(FITTED), episode.measured.select(list(episode.run(FITTED).joints))
-        position = truth["position"]
-        measured = np.stack([np.interp(run.time_s, truth.time_s, own) for own in position.T], axis=1)
-        apart = measured - run["position"]
-        left = np.diff(apart, axis=0, prepend=np.zeros_like(apart[:1]))
-        squares.append(dict(zip(run.joints, np.sqrt((left**2).mean(axis=0)), strict=True)))
-        sizes.append(dict(zip(run.joints, np.abs(left).mean(axis=0), strict=True)))
+def _errors(arm: Dataset, motions: Sequence[str], label: str) -> Errors:
+    return _errors_of((run.joints, apart) for run, apart in _apart(arm, motions, label))
+
+
+def _errors_of(found: Iterable[tuple[Sequence[str], np.ndarray]]) -> Errors:
+    errors: Errors = {metric: {joint: [] for joint in (*SEEN, *UNSEEN)} for metric in METRICS}
+    for joints, apart in found:
+        for joint in (*SEEN, *UNSEEN):
+            own = apart[:, joints.index(joint)]
+            errors["mae"][joint].append(float(np.abs(own).mean()))
+            errors["rmse"][joint].append(float(np.sqrt((own**2).mean())))
+    return errors
+
+
+def _as_means(trainings: Sequence[Errors]) -> dict[str, Any]:
+    """Metric -> joints together -> one list per training."""
     return {
         metric: {
-            key: [[float(np.mean([item[joint] for joint in joints])) for item in found]]
+            key: [np.mean([errors[metric][joint] for joint in joints], axis=0).tolist() for errors in trainings]
             for key, joints in GROUPS.items()
         }
-        for metric, found in (("mae", sizes), ("rmse", squares))
+        for metric in METRICS
     }
+
+
+def _apart(arm: Dataset, motions: Sequence[str], label: str = FITTED) -> Iterator[tuple[TimeSeries, np.ndarray]]:
+    """The simulated motions, and how far the measured position is from them, (T, J) [rad]."""
+    info = arm.run_info(FITTED)
+    for name in motions:
+        episode = in_run_names(arm.episode(name, runs=[label]), info)
+        run, truth = episode.run(label), episode.measured.select(list(episode.run(label).joints))
+        measured = np.stack([np.interp(run.time_s, truth.time_s, own) for own in truth["position"].T], axis=1)
+        yield run, measured - run["position"]
+
+
+def _left_by_simulator(arm: Dataset, motions: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Joint -> what share of the squared error is there at rest, and goes with one offset or one delay per motion."""
+    found = {}
+    for joint in (*SEEN, *UNSEEN):
+        total = rest = offset = delay = 0.0
+        for run, apart in _apart(arm, motions):
+            at = run.joints.index(joint)
+            error, speed = apart[:, at], run["velocity"][:, at]
+            total += float((error**2).sum())
+            rest += float((error[np.abs(speed) < _RESTING] ** 2).sum())
+            offset += float(len(error) * error.mean() ** 2)
+            delay += float((error @ speed) ** 2 / max(float(speed @ speed), 1e-12))
+        found[joint] = {"rest": rest / total, "offset": offset / total, "delay": delay / total}
+    return found
+
+
+def _held(arm: Dataset, motions: Sequence[str]) -> Errors:
+    """What needs no network: the simulator and the error that the encoder has shown one sample before."""
+    return _errors_of(
+        (run.joints, np.diff(apart, axis=0, prepend=np.zeros_like(apart[:1]))) for run, apart in _apart(arm, motions)
+    )
 
 
 def _differences(own: Mapping[str, Any], base: Mapping[str, Any], run: str, baseline: str) -> dict[str, Any]:

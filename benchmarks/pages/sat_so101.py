@@ -58,6 +58,13 @@ Difference to the identified simulator, 95 % interval over whole motions, in mra
 
 {verdict}
 
+### What is left
+
+Of the squared error of the identified simulator on test: the share at rest (slower than 0.05 rad/s), and the shares
+that one offset, or one delay, of each motion would take away.
+
+{left}
+
 ### Rungs
 
 Position RMSE on test as the [ladder](augmentation.md#evaluating) has it, mean over motions and the five joints:
@@ -87,6 +94,7 @@ def part(result: Mapping[str, Any]) -> str:
         errors=error_table(result),
         differences=difference_table(result),
         verdict=verdict(result),
+        left=left_table(result),
         rungs=rung_table(result),
         choice=choice_table(result),
         choice_words=choice_words(result),
@@ -144,6 +152,15 @@ def verdict(result: Mapping[str, Any]) -> str:
         }[held["verdict"]]
     )
     return "\n".join(lines)
+
+
+def left_table(result: Mapping[str, Any]) -> str:
+    """Shares of what the simulator leaves, joint by joint."""
+    rows = [
+        [JOINTS[joint], *(f"{100 * own[key]:.0f} %" for key in ("rest", "offset", "delay"))]
+        for joint, own in result["left"].items()
+    ]
+    return table(["", "at rest", "one offset", "one delay"], rows)
 
 
 def rung_table(result: Mapping[str, Any]) -> str:
