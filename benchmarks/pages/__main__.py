@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.pages import kinds, laws
-from benchmarks.pages.markdown import with_part
+from benchmarks.pages.markdown import with_section
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = {
@@ -18,7 +18,7 @@ NAMES = {
     "streaming": "step-times.md",
     "acceptance": "acceptance.md",
 }
-# Results that make a part of a page that is otherwise written by hand.
+# Results that make a section of a page that is otherwise written by hand.
 PARTS = {"sat_so101": "building-blocks.md"}
 
 
@@ -45,7 +45,7 @@ def with_parts(file: str) -> str:
     found = (ROOT / "docs" / file).read_text()
     for name, page in PARTS.items():
         if page == file and is_stored(name):
-            found = with_part(found, name, import_module(f"benchmarks.pages.{name}").part(_result(name)))
+            found = with_section(found, import_module(f"benchmarks.pages.{name}").part(_result(name)))
     return found
 
 

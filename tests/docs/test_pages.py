@@ -7,7 +7,7 @@ import pytest
 from benchmarks.acceptance.lines import LINES, REASONS
 from benchmarks.pages import kinds, laws, thesis
 from benchmarks.pages.__main__ import NAMES, PARTS, figures, text, with_parts
-from benchmarks.pages.markdown import with_part
+from benchmarks.pages.markdown import with_section
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -27,14 +27,15 @@ def test_the_parts_of_a_page_are_made_from_their_results(file):
     assert (ROOT / "docs" / file).read_text() == with_parts(file)
 
 
-def test_a_part_has_one_place_in_its_page():
-    page = "a\n<!-- made: x -->\nold\n<!-- /made: x -->\nb\n"
-    made = with_part(page, "x", "new\n")
-    assert made == "a\n<!-- made: x -->\nnew\n<!-- /made: x -->\nb\n"
-    assert with_part(made, "x", "new") == made
-    for broken in ("a\n", page + page, page.replace("/made", "/maid")):
-        with pytest.raises(ValueError, match="no place for x"):
-            with_part(broken, "x", "new")
+def test_a_section_has_one_place_in_its_page():
+    page = "# A\n\n## B\n\nold\n\n### of it\n\nold\n\n## C\n\nc\n"
+    made = with_section(page, "## B\n\nnew\n")
+    assert made == "# A\n\n## B\n\nnew\n\n## C\n\nc\n"
+    assert with_section(made, "## B\n\nnew") == made
+    assert with_section(page, "## C\n\nlast") == page.replace("\nc\n", "\nlast\n")
+    for broken in ("# A\n", page + page):
+        with pytest.raises(ValueError, match="no section '## B'"):
+            with_section(broken, "## B\n\nnew")
 
 
 def test_the_tables_of_what_there_is_are_made_from_the_code():
