@@ -30,6 +30,7 @@ NAMES = (
     "panda",
     "training",
     "augment",
+    "sat_so101",
     "streaming",
 )
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.pages import kinds, laws
+from benchmarks.pages.markdown import with_section
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = {
@@ -17,6 +18,8 @@ NAMES = {
     "streaming": "step-times.md",
     "acceptance": "acceptance.md",
 }
+# Results that make a section of a page that is otherwise written by hand.
+PARTS = {"sat_so101": "building-blocks.md"}
 
 
 def is_stored(name: str) -> bool:
@@ -37,6 +40,15 @@ def figures(name: str) -> dict[str, str]:
     return found
 
 
+def with_parts(file: str) -> str:
+    """A page with the parts that stored results make in it."""
+    found = (ROOT / "docs" / file).read_text()
+    for name, page in PARTS.items():
+        if page == file and is_stored(name):
+            found = with_section(found, import_module(f"benchmarks.pages.{name}").part(_result(name)))
+    return found
+
+
 def _path(name: str) -> Path:
     return ROOT / "benchmarks" / "results" / f"{name}.json"
 
@@ -54,6 +66,8 @@ def main() -> None:
                 (ROOT / "docs" / path).write_text(content)
         else:
             print(f"docs/{file} is left as it is: benchmarks/results/{name}.json is not there yet")
+    for file in dict.fromkeys(PARTS.values()):
+        (ROOT / "docs" / file).write_text(with_parts(file))
     for file, content in {**kinds.pages(), **laws.pages()}.items():
         (ROOT / "docs" / file).write_text(content)
 

@@ -10,6 +10,21 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1)
     return "\n".join("| " + " | ".join(cells) + " |" for cells in (heads, rule, *rows))
 
 
+def with_section(text: str, content: str) -> str:
+    """A page with another text in its section that has the same heading, up to the next one of that level.
+
+    Raises:
+        ValueError: it has no such section, or several.
+    """
+    heading = content.strip().splitlines()[0]
+    level = heading.split()[0]
+    section = re.compile(rf"^{re.escape(heading)}\n.*?(?=^{level} |\Z)", re.M | re.S)
+    if len(section.findall(text)) != 1:
+        raise ValueError(f"the page has no section {heading!r}")
+    made: str = section.sub(lambda _: f"{content.strip()}\n\n", text)
+    return made.rstrip() + "\n"
+
+
 def with_rows(text: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A page with other rows in its one table with these heads.
 

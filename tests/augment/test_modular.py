@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 
 from augment.augment_cases import RATE_HZ, RUN, make_dataset
-from trueup.augment import Augmentation, AugmentConfig
+from trueup.augment import Augmentation, AugmentConfig, preset
 from trueup.augment.config import DataConfig, NetworkConfig, OptimizerConfig, WindowConfig
+from trueup.augment.corrector import Corrector
+from trueup.augment.gating import errors_of
+from trueup.augment.networks import build_network
 from trueup.augment.networks.sat import SatConfig
+from trueup.augment.pairs import any_joint, channels_of, write_pairs
+from trueup.augment.scaling import Scaling
 from trueup.augment.trained import Trained
 from trueup.core.model_card import ANY_JOINT, ModelCard
 from trueup.deploy import Network, Stream
@@ -57,6 +62,43 @@ def test_the_card_has_the_channels_of_any_joint(trained, name):
         assert output.base // width == THREE.index(output.joint)
     assert own.of_joints(("other",)) is own
     assert ModelCard.from_json(card.to_json()) == card
+
+
+def test_joints_of_one_motion_are_one_motion(trained, tmp_path):
+    """They move together: the bootstrap of the gate and the promise of intervals must not count them twice."""
+    _, models = trained
+    folder, _ = models["lstm"]
+    training = ModelCard.load(folder).provenance["training"]["motions"]
+    assert training == {"train": 16, "val": 12}
+    few = make_dataset(tmp_path / "few", counts=(4, 5, 1), seed=8)
+    card = augment([few], tmp_path / "model", run=RUN, config=replace(LSTM, epochs=1), jobs=1).augmentation.card
+    assert card.coverage_note.startswith("5 val motions")
+
+
+def test_the_errors_of_a_motion_are_those_of_its_joints(tmp_path):
+    data = make_dataset(tmp_path / "data", counts=(1, 1, 3))
+    episodes = [data.episode(name, runs=[RUN]) for name in data.select(split="test")]
+    inputs, outputs = (any_joint(part) for part in channels_of(episodes[0], RUN, signals=["torque"], known=["torque"]))
+    written = write_pairs(
+        episodes,
+        tmp_path / "test.f32",
+        run=RUN,
+        inputs=inputs,
+        outputs=outputs,
+        rate_hz=RATE_HZ,
+        joints=("pan", "lift"),
+    )
+    one = np.ones(1)
+    network = build_network(NetworkConfig("lstm", (4,)), inputs=1, base=[0], rate_hz=RATE_HZ)
+    corrector = Corrector(network, Scaling(one, one, one, one, one), np.array([0]), target="residual")
+    corrector.set_gate(np.zeros(1))
+    found = errors_of(corrector, written)
+    assert (written.episodes, len(written.motions)) == (3, 6)
+    assert found.conditions == tuple(episode.meta.condition for episode in episodes)
+    for number, episode in enumerate(episodes):
+        apart = (episode.measured["torque"] - episode.run(RUN)["torque"]) ** 2
+        assert found.rows[number] == apart.size
+        assert found.simulated[number, 0] == pytest.approx(apart.sum(), rel=1e-4)
 
 
 def test_it_helps_on_a_robot_that_it_never_saw(trained):
@@ -124,8 +166,73 @@ def test_some_joints_are_trained_on(trained, tmp_path):
         augment([data], tmp_path / "load", run=RUN, config=replace(config, data=replace(config.data, reads=("load",))))
 
 
+@pytest.fixture(scope="module")
+def upright(tmp_path_factory):
+    """A robot with joints that stand elsewhere and turn the other way around than those that were trained on."""
+    folder = tmp_path_factory.mktemp("upright")
+    data = make_dataset(folder / "data", counts=(16, 4, 3))
+    shown = DataConfig(signals=("position",), reads=("velocity",), stops=False, modular=True)
+    models = {}
+    for name, config in {"plain": shown, "odd": replace(shown, blind=("position",), mirrored=True)}.items():
+        made = augment([data], folder / name, run=RUN, config=replace(LSTM, data=config, epochs=20), name=name, jobs=1)
+        models[name] = made.augmentation
+    return folder, data, models
+
+
+def moved(data, *, by=0.0, turned=1.0):
+    episode = data.episode("test0", runs=[RUN])
+    run = episode.run(RUN)
+    signals = {name: turned * values for name, values in run.signals.items()}
+    return replace(episode, simulated={RUN: replace(run, signals={**signals, "position": signals["position"] + by})})
+
+
+def test_who_does_not_read_a_position_corrects_it_the_same_elsewhere(upright):
+    _, data, models = upright
+
+    def added(model, by):
+        episode = moved(data, by=by)
+        return model.predict(episode)["position"] - episode.run(RUN)["position"]
+
+    here, there = added(models["odd"], 0.0), added(models["odd"], 40.0)
+    assert np.abs(here).max() > 0.01
+    np.testing.assert_allclose(there, here, atol=1e-5)
+    assert np.abs(added(models["plain"], 40.0) - added(models["plain"], 0.0)).max() > 0.01
+
+
+def test_what_was_learned_the_other_way_around_prefers_no_direction(upright):
+    _, data, models = upright
+    apart = {}
+    for name, model in models.items():
+        there, back = moved(data), moved(data, turned=-1.0)
+        added = [model.predict(item)["position"] - item.run(RUN)["position"] for item in (there, back)]
+        apart[name] = np.abs(added[0] + added[1]).mean() / np.abs(added[0]).mean()
+    assert models["odd"].corrector.center.abs().max() < 1e-6
+    assert apart["odd"] < 0.5
+
+
+def test_a_graph_leaves_out_what_is_not_read(upright):
+    folder, data, models = upright
+    episode = moved(data, by=40.0)
+    by_torch, by_onnx = models["odd"].predict(episode), Trained.load(folder / "odd").predict(episode, RUN)
+    np.testing.assert_allclose(by_onnx["position"], by_torch["position"], atol=1e-4)
+    card = models["odd"].card
+    assert [np.isinf(channel.high) for channel in card.inputs] == [True, False]
+    assert ModelCard.from_json(card.to_json()) == card
+    again = Augmentation.load(folder / "odd").predict(episode)
+    np.testing.assert_array_equal(again["position"], by_torch["position"])
+
+
+def test_blind_and_mirrored_where_they_mean_something():
+    with pytest.raises(ConfigError, match="not corrected"):
+        DataConfig(signals=("position",), blind=("velocity",))
+    with pytest.raises(ConfigError, match="modular"):
+        DataConfig(mirrored=True)
+    average = preset("moving-average")
+    with pytest.raises(ConfigError, match="averages"):
+        replace(average, data=replace(average.data, blind=("position",)))
+
+
 def test_hinges_and_slides_are_two_kinds():
-    from trueup.augment.pairs import any_joint
     from trueup.core.model_card import Channel
 
     with pytest.raises(UnitError, match="different kinds"):

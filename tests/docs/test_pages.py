@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from benchmarks.acceptance.lines import LINES, REASONS
 from benchmarks.pages import kinds, laws, thesis
-from benchmarks.pages.__main__ import NAMES, figures, text
+from benchmarks.pages.__main__ import NAMES, PARTS, figures, text, with_parts
+from benchmarks.pages.markdown import with_section
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -19,6 +20,22 @@ def stored(name):
 def test_a_page_and_its_figures_are_made_from_its_result(name, file):
     for path, content in {file: text(name), **figures(name)}.items():
         assert (ROOT / "docs" / path).read_text() == content
+
+
+@pytest.mark.parametrize("file", sorted(set(PARTS.values())))
+def test_the_parts_of_a_page_are_made_from_their_results(file):
+    assert (ROOT / "docs" / file).read_text() == with_parts(file)
+
+
+def test_a_section_has_one_place_in_its_page():
+    page = "# A\n\n## B\n\nold\n\n### of it\n\nold\n\n## C\n\nc\n"
+    made = with_section(page, "## B\n\nnew\n")
+    assert made == "# A\n\n## B\n\nnew\n\n## C\n\nc\n"
+    assert with_section(made, "## B\n\nnew") == made
+    assert with_section(page, "## C\n\nlast") == page.replace("\nc\n", "\nlast\n")
+    for broken in ("# A\n", page + page):
+        with pytest.raises(ValueError, match="no section '## B'"):
+            with_section(broken, "## B\n\nnew")
 
 
 def test_the_tables_of_what_there_is_are_made_from_the_code():

@@ -139,6 +139,7 @@ class Augmentation:
             target=config.loss.target,
             loss_scale=config.loss.scale,
             limits=task.limits,
+            blind=config.data.blind,
         )
         stops = Stops.of(task.train.inputs, task.limits if config.data.stops else {})
         corrector = _made(config, task.train.inputs, base, scaling, stops, task.rate_hz, seed)
@@ -292,8 +293,12 @@ def _card(
     far = far_off(corrector, pairs, summary.simulator_rms)
     base, gate = corrector.base.cpu().numpy(), corrector.gate.cpu().numpy()
     inputs = tuple(
-        Input(channel.signal, channel.joint, channel.unit, channel.series, low=float(low), high=float(high))
-        for channel, low, high in zip(pairs.inputs, summary.low, summary.high, strict=True)
+        Input(channel.signal, channel.joint, channel.unit, channel.series)
+        if np.isinf(scale)
+        else Input(channel.signal, channel.joint, channel.unit, channel.series, low=float(low), high=float(high))
+        for channel, low, high, scale in zip(
+            pairs.inputs, summary.low, summary.high, corrector.scale.cpu().numpy(), strict=True
+        )
     )
     outputs = tuple(
         Output(
@@ -318,7 +323,7 @@ def _card(
         "best_epoch": trained.best,
         "seconds": trained.seconds,
         "history": losses(trained.history),
-        "motions": {"train": len(task.train.motions), "val": len(task.val.motions)},
+        "motions": {"train": task.train.episodes, "val": task.val.episodes},
         "val_conditions": sorted({motion.condition for motion in task.val.motions}),
         "rows": {"train": task.train.rows, "val": task.val.rows},
     }

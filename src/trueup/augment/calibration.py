@@ -47,14 +47,15 @@ def intervals_of(corrector: Corrector, pairs: Pairs, coverage: float) -> Interva
     motions there is none; then the share on val itself is taken, and the note says so.
     """
     base, slope = _shape(corrector, pairs)
-    motions = len(pairs.motions)
+    motions = pairs.episodes
+    share = 1 / len(pairs.motions)
     risk = np.zeros((base.size, _RATIO_EDGES.size))  # of the factor at each edge
     for _, simulated, corrected, measured in predictions(corrector, pairs):
         error = np.abs(measured.astype(float) - corrected)
         ratio = error / (base + slope * np.abs(corrected.astype(float) - simulated))
         for output in range(base.size):
             counts = np.bincount(np.searchsorted(_RATIO_EDGES, ratio[:, output]), minlength=_RATIO_EDGES.size + 1)
-            risk[output] += (1 - np.cumsum(counts)[:-1] / len(ratio)) / motions
+            risk[output] += (1 - np.cumsum(counts)[:-1] / len(ratio)) * share
     allowed = 1 - coverage
     needed = int(np.ceil(coverage / allowed - 1e-9))  # 0.9 / (1 - 0.9) is a little more than 9
     enough = motions >= needed

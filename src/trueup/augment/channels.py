@@ -68,7 +68,8 @@ def gather(
     """The channels of one run of an episode at given times, in SI.
 
     Simulated signals are interpolated linearly, commands are held between their stamps; before its first stamp a
-    command counts as its first value.
+    command counts as its first value. Measured signals are those of the row before, as a control loop knows them;
+    in the first row, the simulated ones.
 
     Raises:
         MissingSignal: the episode lacks the run, the command or a signal.
@@ -77,6 +78,9 @@ def gather(
     """
     columns = []
     for channel in channels:
+        if channel.series == "measured":
+            columns.append(_sensed(episode, run, channel, time_s))
+            continue
         series = episode.run(run) if channel.series == "simulated" else episode.commanded()
         values = column(
             series, channel, f"episode {episode.id!r}, {run if channel.series == 'simulated' else 'command'}"
@@ -88,6 +92,16 @@ def gather(
         else:
             columns.append(_linear(series.time_s, values[:, None], time_s)[:, 0])
     return np.stack(columns, axis=1).astype(np.float32)
+
+
+def _sensed(episode: Episode, run: str, channel: Channel, time_s: Float64[np.ndarray, "N"]) -> Float32[np.ndarray, "N"]:
+    series = (episode.run(run), episode.measured)
+    names = (f"episode {episode.id!r}, {run}", f"episode {episode.id!r}, measured")
+    simulated, measured = (
+        _linear(item.time_s, column(item, channel, name)[:, None], time_s)[:, 0]
+        for item, name in zip(series, names, strict=True)
+    )
+    return np.concatenate([simulated[:1], measured[:-1]])
 
 
 def column(series: TimeSeries, channel: Channel, where: str) -> Float32[np.ndarray, "T"] | Float64[np.ndarray, "T"]:

@@ -86,6 +86,8 @@ class DataConfig:
         reads: simulated signals that are read besides those that are corrected; here, `load` is one.
         command: commanded signals that are read, as how far they are from the simulated ones; () for none, as in the
             papers.
+        measured: signals of the robot that are read one sample late, as how far they are from the simulated ones
+            (SAT, V); for networks that run beside a robot with sensors.
         rate_hz: samples per second; None for the rate of the logs.
         joints: those that are trained on and corrected; all that are scored if empty.
         normalization: `limits` maps the joints' limits to [0, 1] (Realeasy, IV-B); `statistics` takes mean and
@@ -94,28 +96,47 @@ class DataConfig:
             its stop is carried by it, and its torque says little. For joints whose limits are known.
         modular: one network for every joint, which so serves joints and robots that it never saw (SAT, IV); it knows
             nothing of a joint's place or limits.
+        blind: signals that are corrected without being read: the position of a joint that it never saw says something
+            else to a modular network than those of the joints that it knows.
+        mirrored: a modular network also learns every motion the other way around, so that it prefers no direction:
+            what one joint is off by to one side all the time, another one is not.
     """
 
     signals: tuple[str, ...] | None = None
     reads: tuple[str, ...] = ()
     command: tuple[str, ...] = ()
+    measured: tuple[str, ...] = ()
     rate_hz: float | None = None
     joints: tuple[str, ...] = ()
     normalization: Literal["limits", "statistics"] = "statistics"
     stops: bool = True
     modular: bool = False
+    blind: tuple[str, ...] = ()
+    mirrored: bool = False
 
     def __post_init__(self) -> None:
         """Refuse unknown signals, and what no joint could be told from another by."""
+        if self.mirrored and not self.modular:
+            raise ConfigError(
+                "data: mirrored is for modular networks",
+                got="modular: false",
+                expected="modular: true",
+                hint="A whole robot knows up from down.",
+            )
         if self.modular and (self.stops or self.normalization != "statistics"):
             raise ConfigError(
                 "data: a modular network knows no limits of joints",
                 got=f"stops: {self.stops}, normalization: {self.normalization}",
                 expected="stops: false, normalization: statistics",
             )
-        for name in (*(self.signals or ()), *self.command):
+        for name in (*(self.signals or ()), *self.command, *self.measured):
             if name not in SIGNALS:
                 raise ConfigError("data: signals", got=name, available=SIGNALS)
+        for name in self.blind:
+            if name not in SIGNALS or (self.signals is not None and name not in self.signals):
+                raise ConfigError(
+                    "data: blind to a signal that is not corrected", got=name, available=self.signals or SIGNALS
+                )
         for name in self.reads:
             if name not in (*SIGNALS, "load"):
                 raise ConfigError("data: reads", got=name, available=(*SIGNALS, "load"))
@@ -274,6 +295,14 @@ class AugmentConfig:
                 expected="data: normalization: limits",
                 hint="Its bound is the scale of the output: with limits the range of the joint.",
             )
+        if self.data.measured and self.network.bidirectional:
+            raise ConfigError(
+                "data: measured, which is what is known in a control loop",
+                got="network: bidirectional: true",
+                expected="a network that does not see the future",
+            )
+        if not self.network.trained and self.data.blind:
+            raise ConfigError(f"{self.network.kind} averages what it corrects", got=f"data: blind: {self.data.blind}")
         if not 0 < self.coverage < 1:
             raise ConfigError("coverage", got=self.coverage, expected="a share between 0 and 1")
         if not 0 <= self.margin <= LARGEST_MARGIN:

@@ -16,13 +16,13 @@ from trueup.augment.training import predictions
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Sums of squared errors, motion by motion.
+    """Sums of squared errors, episode by episode: those of joints that share a network are in one sum.
 
     Attributes:
-        rows: samples of each motion, (E,).
+        rows: samples of each episode, (E,).
         simulated: of the simulator, (E, K).
         corrected: of the corrected signals, (E, K).
-        conditions: condition of each motion, (E,).
+        conditions: condition of each episode, (E,).
     """
 
     rows: Float64[np.ndarray, "E"]
@@ -38,13 +38,14 @@ class Errors:
 
 def errors_of(corrector: Corrector, pairs: Pairs) -> Errors:
     """Errors on a split, with the gate as it is."""
-    count, width = len(pairs.motions), len(pairs.outputs)
-    rows, sums = np.zeros(count), np.zeros((2, count, width))
-    for number, simulated, corrected, measured in predictions(corrector, pairs):
-        rows[number] = len(measured)
-        for place, values in enumerate((simulated, corrected)):
-            sums[place, number] = ((measured.astype(float) - values) ** 2).sum(axis=0)
-    return Errors(rows, sums[0], sums[1], tuple(motion.condition for motion in pairs.motions))
+    conditions = {motion.episode: motion.condition for motion in pairs.motions}
+    rows, sums = np.zeros(len(conditions)), np.zeros((2, len(conditions), len(pairs.outputs)))
+    for number, *both, measured in predictions(corrector, pairs):
+        place = pairs.motions[number].episode
+        rows[place] += len(measured)
+        for which, values in enumerate(both):
+            sums[which, place] += ((measured.astype(float) - values) ** 2).sum(axis=0)
+    return Errors(rows, sums[0], sums[1], tuple(conditions.values()))
 
 
 def gates_of(

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt64
@@ -33,13 +34,15 @@ class Motion:
     """Where a motion stands in the file.
 
     Attributes:
-        id: episode id.
+        id: episode id; with the joint behind it where joints are motions of their own.
+        episode: number of the episode: what the joints of a robot do at one time says no more than one motion.
         condition: its condition.
         start: its first row.
         rows: number of rows.
     """
 
     id: str
+    episode: int
     condition: str
     start: int
     rows: int
@@ -70,6 +73,11 @@ class Pairs:
     def rows(self) -> int:
         """Rows of all motions."""
         return sum(motion.rows for motion in self.motions)
+
+    @property
+    def episodes(self) -> int:
+        """Number of episodes; that of the motions where these are not joints."""
+        return len({motion.episode for motion in self.motions})
 
     def read(self, start: int, rows: int) -> Float32[np.ndarray, "N C"]:
         """Rows of the file, (N, I + K)."""
@@ -112,6 +120,7 @@ def write_pairs(
     outputs: Sequence[Channel],
     rate_hz: float,
     joints: Sequence[str] = (),
+    mirrored: bool = False,
 ) -> Pairs:
     """Bring motions onto one clock each and append them to a file.
 
@@ -123,6 +132,7 @@ def write_pairs(
         outputs: what it corrects; the measured signals are read.
         rate_hz: of the network.
         joints: for channels of any joint: those that each become a motion of their own.
+        mirrored: each motion also comes the other way around.
 
     Raises:
         DataError: a value is not finite, there is no motion, or the disk is full.
@@ -133,7 +143,7 @@ def write_pairs(
     at = 0
     try:
         with path.open("wb") as file, marks.open("wb") as marked:
-            for episode in episodes:
+            for number, episode in enumerate(episodes):
                 grid = Grid.of(_common(episode, run), rate_hz, f"episode {episode.id!r}")
                 runs = _runs(episode.measured)
                 for joint in joints or ("",):
@@ -142,11 +152,13 @@ def write_pairs(
                     y = _measured(episode, wanted, grid.time_s)
                     _refuse_gaps(episode, x, given)
                     _refuse_gaps(episode, y, wanted)
-                    file.write(np.concatenate([x, y], axis=1).tobytes())
-                    marked.write(np.array([len(runs)], np.uint64).tobytes() + runs.tobytes())
                     name = f"{episode.id} {joint}" if joint else episode.id
-                    motions.append(Motion(name, episode.meta.condition, at, len(x)))
-                    at += len(x)
+                    rows = np.concatenate([x, y], axis=1)
+                    for sign in (1, -1) if mirrored else (1,):
+                        file.write((sign * rows).tobytes())
+                        marked.write(np.array([len(runs)], np.uint64).tobytes() + runs.tobytes())
+                        motions.append(Motion(name, number, episode.meta.condition, at, len(rows)))
+                        at += len(rows)
     except OSError as error:  # of these two files: reading has errors of its own
         raise DataError(f"cannot write {path}", got=error.strerror or str(error)) from error
     if not motions:
@@ -276,6 +288,7 @@ def channels_of(
     signals: Sequence[str] | None,
     reads: Sequence[str] = (),
     command: Sequence[str] = (),
+    measured: Sequence[str] = (),
     known: Sequence[str],
 ) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
     """Inputs and outputs for an episode: all joints of each signal, simulated ones before commanded ones.
@@ -286,13 +299,14 @@ def channels_of(
         signals: those to correct; None for those of `known` that both sides have.
         reads: other simulated signals to read.
         command: commanded signals to read.
+        measured: measured signals to read, one sample late.
         known: signals that can be corrected, in order.
 
     Raises:
         MissingSignal: a signal is on one side only.
     """
-    series, measured = episode.run(run), episode.measured
-    both = [name for name in known if name in series and name in measured]
+    series, truth = episode.run(run), episode.measured
+    both = [name for name in known if name in series and name in truth]
     chosen = list(both if signals is None else signals)
     for name in chosen:
         if name not in both:
@@ -302,17 +316,20 @@ def channels_of(
         raise MissingSignal(f"episode {episode.id!r}: robot and run {run!r} share no signal", available=known)
     corrected = _channels(series, chosen)
     read = _channels(series, [name for name in reads if name not in chosen])
-    told = _channels(episode.commanded(), command, of_command=True) if command else []
-    return (*corrected, *read, *told), tuple(corrected)
+    told = _channels(episode.commanded(), command, "command") if command else []
+    sensed = _channels(truth, measured, "measured") if measured else []
+    return (*corrected, *read, *told, *sensed), tuple(corrected)
 
 
-def _channels(series: TimeSeries, signals: Sequence[str], *, of_command: bool = False) -> list[Channel]:
+def _channels(
+    series: TimeSeries, signals: Sequence[str], kind: Literal["simulated", "command", "measured"] = "simulated"
+) -> list[Channel]:
     for name in signals:
         if name not in series:
-            what = "commanded" if of_command else "simulated"
+            what = "commanded" if kind == "command" else kind
             raise MissingSignal(f"there is no {what} {name}", available=series.signals)
     return [
-        Channel(name, joint, unit, "command" if of_command else "simulated")
+        Channel(name, joint, unit, kind)
         for name in signals
         for joint, unit in zip(series.joints, series.units[name], strict=True)
     ]

@@ -71,12 +71,12 @@ def summarize(pairs: Pairs, base: Int[np.ndarray, "K"]) -> Summary:
 
 
 def counterparts(inputs: Sequence[Channel]) -> Int[np.ndarray, "I"]:
-    """For each commanded input the simulated one of the same signal and joint, (I,); -1 where there is none.
+    """For each commanded or measured input the simulated one of its signal and joint, (I,); -1 where there is none.
 
     A servo's error is small beside the range of its joint: read as a number of its own it would drown.
     """
     simulated = {(c.signal, c.joint): number for number, c in enumerate(inputs) if c.series == "simulated"}
-    return np.array([simulated.get((c.signal, c.joint), -1) if c.series == "command" else -1 for c in inputs])
+    return np.array([simulated.get((c.signal, c.joint), -1) if c.series != "simulated" else -1 for c in inputs])
 
 
 class _Moments:
@@ -108,7 +108,7 @@ class Scaling:
 
     Attributes:
         center: (I,).
-        scale: (I,), positive.
+        scale: (I,), positive; infinite for inputs that are not read.
         out_center: (K,).
         out_scale: (K,), positive.
         loss_scale: errors are counted in units of this, (K,), positive.
@@ -130,6 +130,7 @@ def scaling_of(
     target: Literal["residual", "plain"],
     loss_scale: Literal["simulator", "normalized"],
     limits: Mapping[tuple[str, str], tuple[float, float]],
+    blind: Sequence[str] = (),
 ) -> Scaling:
     """The scaling of a configuration.
 
@@ -141,6 +142,7 @@ def scaling_of(
         target: what the network's output stands for.
         loss_scale: units of the loss.
         limits: (signal, joint) -> lowest and highest value; the range of the train split where there are none.
+        blind: simulated signals that are not read.
     """
     if normalization == "limits":
         ends = [limits.get((channel.signal, channel.joint)) for channel in inputs]
@@ -157,6 +159,8 @@ def scaling_of(
         out_center = np.zeros(base.size)
         out_scale = out_scale if normalization == "limits" else _positive(summary.simulator_rms)
     units = scale[base] if loss_scale == "normalized" else _positive(summary.simulator_rms)
+    unread = np.array([channel.series == "simulated" and channel.signal in blind for channel in inputs])
+    center, scale = np.where(unread, 0.0, center), np.where(unread, np.inf, scale)
     return Scaling(center, scale, out_center, out_scale, units)
 
 

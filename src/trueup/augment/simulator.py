@@ -313,6 +313,13 @@ def _refuse_other_signals(card: ModelCard) -> None:
     """A simulator has these signals, in SI; commands are the caller's."""
     channels: tuple[Channel, ...] = (*card.inputs, *card.outputs)
     for channel in channels:
+        if channel.series == "measured":
+            raise ConfigError(
+                f"the network {card.name!r} reads a robot's sensors, and a simulator has none",
+                got=channel.name,
+                expected="a network without data: measured",
+                hint="Beside a robot, give the readings to a Stream.",
+            )
         if channel.series == "simulated" and channel.signal not in _UNITS:
             raise MissingSignal(
                 f"the network {card.name!r} needs {channel.signal!r}, which no simulator has", available=_UNITS

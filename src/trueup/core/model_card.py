@@ -49,13 +49,14 @@ class Channel:
         signal: signal name, e.g. `torque`.
         joint: joint name, as the robot has it.
         unit: SI unit.
-        series: where it comes from: the simulator, or the command that robot and simulator follow.
+        series: where it comes from: the simulator, the command that robot and simulator follow, or what the robot's
+            sensors have said one sample before.
     """
 
     signal: str
     joint: str
     unit: str
-    series: Literal["simulated", "command"] = "simulated"
+    series: Literal["simulated", "command", "measured"] = "simulated"
 
     @property
     def name(self) -> str:

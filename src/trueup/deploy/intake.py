@@ -27,8 +27,7 @@ class Intake:
         for row, channel in enumerate(card.inputs):
             group = groups.setdefault((channel.series, channel.signal), [])
             group.append((row, card.joints.index(channel.joint)))
-        self._simulated: list[tuple[str, np.ndarray]] = []
-        self._command: list[tuple[str, np.ndarray]] = []
+        self._of: dict[str, list[tuple[str, np.ndarray]]] = {"simulated": [], "command": [], "measured": []}
         # Signals of which not every joint is read, or not in this order, pass through an array of their own.
         self._scattered: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         for (series, signal), pairs in groups.items():
@@ -38,12 +37,14 @@ class Intake:
             else:
                 place = np.zeros(self._joints)
                 self._scattered.append((place, rows, joints))
-            (self._simulated if series == "simulated" else self._command).append((signal, place))
+            self._of[series].append((signal, place))
+        self._simulated, *self._others = self._of.values()
 
     def fill(
         self,
         simulated: Mapping[str, Float[np.ndarray, "J"]],
         command: Mapping[str, Float[np.ndarray, "J"]] | None = None,
+        measured: Mapping[str, Float[np.ndarray, "J"]] | None = None,
     ) -> None:
         """Copy a sample.
 
@@ -56,24 +57,28 @@ class Intake:
             for signal, place in self._simulated:
                 values = simulated[signal]
                 if len(values) != count:  # a single number would be spread over all joints
-                    self._refuse("simulated", simulated)
+                    self._refuse_all(simulated, command, measured)
                 place[...] = values
-            for signal, place in self._command:
-                values = command[signal]  # type: ignore[index]  # None is refused below
-                if len(values) != count:
-                    self._refuse("command", command)
-                place[...] = values
+            for own, given in zip(self._others, (command, measured), strict=True):
+                for signal, place in own:
+                    values = given[signal]  # type: ignore[index]  # None is refused below
+                    if len(values) != count:
+                        self._refuse_all(simulated, command, measured)
+                    place[...] = values
         except (LookupError, TypeError, ValueError):
-            self._refuse("simulated", simulated)
-            self._refuse("command", command)
+            self._refuse_all(simulated, command, measured)
             raise
         for place, rows, joints in self._scattered:
             self._x[rows] = place[joints]
 
+    def _refuse_all(self, *given: Mapping[str, Any] | None) -> None:
+        for series, signals in zip(self._of, given, strict=True):
+            self._refuse(series, signals)
+
     def _refuse(self, series: str, given: Mapping[str, Any] | None) -> None:
         """Raise what is wrong with the signals of a series, if anything is."""
         given = given or {}
-        for signal, _ in self._simulated if series == "simulated" else self._command:
+        for signal, _ in self._of[series]:
             what = f"model {self._card.name!r} reads {series}.{signal}"
             if signal not in given:
                 raise MissingSignal(f"{what}, which was not given", available=given)

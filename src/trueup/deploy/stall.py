@@ -24,7 +24,7 @@ class Unrest:
     def __init__(self, inputs: Sequence[Input], moving_speed: float) -> None:
         simulated = simulated_channels(inputs)
         self._speeds = np.array([row for row in simulated if inputs[row].signal == "velocity"], int)
-        self._commands = np.setdiff1d(np.arange(len(inputs)), simulated)
+        self._commands = np.array([row for row, channel in enumerate(inputs) if channel.series == "command"], int)
         self._moving_speed = moving_speed
         self._urged = False
 

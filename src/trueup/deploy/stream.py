@@ -132,6 +132,7 @@ class Stream:
         self,
         simulated: Mapping[str, Float[np.ndarray, "J"]],
         command: Mapping[str, Float[np.ndarray, "J"]] | None = None,
+        measured: Mapping[str, Float[np.ndarray, "J"]] | None = None,
         *,
         time_s: float | None = None,
     ) -> Step:
@@ -141,6 +142,8 @@ class Stream:
             simulated: signal -> values of all joints of the loop, SI, (J,). Signals that the network does not read are
                 not looked at.
             command: likewise, what the simulator was asked for; for networks that read it.
+            measured: likewise, what the sensors said in the sample before, in the first one what is simulated; for
+                networks that read it.
             time_s: when the sample was made [s], on any clock that goes on steadily. Without it, samples that are
                 missing and a rate that is wrong are not seen.
 
@@ -152,7 +155,7 @@ class Stream:
             DataError: an array has another length than there are joints, or holds no numbers.
         """
         began = perf_counter_ns()
-        self._intake.fill(simulated, command)
+        self._intake.fill(simulated, command, measured)
         answer = self._advance(time_s)
         if self._record is not None:
             self._record(perf_counter_ns() - began)

@@ -135,7 +135,13 @@ def augment(
     first = next(source.episodes(ids["train"][:1]))
     data = config.data
     inputs, outputs = channels_of(
-        first, run, signals=data.signals, reads=data.reads, command=data.command, known=SIGNALS
+        first,
+        run,
+        signals=data.signals,
+        reads=data.reads,
+        command=data.command,
+        measured=data.measured,
+        known=SIGNALS,
     )
     joints = _joints(source, config)
     outputs = tuple(channel for channel in outputs if channel.joint in joints)
@@ -153,6 +159,7 @@ def augment(
                     outputs=outputs,
                     rate_hz=rate_hz,
                     joints=joints if data.modular else (),
+                    mirrored=data.mirrored and split == "train",
                 )
             )
             for split, chosen in ids.items()
