@@ -7,7 +7,7 @@ reads a sample one step later, when its error is known: as the network has predi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
@@ -25,8 +25,17 @@ from trueup.augment.config import (
     WindowConfig,
 )
 from trueup.augment.graph import Graph
-from trueup.augment.networks.base import Network, States
-from trueup.augment.networks.fusion import Attention, Gated, GatedResidual, VariableSelection, draw_gemm
+from trueup.augment.networks.base import Network, States, StepWeights
+from trueup.augment.networks.fusion import (
+    Attention,
+    Gated,
+    GatedResidual,
+    VariableSelection,
+    draw_gemm,
+    linear,
+    stacked,
+    widened,
+)
 from trueup.augment.networks.recurrent import onnx_weights
 from trueup.core.model_card import State
 from trueup.errors import ConfigError
@@ -299,9 +308,54 @@ class Sat(Network):
 
     def _draw_last(self, graph: Graph, x: str) -> str:
         """The last layer, of which the medians are drawn only."""
+        return draw_gemm(graph, self._median_layer(), x)
+
+
+    def step_weights(self) -> StepWeights | None:
+        """See `Network.step_weights`; the ablations have none."""
+        if self.attention is None or not self.recurrent:
+            return None
+        found = self.attention
+        kept, query = (stacked([found.key, found.value]), linear(found.query, found.inner**-0.5))
+        parts = {
+            **_under("select_past", self.select_past.step_weights()),
+            **_under("select_now", self.select_now.step_weights()),
+            **_under("encoder", _lstm_weights(self.encoder)),
+            **_under("decoder", _lstm_weights(self.decoder)),
+            **_under("after_encoder", self.after_encoder.step_weights()),
+            **_under("after_decoder", self.after_decoder.step_weights()),
+            **_under("kept", kept),
+            **_under("query", query),
+            "attention.lag": found.lag,
+            **_under("after_attention", self.after_attention.step_weights(found.merge)),
+            **_under("first", linear(self.process.first)),
+            **_under("process", self.process.gate.step_weights(self.process.second)),
+            **_under("last", self.last.step_weights()),
+            **_under("dense", {name: widened(part) for name, part in linear(self._median_layer()).items()}),
+        }
+        sizes = {"width": self.width, "heads": found.heads, "history": self.history, "own": self.feedback == "own"}
+        return StepWeights(
+            {name: int(size) for name, size in sizes.items()},
+            {name: values.detach().double().cpu().numpy() for name, values in parts.items()},
+        )
+
+    def _median_layer(self) -> nn.Linear:
+        """The last layer, with the medians only."""
         rows = slice(self.quantiles // 2 * self.outputs, (self.quantiles // 2 + 1) * self.outputs)
-        weight, bias = (graph.floats(part.detach()[rows].numpy()) for part in (self.dense.weight, self.dense.bias))
-        return graph.add("Gemm", x, weight, bias, transB=1)
+        made = nn.Linear(self.width, self.outputs)
+        made.weight, made.bias = (nn.Parameter(part.detach()[rows]) for part in (self.dense.weight, self.dense.bias))
+        return made
+
+
+def _under(group: str, parts: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {f"{group}.{name}": values for name, values in parts.items()}
+
+
+def _lstm_weights(lstm: nn.LSTM) -> dict[str, Tensor]:
+    given, again, first, second = (
+        lstm.get_parameter(name) for name in ("weight_ih_l0", "weight_hh_l0", "bias_ih_l0", "bias_hh_l0")
+    )
+    return {"given": given.T, "again": again.T, "bias": (first.double() + second.double())[None]}
 
 
 def _after_nothing(x: Tensor, rows: int) -> Tensor:

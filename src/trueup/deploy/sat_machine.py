@@ -1,0 +1,462 @@
+"""One sample through a state augmentation transformer, as machine code; compiled by numba and kept on disk.
+
+A graph's runtime pays for every node, and the step of this network has a hundred of them, most of which work on a few
+numbers. Here, it is one call. The weights are those of `STEP_NAME` in the model's folder (`sat_weights.py`), where
+layers that follow one another are merged already. Rows are joints side by side, so that a weight is read once for
+all of them.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+_f = np.float32
+_EPSILON = _f(1e-5)  # of torch's normalization of layers
+# NaN must stay NaN, so that an output that is none is seen.
+_RULES: dict[str, Any] = {"fastmath": {"reassoc", "contract", "arcp", "nsz"}, "error_model": "numpy", "nogil": True}
+
+
+_LANES = 8  # floats in a register
+_FUSED = ("contract",)  # a product and a sum may be one operation
+
+
+def _machine(function: Callable[..., Any]) -> Any:
+    """Compiled; the function itself, where a type checker of the tests has wrapped it."""
+    return numba.njit(cache=True, **_RULES)(inspect.unwrap(function))
+
+
+def _tile(rows: int, registers: int) -> Any:
+    """Code for y[:rows, :N] += x[:rows, :deep] w[:deep, :N], N = 8 registers: addresses, and floats between rows.
+
+    All sums stay in registers, of which a CPU of today has 16: rows x registers + registers + 1 of them are needed.
+    """
+
+    def tile(_: Any, x: Any, x_row: Any, w: Any, w_row: Any, y: Any, y_row: Any, deep: Any) -> Any:
+        return types.void(*[types.int64] * 7), _drawn
+
+    def _drawn(context: Any, builder: Any, __: Any, given: Any) -> Any:
+        x, x_row, w, w_row, y, y_row, deep = given
+        scalar, lanes, whole = ir.FloatType(), ir.VectorType(ir.FloatType(), _LANES), ir.IntType(64)
+        index, four, nothing = ir.IntType(32), ir.Constant(whole, 4), ir.Constant(lanes, ir.Undefined)
+
+        def load(base: Any, place: Any, kind: Any) -> Any:
+            address = builder.add(base, builder.mul(place, four))
+            return builder.load(builder.inttoptr(address, kind.as_pointer()), align=4)
+
+        places = [
+            (row, builder.add(builder.mul(y_row, ir.Constant(whole, row)), ir.Constant(whole, _LANES * part)))
+            for row in range(rows)
+            for part in range(registers)
+        ]
+        sums = [cgutils.alloca_once_value(builder, load(y, place, lanes)) for _, place in places]
+        with cgutils.for_range(builder, deep) as loop:
+            start = builder.mul(loop.index, w_row)
+            parts = [
+                load(w, builder.add(start, ir.Constant(whole, _LANES * part)), lanes) for part in range(registers)
+            ]
+            for row in range(rows):
+                place = builder.add(builder.mul(x_row, ir.Constant(whole, row)), loop.index)
+                one = builder.insert_element(nothing, load(x, place, scalar), index(0))
+                spread = builder.shuffle_vector(one, nothing, ir.Constant(ir.VectorType(index, _LANES), [0] * _LANES))
+                for part in range(registers):
+                    held = sums[registers * row + part]
+                    product = builder.fmul(spread, parts[part], flags=_FUSED)
+                    builder.store(builder.fadd(product, builder.load(held), flags=_FUSED), held)
+        for (_row, place), held in zip(places, sums, strict=True):
+            address = builder.add(y, builder.mul(place, four))
+            builder.store(builder.load(held), builder.inttoptr(address, lanes.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return intrinsic(tile)
+
+
+@intrinsic
+def _apart(_: Any) -> Any:  # what it stands in is not copied to where it is called, which would take a minute to compile
+    def mark(context: Any, builder: Any, __: Any, ___: Any) -> Any:
+        builder.function.attributes.add("noinline")
+        return context.get_dummy_value()
+
+    return types.void(), mark
+
+
+_tile_6x16, _tile_2x32, _tile_1x64, _tile_1x16 = _tile(6, 2), _tile(2, 4), _tile(1, 8), _tile(1, 2)
+
+
+def _ordered(function: Callable[..., Any]) -> Any:
+    """Compiled for numbers none of which is NaN, so that the largest of many is found eight at a time."""
+    return numba.njit(cache=True, fastmath=True, nogil=True)(inspect.unwrap(function))
+
+
+@_ordered
+def _largest(x):  # type: ignore[no-untyped-def]
+    top = x[0]
+    for j in range(x.size):
+        top = max(top, x[j])
+    return top
+
+
+@_machine
+def _exp(x):  # type: ignore[no-untyped-def]
+    """The exponential function to float32's precision (Cephes), without a branch, so that loops of it are vectors."""
+    x = min(max(x, _f(-87.0)), _f(88.0))
+    n = np.floor(x * _f(1.44269504088896341) + _f(0.5))
+    x = x - n * _f(0.693359375)
+    x = x + n * _f(2.12194440e-4)
+    y = _f(1.9875691500e-4)
+    y = y * x + _f(1.3981999507e-3)
+    y = y * x + _f(8.3334519073e-3)
+    y = y * x + _f(4.1665795894e-2)
+    y = y * x + _f(1.6666665459e-1)
+    y = y * x + _f(5.0000001201e-1)
+    y = y * x * x + x + _f(1.0)
+    return y * np.int32((np.int32(n) + np.int32(127)) << np.int32(23)).view(np.float32)
+
+
+@_machine
+def _sigmoid(x):  # type: ignore[no-untyped-def]
+    return _f(1.0) / (_f(1.0) + _exp(-x))
+
+
+@_machine
+def _elu(x):  # type: ignore[no-untyped-def]
+    return x if x > _f(0.0) else _exp(x) - _f(1.0)
+
+
+@_machine
+def _add_product(x, w, y):  # type: ignore[no-untyped-def]
+    """Y += x w."""
+    _apart()
+    rows, deep = x.shape
+    wide = w.shape[1]
+    from_x, from_w, from_y = x.ctypes.data, w.ctypes.data, y.ctypes.data
+    i = 0
+    while i < rows:
+        j = 0
+        here_x, here_y = from_x + 4 * i * deep, from_y + 4 * i * wide
+        if rows - i >= 6:
+            step = 6
+            while j + 16 <= wide:
+                _tile_6x16(here_x, deep, from_w + 4 * j, wide, here_y + 4 * j, wide, deep)
+                j += 16
+        elif rows - i >= 2:
+            step = 2
+            while j + 32 <= wide:
+                _tile_2x32(here_x, deep, from_w + 4 * j, wide, here_y + 4 * j, wide, deep)
+                j += 32
+        else:
+            step = 1
+            while j + 64 <= wide:
+                _tile_1x64(here_x, deep, from_w + 4 * j, wide, here_y + 4 * j, wide, deep)
+                j += 64
+        for row in range(i, i + step):
+            rest = j
+            while rest + 16 <= wide:
+                _tile_1x16(from_x + 4 * row * deep, deep, from_w + 4 * rest, wide, from_y + 4 * (row * wide + rest), wide, deep)
+                rest += 16
+            for k in range(deep):
+                for column in range(rest, wide):
+                    y[row, column] += x[row, k] * w[k, column]
+        i += step
+
+
+@_machine
+def _dense(x, w, b, y):  # type: ignore[no-untyped-def]
+    """Y = x w + b."""
+    for i in range(x.shape[0]):
+        for j in range(b.size):
+            y[i, j] = b[j]
+    _add_product(x, w, y)
+
+
+@_machine
+def _normalize(x, scale, shift):  # type: ignore[no-untyped-def]
+    """A row, in place."""
+    _apart()
+    wide = _f(x.size)
+    mean = _f(0.0)
+    for j in range(x.size):
+        mean += x[j]
+    mean /= wide
+    square = _f(0.0)
+    for j in range(x.size):
+        square += (x[j] - mean) * (x[j] - mean)
+    factor = _f(1.0) / np.sqrt(square / wide + _EPSILON)
+    for j in range(x.size):
+        x[j] = (x[j] - mean) * factor * scale[j] + shift[j]
+
+
+@_machine
+def _gated(both, skipped, scale, shift, y):  # type: ignore[no-untyped-def]
+    """What is led around, and the half of `both` that its other half lets pass, normalized; columns may be left over."""
+    _apart()
+    wide, half = y.shape[1], both.shape[1] // 2
+    for i in range(y.shape[0]):
+        for j in range(wide):
+            y[i, j] = skipped[i, j] + both[i, j] * _sigmoid(both[i, half + j])
+        _normalize(y[i], scale, shift)
+
+
+@_machine
+def _softmax(x):  # type: ignore[no-untyped-def]
+    """A row, in place."""
+    _apart()
+    top = _largest(x)
+    total = _f(0.0)
+    for j in range(x.size):
+        x[j] = _exp(x[j] - top)
+        total += x[j]
+    share = _f(1.0) / total
+    for j in range(x.size):
+        x[j] *= share
+
+
+@_machine
+def _taken(flat, at, rows, columns):  # type: ignore[no-untyped-def]
+    """The next matrix of the weights, and where it ends."""
+    end = at + rows * columns
+    return flat[at:end].reshape(rows, columns), end
+
+
+@_machine
+def _selected(x, flat, at, width, y):  # type: ignore[no-untyped-def]
+    """Variable selection, into y; returns where its weights end. See `sat_weights`."""
+    _apart()
+    rows, variables = x.shape
+    first, at = _taken(flat, at, variables, width)
+    first_bias, at = _taken(flat, at, 1, width)
+    padded = 16 * ((variables + 15) // 16)
+    weigh, at = _taken(flat, at, width, 2 * padded)
+    weigh_bias, at = _taken(flat, at, 1, 2 * padded)
+    norm, at = _taken(flat, at, 2, variables)
+    spread, at = _taken(flat, at, variables, width)
+    offset, at = _taken(flat, at, variables, width)
+    inner, at = _taken(flat, at, variables * width, 2 * width)
+    inner_bias, at = _taken(flat, at, variables, 2 * width)
+    own, at = _taken(flat, at, 2, width)
+    said, both = np.empty((rows, width), np.float32), np.empty((rows, 2 * width), np.float32)
+    shares, weighed = np.empty((rows, variables), np.float32), np.empty((rows, 2 * padded), np.float32)
+    _dense(x, first, first_bias[0], said)
+    for i in range(rows):
+        for j in range(width):
+            said[i, j] = _elu(said[i, j])
+    _dense(said, weigh, weigh_bias[0], weighed)
+    _gated(weighed, x, norm[0], norm[1], shares)
+    made = np.empty((rows, width), np.float32)
+    for i in range(rows):
+        _softmax(shares[i])
+        for j in range(width):
+            y[i, j] = _f(0.0)
+    for v in range(variables):
+        for i in range(rows):
+            for j in range(width):
+                said[i, j] = _elu(x[i, v] * spread[v, j] + offset[v, j])
+        _dense(said, inner[v * width : (v + 1) * width], inner_bias[v], both)
+        _gated(both, said, own[0], own[1], made)
+        for i in range(rows):
+            share = shares[i, v]
+            for j in range(width):
+                y[i, j] += share * made[i, j]
+    return at
+
+
+@_machine
+def _remembered(x, hidden, cell, flat, at, after, kept):  # type: ignore[no-untyped-def]
+    """One step of an LSTM from `hidden` and `cell` into `after` and `kept`; returns where its weights end."""
+    _apart()
+    rows, width = x.shape
+    given, at = _taken(flat, at, width, 4 * width)
+    again, at = _taken(flat, at, width, 4 * width)
+    bias, at = _taken(flat, at, 1, 4 * width)
+    gates = np.empty((rows, 4 * width), np.float32)
+    _dense(x, given, bias[0], gates)
+    _add_product(hidden, again, gates)
+    two = _f(2.0)
+    for i in range(rows):
+        for j in range(width):
+            candidate = two * _sigmoid(two * gates[i, 2 * width + j]) - _f(1.0)
+            value = _sigmoid(gates[i, width + j]) * cell[i, j] + _sigmoid(gates[i, j]) * candidate
+            kept[i, j] = value
+            after[i, j] = _sigmoid(gates[i, 3 * width + j]) * (two * _sigmoid(two * value) - _f(1.0))
+    return at
+
+
+@_machine
+def _seen(query, key, value, keys, values, lag, history, oldest, y):  # type: ignore[no-untyped-def]
+    """What one row sees of its history and of itself: the mean of the heads' weights over values that they share.
+
+    Args:
+        query: scaled, (heads, W / heads).
+        key: of the present sample, (heads, W / heads).
+        value: likewise, (W / heads,).
+        keys: of the history, (heads, W / heads, places), in which `oldest` is the place of the oldest.
+        values: likewise, (places, W / heads).
+        lag: a bias for each head and age, the oldest first, (heads, history + 1).
+        history: how many of the places are used.
+        oldest: see `keys`.
+        y: what is seen, (1, W / heads).
+    """
+    _apart()
+    heads, inner = query.shape
+    places = values.shape[0]
+    total, found = np.zeros((1, places), np.float32), np.empty((1, places), np.float32)
+    scores = np.empty(history + 1, np.float32)
+    total_own = _f(0.0)
+    after = history - oldest
+    for head in range(heads):
+        for s in range(places):
+            found[0, s] = _f(0.0)
+        _add_product(query[head : head + 1], keys[head], found)
+        own = lag[head, history]
+        for j in range(inner):
+            own += query[head, j] * key[head, j]
+        for s in range(oldest):
+            scores[s] = found[0, s] + lag[head, after + s]
+        for s in range(oldest, history):
+            scores[s] = found[0, s] + lag[head, s - oldest]
+        scores[history] = own
+        _softmax(scores)
+        for s in range(history):
+            total[0, s] += scores[s]
+        total_own += scores[history]
+    for j in range(inner):
+        y[0, j] = total_own * value[j]
+    _add_product(total, values, y)
+    share = _f(1.0) / _f(heads)
+    for j in range(inner):
+        y[0, j] *= share
+
+
+@_machine
+def _read(raw, flat, at, stops, x):  # type: ignore[no-untyped-def]
+    """Samples as the network reads them: normalized, and how near they are to their limits; see `Corrector.read`."""
+    rows, channels = raw.shape
+    scaling, at = _taken(flat, at, 3, channels)
+    near, at = _taken(flat, at, 3, stops)
+    for i in range(rows):
+        for j in range(channels):
+            other = int(scaling[2, j])
+            value = raw[i, j] - raw[i, other] if other >= 0 else raw[i, j]
+            x[i, j] = (value - scaling[0, j]) / scaling[1, j]
+        for j in range(stops):
+            value = (raw[i, int(near[0, j])] - near[1, j]) * near[2, j]
+            x[i, channels + j] = min(max(value, _f(0.0)), _f(2.0))
+    return at
+
+
+@_machine
+def advance(raw, corrected, flat, sizes, place, fed, before, memory, keys, values):  # type: ignore[no-untyped-def]
+    """One sample; the encoder reads the one before it, then the decoder this one.
+
+    Args:
+        raw: inputs, SI, (B, I).
+        corrected: outputs, SI, (B, K).
+        flat: all weights after one another; see `sat_weights.Sizes.shapes`.
+        sizes: (I, stops, K, W, heads, history, whether the encoder is told predictions).
+        place: of the oldest sample in the rings, which is overwritten.
+        fed: what the encoder is told of the error after the sample before, (B, K); overwritten by the next.
+        before: what the network read of the sample before, (B, I + stops); overwritten by this one.
+        memory: hidden state and cell of the encoder, (2, B, W); overwritten.
+        keys: rings of the history, (B, heads, W / heads, places), of whose places `history` are used.
+        values: likewise, (B, places, W / heads).
+    """
+    inputs, stops, outputs, width, heads, history, own = sizes
+    rows, inner = raw.shape[0], width // heads
+    x = np.empty((rows, inputs + stops), np.float32)
+    at = _read(raw, flat, 0, stops, x)
+    inputs += stops
+    pair = np.empty((rows, inputs + outputs), np.float32)
+    for i in range(rows):
+        for j in range(inputs):
+            pair[i, j] = before[i, j]
+            before[i, j] = x[i, j]
+        for j in range(outputs):
+            pair[i, inputs + j] = fed[i, j]
+    past, now = np.empty((rows, width), np.float32), np.empty((rows, width), np.float32)
+    at = _selected(pair, flat, at, width, past)
+    at = _selected(x, flat, at, width, now)
+    both, made = np.empty((rows, 2 * width), np.float32), np.empty((rows, width), np.float32)
+    decoded, kept = np.empty((rows, width), np.float32), np.empty((rows, width), np.float32)
+    at = _remembered(past, memory[0], memory[1], flat, at, made, kept)
+    for i in range(rows):
+        for j in range(width):
+            memory[0, i, j], memory[1, i, j] = made[i, j], kept[i, j]
+    at = _remembered(now, memory[0], memory[1], flat, at, decoded, kept)
+    for branch in range(2):
+        weight, at = _taken(flat, at, width, 2 * width)
+        bias, at = _taken(flat, at, 1, 2 * width)
+        norm, at = _taken(flat, at, 2, width)
+        if branch == 0:
+            _dense(memory[0], weight, bias[0], both)
+            _gated(both, past, norm[0], norm[1], past)
+        else:
+            _dense(decoded, weight, bias[0], both)
+            _gated(both, now, norm[0], norm[1], now)
+    weight, at = _taken(flat, at, width, width + inner)
+    bias, at = _taken(flat, at, 1, width + inner)
+    kept_past, kept_now = np.empty((rows, width + inner), np.float32), np.empty((rows, width + inner), np.float32)
+    _dense(past, weight, bias[0], kept_past)
+    _dense(now, weight, bias[0], kept_now)
+    weight, at = _taken(flat, at, width, width)
+    bias, at = _taken(flat, at, 1, width)
+    _dense(now, weight, bias[0], made)
+    lag, at = _taken(flat, at, heads, history + 1)
+    seen = np.empty((rows, inner), np.float32)
+    oldest = place + 1 if place + 1 < history else 0
+    for i in range(rows):
+        for head in range(heads):
+            for j in range(inner):
+                keys[i, head, j, place] = kept_past[i, head * inner + j]
+        for j in range(inner):
+            values[i, place, j] = kept_past[i, width + j]
+        _seen(
+            made[i].reshape(heads, inner),
+            kept_now[i, :width].reshape(heads, inner),
+            kept_now[i, width:],
+            keys[i],
+            values[i],
+            lag,
+            history,
+            oldest,
+            seen[i : i + 1],
+        )
+    weight, at = _taken(flat, at, inner, 2 * width)
+    bias, at = _taken(flat, at, 1, 2 * width)
+    norm, at = _taken(flat, at, 2, width)
+    _dense(seen, weight, bias[0], both)
+    _gated(both, now, norm[0], norm[1], past)
+    weight, at = _taken(flat, at, width, width)
+    bias, at = _taken(flat, at, 1, width)
+    _dense(past, weight, bias[0], made)
+    for i in range(rows):
+        for j in range(width):
+            made[i, j] = _elu(made[i, j])
+    weight, at = _taken(flat, at, width, 2 * width)
+    bias, at = _taken(flat, at, 1, 2 * width)
+    norm, at = _taken(flat, at, 2, width)
+    _dense(made, weight, bias[0], both)
+    _gated(both, past, norm[0], norm[1], made)
+    weight, at = _taken(flat, at, width, 2 * width)
+    bias, at = _taken(flat, at, 1, 2 * width)
+    norm, at = _taken(flat, at, 2, width)
+    _dense(made, weight, bias[0], both)
+    _gated(both, now, norm[0], norm[1], past)
+    padded = 16 * ((outputs + 15) // 16)
+    y = np.empty((rows, padded), np.float32)
+    weight, at = _taken(flat, at, width, padded)
+    bias, at = _taken(flat, at, 1, padded)
+    _dense(past, weight, bias[0], y)
+    added, at = _taken(flat, at, 4, outputs)
+    for i in range(rows):
+        for j in range(outputs):
+            fed[i, j] = y[i, j] if own else _f(0.0)
+            corrected[i, j] = raw[i, int(added[0, j])] * added[1, j] + added[2, j] + added[3, j] * y[i, j]
+    return at
