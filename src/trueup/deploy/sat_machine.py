@@ -132,6 +132,28 @@ def _elu(x):  # type: ignore[no-untyped-def]
 
 
 @_machine
+def _bend(x):  # type: ignore[no-untyped-def]
+    for i in range(x.shape[0]):
+        for j in range(x.shape[1]):
+            x[i, j] = _elu(x[i, j])
+
+
+@_machine
+def _add_rest(x, w, y, row, j):  # type: ignore[no-untyped-def]
+    """The same for one row from a column on."""
+    _apart()
+    deep, wide = w.shape
+    from_x, from_y = x.ctypes.data + 4 * row * deep, y.ctypes.data + 4 * row * wide
+    while j + 16 <= wide:
+        _tile_1x16(from_x, deep, w.ctypes.data + 4 * j, wide, from_y + 4 * j, wide, deep)
+        j += 16
+    if j < wide:
+        for k in range(deep):
+            for column in range(j, wide):
+                y[row, column] += x[row, k] * w[k, column]
+
+
+@_machine
 def _add_product(x, w, y):  # type: ignore[no-untyped-def]
     """Y += x w."""
     _apart()
@@ -157,14 +179,9 @@ def _add_product(x, w, y):  # type: ignore[no-untyped-def]
             while j + 64 <= wide:
                 _tile_1x64(here_x, deep, from_w + 4 * j, wide, here_y + 4 * j, wide, deep)
                 j += 64
-        for row in range(i, i + step):
-            rest = j
-            while rest + 16 <= wide:
-                _tile_1x16(from_x + 4 * row * deep, deep, from_w + 4 * rest, wide, from_y + 4 * (row * wide + rest), wide, deep)
-                rest += 16
-            for k in range(deep):
-                for column in range(rest, wide):
-                    y[row, column] += x[row, k] * w[k, column]
+        if j < wide:
+            for row in range(i, i + step):
+                _add_rest(x, w, y, row, j)
         i += step
 
 
@@ -227,29 +244,41 @@ def _taken(flat, at, rows, columns):  # type: ignore[no-untyped-def]
 
 
 @_machine
+def _layer(x, flat, at, y):  # type: ignore[no-untyped-def]
+    """A dense layer, into y; returns where its weights end."""
+    _apart()
+    weight, at = _taken(flat, at, x.shape[1], y.shape[1])
+    bias, at = _taken(flat, at, 1, y.shape[1])
+    _dense(x, weight, bias[0], y)
+    return at
+
+
+@_machine
+def _gate(x, skipped, flat, at, both, y):  # type: ignore[no-untyped-def]
+    """A gated layer around which `skipped` is led, into y; returns where its weights end."""
+    _apart()
+    at = _layer(x, flat, at, both)
+    norm, at = _taken(flat, at, 2, y.shape[1])
+    _gated(both, skipped, norm[0], norm[1], y)
+    return at
+
+
+@_machine
 def _selected(x, flat, at, width, y):  # type: ignore[no-untyped-def]
     """Variable selection, into y; returns where its weights end. See `sat_weights`."""
     _apart()
     rows, variables = x.shape
-    first, at = _taken(flat, at, variables, width)
-    first_bias, at = _taken(flat, at, 1, width)
     padded = 16 * ((variables + 15) // 16)
-    weigh, at = _taken(flat, at, width, 2 * padded)
-    weigh_bias, at = _taken(flat, at, 1, 2 * padded)
-    norm, at = _taken(flat, at, 2, variables)
+    said, both = np.empty((rows, width), np.float32), np.empty((rows, 2 * width), np.float32)
+    at = _layer(x, flat, at, said)
+    _bend(said)
+    shares = np.empty((rows, variables), np.float32)
+    at = _gate(said, x, flat, at, np.empty((rows, 2 * padded), np.float32), shares)
     spread, at = _taken(flat, at, variables, width)
     offset, at = _taken(flat, at, variables, width)
     inner, at = _taken(flat, at, variables * width, 2 * width)
     inner_bias, at = _taken(flat, at, variables, 2 * width)
     own, at = _taken(flat, at, 2, width)
-    said, both = np.empty((rows, width), np.float32), np.empty((rows, 2 * width), np.float32)
-    shares, weighed = np.empty((rows, variables), np.float32), np.empty((rows, 2 * padded), np.float32)
-    _dense(x, first, first_bias[0], said)
-    for i in range(rows):
-        for j in range(width):
-            said[i, j] = _elu(said[i, j])
-    _dense(said, weigh, weigh_bias[0], weighed)
-    _gated(weighed, x, norm[0], norm[1], shares)
     made = np.empty((rows, width), np.float32)
     for i in range(rows):
         _softmax(shares[i])
@@ -390,24 +419,12 @@ def advance(raw, corrected, flat, sizes, place, fed, before, memory, keys, value
         for j in range(width):
             memory[0, i, j], memory[1, i, j] = made[i, j], kept[i, j]
     at = _remembered(now, memory[0], memory[1], flat, at, decoded, kept)
-    for branch in range(2):
-        weight, at = _taken(flat, at, width, 2 * width)
-        bias, at = _taken(flat, at, 1, 2 * width)
-        norm, at = _taken(flat, at, 2, width)
-        if branch == 0:
-            _dense(memory[0], weight, bias[0], both)
-            _gated(both, past, norm[0], norm[1], past)
-        else:
-            _dense(decoded, weight, bias[0], both)
-            _gated(both, now, norm[0], norm[1], now)
-    weight, at = _taken(flat, at, width, width + inner)
-    bias, at = _taken(flat, at, 1, width + inner)
+    at = _gate(memory[0], past, flat, at, both, past)
+    at = _gate(decoded, now, flat, at, both, now)
     kept_past, kept_now = np.empty((rows, width + inner), np.float32), np.empty((rows, width + inner), np.float32)
-    _dense(past, weight, bias[0], kept_past)
-    _dense(now, weight, bias[0], kept_now)
-    weight, at = _taken(flat, at, width, width)
-    bias, at = _taken(flat, at, 1, width)
-    _dense(now, weight, bias[0], made)
+    _layer(past, flat, at, kept_past)
+    at = _layer(now, flat, at, kept_now)
+    at = _layer(now, flat, at, made)
     lag, at = _taken(flat, at, heads, history + 1)
     seen = np.empty((rows, inner), np.float32)
     oldest = place + 1 if place + 1 < history else 0
@@ -428,32 +445,13 @@ def advance(raw, corrected, flat, sizes, place, fed, before, memory, keys, value
             oldest,
             seen[i : i + 1],
         )
-    weight, at = _taken(flat, at, inner, 2 * width)
-    bias, at = _taken(flat, at, 1, 2 * width)
-    norm, at = _taken(flat, at, 2, width)
-    _dense(seen, weight, bias[0], both)
-    _gated(both, now, norm[0], norm[1], past)
-    weight, at = _taken(flat, at, width, width)
-    bias, at = _taken(flat, at, 1, width)
-    _dense(past, weight, bias[0], made)
-    for i in range(rows):
-        for j in range(width):
-            made[i, j] = _elu(made[i, j])
-    weight, at = _taken(flat, at, width, 2 * width)
-    bias, at = _taken(flat, at, 1, 2 * width)
-    norm, at = _taken(flat, at, 2, width)
-    _dense(made, weight, bias[0], both)
-    _gated(both, past, norm[0], norm[1], made)
-    weight, at = _taken(flat, at, width, 2 * width)
-    bias, at = _taken(flat, at, 1, 2 * width)
-    norm, at = _taken(flat, at, 2, width)
-    _dense(made, weight, bias[0], both)
-    _gated(both, now, norm[0], norm[1], past)
-    padded = 16 * ((outputs + 15) // 16)
-    y = np.empty((rows, padded), np.float32)
-    weight, at = _taken(flat, at, width, padded)
-    bias, at = _taken(flat, at, 1, padded)
-    _dense(past, weight, bias[0], y)
+    at = _gate(seen, now, flat, at, both, past)
+    at = _layer(past, flat, at, made)
+    _bend(made)
+    at = _gate(made, past, flat, at, both, decoded)
+    at = _gate(decoded, now, flat, at, both, past)
+    y = np.empty((rows, 16 * ((outputs + 15) // 16)), np.float32)
+    at = _layer(past, flat, at, y)
     added, at = _taken(flat, at, 4, outputs)
     for i in range(rows):
         for j in range(outputs):
