@@ -83,6 +83,11 @@ class VariableSelection(nn.Module):
         gated = nn.functional.glu(torch.einsum("...vw,vwu->...vu", said, self.inner) + self.inner_offset, dim=-1)
         return torch.einsum("...v,...vw->...w", shares, self.norm(said + gated)), shares
 
+    def said(self, x: Tensor) -> Tensor:
+        """The first of both."""
+        out: Tensor = self(x)[0]
+        return out
+
     def step_weights(self) -> dict[str, Tensor]:
         """For machine code."""
         first, weigh = linear(self.weigh.first), self.weigh.gate.step_weights(self.weigh.second)

@@ -7,13 +7,14 @@ reads a sample one step later, when its error is known: as the network has predi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
 import torch
 from torch import Tensor, nn
+from torch.utils.checkpoint import checkpoint
 
 from trueup.augment.config import (
     AugmentConfig,
@@ -40,8 +41,13 @@ from trueup.augment.networks.recurrent import onnx_weights
 from trueup.core.model_card import State
 from trueup.errors import ConfigError
 
-# Samples of the present whose history is looked at together: memory grows with this, not with the length of a window.
-_PIECE = 256
+# Samples of the present whose history is looked at together. All pairs of them and of what they may see are scored, so
+# that fewer at once waste less: half of the scores with 64 samples and a history of 128.
+_PIECE = 64
+# Of windows with more samples, what lies between the layers is not kept for the gradients but computed again, piece by
+# piece: it is twenty times as much as the layers themselves say.
+_WHOLE = 1024
+_AGAIN = 512
 
 
 @dataclass(frozen=True)
@@ -186,14 +192,13 @@ class Sat(Network):
         """The same with all quantiles, (T, B, Q K)."""
         past, now = self._embedded(x, fed)
         if self.attention is None:
-            out: Tensor = self.dense(now)
-            return out
+            return self._ended(now)
         kept = [_after_nothing(values, self.history - 1) for values in self.attention.kept(past)]
         parts = []
         for start in range(0, len(x), _PIECE):
             own = now[start : start + _PIECE]
             rows = slice(start, start + self.history - 1 + len(own))
-            parts.append(self._looked(own, (kept[0][rows], kept[1][rows])))
+            parts.append(_remade(self._looked, own, kept[0][rows], kept[1][rows], again=len(x) > _WHOLE))
         return torch.cat(parts)
 
     def profile(self, x: Tensor, fed: Tensor) -> Tensor:
@@ -229,8 +234,8 @@ class Sat(Network):
 
     def _embedded(self, x: Tensor, fed: Tensor) -> tuple[Tensor, Tensor]:
         """What the encoder makes of the sample before each with its error, and the decoder of each, both (T, B, W)."""
-        past = self.select_past(_after_nothing(torch.cat([x, fed], dim=-1)[:-1], 1))[0]
-        now = self.select_now(x)[0]
+        past = _selected(self.select_past, _after_nothing(torch.cat([x, fed], dim=-1)[:-1], 1))
+        now = _selected(self.select_now, x)
         if self.dense_past is not None and self.dense_now is not None:
             return self.dense_past(past), self.dense_now(now)
         if not self.recurrent:
@@ -258,22 +263,27 @@ class Sat(Network):
             now = self.after_decoder(_stepped(self.decoder, now, hidden, cell)[0], now)
             past = self.after_encoder(hidden, past)
         if self.attention is None:
-            out = self.dense(now)
+            out = self._ended(now)
         else:
             key, value = self.attention.kept(past)
             keys = torch.cat([carried["keys"].permute(2, 0, 1, 3), key])
             values = torch.cat([carried["values"].transpose(0, 1), value])
-            out = self._looked(now, (keys, values))
+            out = self._looked(now, keys, values)
             carried |= {"keys": keys[1:].permute(1, 2, 0, 3), "values": values[1:].transpose(0, 1)}
         out = self._median(out)
         carried |= {"sample": x, "fed": out if self.feedback == "own" else torch.zeros_like(out)}
         return out, tuple(carried.values())
 
-    def _looked(self, now: Tensor, past: tuple[Tensor, Tensor]) -> Tensor:
+    def _looked(self, now: Tensor, keys: Tensor, values: Tensor) -> Tensor:
         """The outputs of N samples, given what they may look at; see `Attention.forward`."""
         assert self.attention is not None
-        seen = self.after_attention(self.attention(now, past)[0], now)
-        out: Tensor = self.dense(self.last(self.process(seen), now))
+        seen = self.after_attention(self.attention(now, (keys, values))[0], now)
+        return self._ended(self.last(self.process(seen), now))
+
+    def _ended(self, x: Tensor) -> Tensor:
+        """The last layer, of full precision in any case: the physics-informed loss takes differences of what it says."""
+        with torch.autocast(x.device.type, enabled=False):
+            out: Tensor = self.dense(x.to(self.dense.weight.dtype))
         return out
 
     def draw(self, graph: Graph, x: str, states: Sequence[str]) -> tuple[str, tuple[str, ...]]:
@@ -358,6 +368,21 @@ def _lstm_weights(lstm: nn.LSTM) -> dict[str, Tensor]:
     return {"given": given.T, "again": again.T, "bias": (first.double() + second.double())[None]}
 
 
+def _remade(function: Callable[..., Tensor], *given: Tensor, again: bool) -> Tensor:
+    """What a function says; for the gradients it says it again, if asked for, so that nothing of it is kept till then."""
+    if not (again and torch.is_grad_enabled()):
+        return function(*given)
+    out: Tensor = checkpoint(function, *given, use_reentrant=False)
+    return out
+
+
+def _selected(selection: VariableSelection, x: Tensor) -> Tensor:
+    """What the variables of samples (T, B, V) say, (T, B, W)."""
+    if len(x) <= _WHOLE:
+        return selection.said(x)
+    return torch.cat([_remade(selection.said, piece, again=True) for piece in torch.split(x, _AGAIN)])
+
+
 def _after_nothing(x: Tensor, rows: int) -> Tensor:
     """As many rows of zeros before the first one."""
     return torch.cat([x.new_zeros(rows, *x.shape[1:]), x])
@@ -387,6 +412,8 @@ def _gates(lstm: nn.LSTM, x: Tensor, hidden: Tensor) -> tuple[Tensor, ...]:
     weights = weights + nn.functional.linear(
         hidden, lstm.get_parameter("weight_hh_l0"), lstm.get_parameter("bias_hh_l0")
     )
+    # With mixed precision, the sum over a whole motion that a cell is would lose what is small.
+    weights = weights.to(torch.promote_types(weights.dtype, torch.float32))
     entry, forget, candidate, out = weights.chunk(4, dim=-1)
     return entry.sigmoid(), forget.sigmoid(), candidate.tanh(), out.sigmoid()
 
