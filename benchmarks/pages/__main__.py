@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from benchmarks.pages import kinds, laws
+from benchmarks.pages import kinds, laws, markdown
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = {
@@ -17,6 +17,8 @@ NAMES = {
     "streaming": "step-times.md",
     "acceptance": "acceptance.md",
 }
+# Results that make a section of a page: name -> the page.
+SECTIONS = {"sat_speed": "building-blocks.md"}
 
 
 def is_stored(name: str) -> bool:
@@ -28,6 +30,13 @@ def text(name: str) -> str:
     """The page as the stored result makes it."""
     page: str = import_module(f"benchmarks.pages.{name}").page(_result(name))
     return page
+
+
+def with_section(name: str) -> str:
+    """A page with its section as the stored result makes it."""
+    module = import_module(f"benchmarks.pages.{name}")
+    page = (ROOT / "docs" / SECTIONS[name]).read_text()
+    return markdown.with_section(page, module.HEADING, module.section(_result(name)))
 
 
 def figures(name: str) -> dict[str, str]:
@@ -54,6 +63,9 @@ def main() -> None:
                 (ROOT / "docs" / path).write_text(content)
         else:
             print(f"docs/{file} is left as it is: benchmarks/results/{name}.json is not there yet")
+    for name, file in SECTIONS.items():
+        if is_stored(name):
+            (ROOT / "docs" / file).write_text(with_section(name))
     for file, content in {**kinds.pages(), **laws.pages()}.items():
         (ROOT / "docs" / file).write_text(content)
 

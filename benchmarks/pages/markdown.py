@@ -22,3 +22,12 @@ def with_rows(text: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) ->
     if len(table.findall(text)) != 1:
         raise ValueError(f"the page has no table {lines[0]}")
     return table.sub(lambda _: "\n".join(lines) + "\n", text)
+
+
+def with_section(text: str, heading: str, content: str) -> str:
+    """A page with this under a heading of the second level; at the end, if it has no such heading yet."""
+    made = f"## {heading}\n\n{content}"
+    found = re.compile(rf"^## {re.escape(heading)}\n.*?(?=^## |\Z)", re.M | re.S)
+    if not found.search(text):
+        return f"{text.rstrip()}\n\n{made}"
+    return found.sub(lambda match: made if match.end() == len(text) else f"{made}\n", text, count=1)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from benchmarks.acceptance.lines import LINES, REASONS
 from benchmarks.pages import kinds, laws, thesis
-from benchmarks.pages.__main__ import NAMES, figures, text
+from benchmarks.pages.__main__ import NAMES, SECTIONS, figures, text, with_section
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -19,6 +19,11 @@ def stored(name):
 def test_a_page_and_its_figures_are_made_from_its_result(name, file):
     for path, content in {file: text(name), **figures(name)}.items():
         assert (ROOT / "docs" / path).read_text() == content
+
+
+@pytest.mark.parametrize(("name", "file"), SECTIONS.items())
+def test_a_section_is_made_from_its_result(name, file):
+    assert (ROOT / "docs" / file).read_text() == with_section(name)
 
 
 def test_the_tables_of_what_there_is_are_made_from_the_code():
