@@ -195,31 +195,23 @@ def _dense(x, w, b, y):  # type: ignore[no-untyped-def]
 
 
 @_machine
-def _normalize(x, scale, shift):  # type: ignore[no-untyped-def]
-    """A row, in place."""
-    _apart()
-    wide = _f(x.size)
-    mean = _f(0.0)
-    for j in range(x.size):
-        mean += x[j]
-    mean /= wide
-    square = _f(0.0)
-    for j in range(x.size):
-        square += (x[j] - mean) * (x[j] - mean)
-    factor = _f(1.0) / np.sqrt(square / wide + _EPSILON)
-    for j in range(x.size):
-        x[j] = (x[j] - mean) * factor * scale[j] + shift[j]
-
-
-@_machine
 def _gated(both, skipped, scale, shift, y):  # type: ignore[no-untyped-def]
     """What is led around, and the half of `both` that its other half lets pass, normalized; columns may be left over."""
     _apart()
     wide, half = y.shape[1], both.shape[1] // 2
+    share = _f(1.0) / _f(wide)
     for i in range(y.shape[0]):
+        mean, square = _f(0.0), _f(0.0)
         for j in range(wide):
-            y[i, j] = skipped[i, j] + both[i, j] * _sigmoid(both[i, half + j])
-        _normalize(y[i], scale, shift)
+            value = skipped[i, j] + both[i, j] * _sigmoid(both[i, half + j])
+            y[i, j] = value
+            mean += value
+        mean *= share
+        for j in range(wide):
+            square += (y[i, j] - mean) * (y[i, j] - mean)
+        factor = _f(1.0) / np.sqrt(square * share + _EPSILON)
+        for j in range(wide):
+            y[i, j] = (y[i, j] - mean) * factor * scale[j] + shift[j]
 
 
 @_machine
@@ -336,32 +328,31 @@ def _seen(query, key, value, keys, values, lag, history, oldest, y):  # type: ig
     _apart()
     heads, inner = query.shape
     places = values.shape[0]
-    total, found = np.zeros((1, places), np.float32), np.empty((1, places), np.float32)
-    scores = np.empty(history + 1, np.float32)
-    total_own = _f(0.0)
-    after = history - oldest
+    total, found = np.zeros((1, places), np.float32), np.zeros((1, places), np.float32)
+    scores, counted = found[0], total[0]
+    after, total_own = history - oldest, _f(0.0)
     for head in range(heads):
-        for s in range(places):
-            found[0, s] = _f(0.0)
+        for s in range(oldest):
+            scores[s] = lag[head, after + s]
+        for s in range(after):
+            scores[oldest + s] = lag[head, s]
         _add_product(query[head : head + 1], keys[head], found)
         own = lag[head, history]
         for j in range(inner):
             own += query[head, j] * key[head, j]
-        for s in range(oldest):
-            scores[s] = found[0, s] + lag[head, after + s]
-        for s in range(oldest, history):
-            scores[s] = found[0, s] + lag[head, s - oldest]
-        scores[history] = own
-        _softmax(scores)
+        top = max(_largest(scores[:history]), own)
+        own = _exp(own - top)
+        summed = own
         for s in range(history):
-            total[0, s] += scores[s]
-        total_own += scores[history]
+            scores[s] = _exp(scores[s] - top)
+            summed += scores[s]
+        share = _f(1.0) / (summed * _f(heads))
+        for s in range(history):
+            counted[s] += share * scores[s]
+        total_own += share * own
     for j in range(inner):
         y[0, j] = total_own * value[j]
     _add_product(total, values, y)
-    share = _f(1.0) / _f(heads)
-    for j in range(inner):
-        y[0, j] *= share
 
 
 @_machine
