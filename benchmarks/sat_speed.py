@@ -1,10 +1,10 @@
-"""What a state augmentation transformer takes: a step of one actuator and of twelve, a batch of training, a long window.
+"""What a state augmentation transformer takes: a step of one actuator and of twelve, a batch of training, memory.
 
 Step: history 128, hidden 64, 4 heads, random weights; the alternatives take turns on one core, in blocks. A shared
 machine is at times half as fast as at others, for seconds: beside the median over the blocks of each block's median
 stands the least of them, and two matrix-vector products say how fast the machine was.
 
-Training: batches of 256 samples of 32 actuators on one thread, beside a bare torch loop of the same layers, taking turns.
+Training: batches of 256 samples of 32 actuators on one thread, in turn with a bare torch loop of the same layers.
 
 Writes `benchmarks/results/sat_speed.json`, from which a section of docs/building-blocks.md is made.
 """
@@ -40,10 +40,10 @@ from trueup.core.atomic import make_folder, write_json
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.model_card import ANY_JOINT, STEP_NAME, Channel, Input, Output
 from trueup.core.provenance import provenance
-from trueup.stages.timing import machine_name
 from trueup.core.timeseries import TimeSeries
 from trueup.deploy import Network, Stream, StreamSettings
 from trueup.deploy.cell import Cell
+from trueup.stages.timing import machine_name
 
 RESULT = Path(__file__).parent / "results" / "sat_speed.json"
 CONFIG = sat.SatConfig(hidden=(64,), history=128, heads=4)
@@ -163,9 +163,7 @@ def _runners(network: Made, copies: int) -> dict[str, Runner]:
     opened = Network.load(network.folder)
     streams = {
         "Stream": Stream(opened, rate_hz=RATE_HZ, joints=joints),
-        "Stream, onnxruntime": Stream(
-            opened, rate_hz=RATE_HZ, joints=joints, settings=StreamSettings(compiled=False)
-        ),
+        "Stream, onnxruntime": Stream(opened, rate_hz=RATE_HZ, joints=joints, settings=StreamSettings(compiled=False)),
     }
     card = streams["Stream"].card
     x = motion(card, _SAMPLES)[:, 0]
@@ -292,7 +290,9 @@ def _training() -> dict[str, Any]:
         "samples": config.window.samples,
         "batch_size": config.batch,
         "threads": 1,
-        "batch": {name: {"median_s": float(np.median(own)), "least_s": float(own.min())} for name, own in seconds.items()},
+        "batch": {
+            name: {"median_s": float(np.median(own)), "least_s": float(own.min())} for name, own in seconds.items()
+        },
         "ratio": float(ratio),
         "ratios": {name: float(np.median(own / seconds["bare torch loop"])) for name, own in seconds.items()},
     }
@@ -381,7 +381,7 @@ def _tell_peak(samples: int, how: str) -> None:
     """In a process of its own: forward and backward; print the peak beyond what was there before [MB]."""
     torch.set_num_threads(1)
     if how == "whole":
-        sat._WHOLE = sat._PIECE = samples
+        sat._WHOLE = sat._PIECE = samples  # noqa: SLF001
     network = sat.Sat(CONFIG, 4, range(3), RATE_HZ).train()
     x, fed = torch.randn(samples, 2, 4), torch.randn(samples, 2, 3)
     before = _peak_kb()

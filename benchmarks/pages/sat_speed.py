@@ -1,4 +1,4 @@
-"""The section "Step and training times" of docs/building-blocks.md, from what `python -m benchmarks sat_speed` has measured."""
+"""The section "Step and training times" of docs/building-blocks.md, from what `python -m benchmarks sat_speed` says."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ _NAMES = {
     "two products": "two products",
 }
 
-TEXT = """A step of a SAT with a history of 128 samples, 64 units and 4 heads, in microseconds: half of the steps are done
-within the first number, which is the median over {blocks} blocks of 200 steps that take turns on one core; in the
+TEXT = """A step of a SAT with a history of 128 samples, 64 units and 4 heads, in microseconds: half of the steps are
+done within the first number, which is the median over {blocks} blocks of 200 steps that take turns on one core; in the
 quietest block, within the second. The machine is shared ({machine}; load {load:.1f} on its cores while this was
 measured) and at times half as fast as at others, so the third compares block by block with two matrix products.
 
 {steps}
 
 *Recompute* sees the present sample and the 128 before it anew at every step. *Two products*: the states and inputs of
-both LSTM layers times their weights alone, by numpy, an eighth to a tenth of all weights. Asked of `Stream`: {one:.0f} us
-for one actuator, {twelve:.0f} us for twelve in one call. {verdict}
+both LSTM layers times their weights alone, by numpy, a quarter of all weights. Asked of `Stream`: {one:.0f} us for one
+actuator, {twelve:.0f} us for twelve in one call. {verdict}
 
-`Stream` takes the steps of a SAT as machine code that numba compiles from `deploy/sat_machine.py`: half a minute at the
-first start on a machine, nothing afterwards. It says the same as the graph, to rounding; `StreamSettings(compiled=False)`
-takes the graph, as do `Predictor`, simulators and programs in C++.
+`Stream` takes the steps of a SAT as [machine code](runtime.md#machine-code). Its time goes into reading the weights
+once (one actuator: 0.9 to 1.2 MB, more than the second-level cache holds) and into multiplying by them (twelve); that of
+onnxruntime, into a hundred nodes and into copies of keys and values.
 
 Training, {samples} samples of {batch} actuators in a batch, one thread, processor time of a batch beside that of a bare
 torch loop of the same layers, in turn:

@@ -97,7 +97,7 @@ def test_pieces_of_long_motions_are_the_whole(monkeypatch):
 def test_long_windows_have_the_gradients_of_short_ones(config, monkeypatch):
     """Attention in pieces, and what is computed again instead of kept, change nothing but memory."""
     (x, fed), found = data(), []
-    for sizes in ({"_PIECE": 1000}, {"_PIECE": 7, "_WHOLE": 8, "_AGAIN": 5}):
+    for sizes in ({"_PIECE": 1000}, {"_PIECE": 7, "_WHOLE": 8, "_ROWS": 5 * B}):
         network = made(config)
         for name, size in sizes.items():
             monkeypatch.setattr(f"trueup.augment.networks.sat.{name}", size)
@@ -112,7 +112,7 @@ def test_what_is_computed_again_is_not_kept(monkeypatch):
     """A window of twice the length keeps less for its gradients than one that is just not computed again."""
     network = made(replace(SMALL, hidden=(32,))).float()
     monkeypatch.setattr("trueup.augment.networks.sat._WHOLE", 100)
-    monkeypatch.setattr("trueup.augment.networks.sat._AGAIN", 50)
+    monkeypatch.setattr("trueup.augment.networks.sat._ROWS", 50 * B)
 
     def kept(samples):
         sizes = []

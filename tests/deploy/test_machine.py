@@ -56,9 +56,7 @@ def drawn(card, config, seed=0, target="residual", gate=1.0, stops=None):
     with torch.no_grad():
         for values in network.parameters():
             values.add_(0.1 * torch.randn_like(values))
-    made = Corrector(
-        network.eval(), scaling, card.base, target=target, relative=counterparts(card.inputs), stops=stops
-    )
+    made = Corrector(network.eval(), scaling, card.base, target=target, relative=counterparts(card.inputs), stops=stops)
     made.set_gate(np.full(outputs, gate))
     return made
 

@@ -264,7 +264,9 @@ class ModelCard:
 
     def save(self, folder: Path) -> ModelCard:
         """Write model.json, last of all files: with the hashes of the others; returns the card as written."""
-        files = {name: file_hash(folder / name) for name in (ONNX_NAME, WEIGHTS_NAME, STEP_NAME) if (folder / name).is_file()}
+        files = {
+            name: file_hash(folder / name) for name in (ONNX_NAME, WEIGHTS_NAME, STEP_NAME) if (folder / name).is_file()
+        }
         write_json(folder / CARD_NAME, replace(self, files=files).to_json())
         return ModelCard.load(folder)
 

@@ -1,4 +1,4 @@
-"""A causal network on one stream: as a graph in onnxruntime, or as machine code where its folder has what that needs."""
+"""A causal network on one stream: a graph in onnxruntime, or machine code where its folder has what that needs."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def _tile(rows: int, registers: int) -> Any:
     All sums stay in registers, of which a CPU of today has 16: rows x registers + registers + 1 of them are needed.
     """
 
-    def tile(_: Any, x: Any, x_row: Any, w: Any, w_row: Any, y: Any, y_row: Any, deep: Any) -> Any:
+    def tile(_: Any, x: Any, x_row: Any, w: Any, w_row: Any, y: Any, y_row: Any, deep: Any) -> Any:  # noqa: ARG001
         return types.void(*[types.int64] * 7), _drawn
 
     def _drawn(context: Any, builder: Any, __: Any, given: Any) -> Any:
@@ -60,9 +60,7 @@ def _tile(rows: int, registers: int) -> Any:
         sums = [cgutils.alloca_once_value(builder, load(y, place, lanes)) for _, place in places]
         with cgutils.for_range(builder, deep) as loop:
             start = builder.mul(loop.index, w_row)
-            parts = [
-                load(w, builder.add(start, ir.Constant(whole, _LANES * part)), lanes) for part in range(registers)
-            ]
+            parts = [load(w, builder.add(start, ir.Constant(whole, _LANES * part)), lanes) for part in range(registers)]
             for row in range(rows):
                 place = builder.add(builder.mul(x_row, ir.Constant(whole, row)), loop.index)
                 one = builder.insert_element(nothing, load(x, place, scalar), index(0))
@@ -79,14 +77,16 @@ def _tile(rows: int, registers: int) -> Any:
     return intrinsic(tile)
 
 
-@intrinsic
-def _apart(_: Any) -> Any:  # what it stands in is not copied to where it is called, which would take a minute to compile
+def _noinline(_: Any) -> Any:
     def mark(context: Any, builder: Any, __: Any, ___: Any) -> Any:
         builder.function.attributes.add("noinline")
         return context.get_dummy_value()
 
     return types.void(), mark
 
+
+# What it stands in is not copied to where it is called, which would take a minute to compile.
+_apart: Any = intrinsic(_noinline)
 
 _tile_6x16, _tile_2x32, _tile_1x64, _tile_1x16 = _tile(6, 2), _tile(2, 4), _tile(1, 8), _tile(1, 2)
 
@@ -97,7 +97,7 @@ def _ordered(function: Callable[..., Any]) -> Any:
 
 
 @_ordered
-def _largest(x):  # type: ignore[no-untyped-def]
+def _largest(x: Any) -> Any:
     top = x[0]
     for j in range(x.size):
         top = max(top, x[j])
@@ -105,7 +105,7 @@ def _largest(x):  # type: ignore[no-untyped-def]
 
 
 @_machine
-def _exp(x):  # type: ignore[no-untyped-def]
+def _exp(x: Any) -> Any:
     """The exponential function to float32's precision (Cephes), without a branch, so that loops of it are vectors."""
     x = min(max(x, _f(-87.0)), _f(88.0))
     n = np.floor(x * _f(1.44269504088896341) + _f(0.5))
@@ -122,24 +122,24 @@ def _exp(x):  # type: ignore[no-untyped-def]
 
 
 @_machine
-def _sigmoid(x):  # type: ignore[no-untyped-def]
+def _sigmoid(x: Any) -> Any:
     return _f(1.0) / (_f(1.0) + _exp(-x))
 
 
 @_machine
-def _elu(x):  # type: ignore[no-untyped-def]
+def _elu(x: Any) -> Any:
     return x if x > _f(0.0) else _exp(x) - _f(1.0)
 
 
 @_machine
-def _bend(x):  # type: ignore[no-untyped-def]
+def _bend(x: Any) -> Any:
     for i in range(x.shape[0]):
         for j in range(x.shape[1]):
             x[i, j] = _elu(x[i, j])
 
 
 @_machine
-def _add_rest(x, w, y, row, j):  # type: ignore[no-untyped-def]
+def _add_rest(x: Any, w: Any, y: Any, row: Any, j: Any) -> Any:
     """The same for one row from a column on."""
     _apart()
     deep, wide = w.shape
@@ -154,7 +154,7 @@ def _add_rest(x, w, y, row, j):  # type: ignore[no-untyped-def]
 
 
 @_machine
-def _add_product(x, w, y):  # type: ignore[no-untyped-def]
+def _add_product(x: Any, w: Any, y: Any) -> Any:
     """Y += x w."""
     _apart()
     rows, deep = x.shape
@@ -186,7 +186,7 @@ def _add_product(x, w, y):  # type: ignore[no-untyped-def]
 
 
 @_machine
-def _dense(x, w, b, y):  # type: ignore[no-untyped-def]
+def _dense(x: Any, w: Any, b: Any, y: Any) -> Any:
     """Y = x w + b."""
     for i in range(x.shape[0]):
         for j in range(b.size):
@@ -195,8 +195,8 @@ def _dense(x, w, b, y):  # type: ignore[no-untyped-def]
 
 
 @_machine
-def _gated(both, skipped, scale, shift, y):  # type: ignore[no-untyped-def]
-    """What is led around, and the half of `both` that its other half lets pass, normalized; columns may be left over."""
+def _gated(both: Any, skipped: Any, scale: Any, shift: Any, y: Any) -> Any:
+    """What is led around, and the half of `both` that its other half lets pass, normalized."""
     _apart()
     wide, half = y.shape[1], both.shape[1] // 2
     share = _f(1.0) / _f(wide)
@@ -215,7 +215,7 @@ def _gated(both, skipped, scale, shift, y):  # type: ignore[no-untyped-def]
 
 
 @_machine
-def _softmax(x):  # type: ignore[no-untyped-def]
+def _softmax(x: Any) -> Any:
     """A row, in place."""
     _apart()
     top = _largest(x)
@@ -229,14 +229,14 @@ def _softmax(x):  # type: ignore[no-untyped-def]
 
 
 @_machine
-def _taken(flat, at, rows, columns):  # type: ignore[no-untyped-def]
+def _taken(flat: Any, at: Any, rows: Any, columns: Any) -> Any:
     """The next matrix of the weights, and where it ends."""
     end = at + rows * columns
     return flat[at:end].reshape(rows, columns), end
 
 
 @_machine
-def _layer(x, flat, at, y):  # type: ignore[no-untyped-def]
+def _layer(x: Any, flat: Any, at: Any, y: Any) -> Any:
     """A dense layer, into y; returns where its weights end."""
     _apart()
     weight, at = _taken(flat, at, x.shape[1], y.shape[1])
@@ -246,7 +246,7 @@ def _layer(x, flat, at, y):  # type: ignore[no-untyped-def]
 
 
 @_machine
-def _gate(x, skipped, flat, at, both, y):  # type: ignore[no-untyped-def]
+def _gate(x: Any, skipped: Any, flat: Any, at: Any, both: Any, y: Any) -> Any:
     """A gated layer around which `skipped` is led, into y; returns where its weights end."""
     _apart()
     at = _layer(x, flat, at, both)
@@ -256,7 +256,7 @@ def _gate(x, skipped, flat, at, both, y):  # type: ignore[no-untyped-def]
 
 
 @_machine
-def _selected(x, flat, at, width, y):  # type: ignore[no-untyped-def]
+def _selected(x: Any, flat: Any, at: Any, width: Any, y: Any) -> Any:
     """Variable selection, into y; returns where its weights end. See `sat_weights`."""
     _apart()
     rows, variables = x.shape
@@ -290,7 +290,7 @@ def _selected(x, flat, at, width, y):  # type: ignore[no-untyped-def]
 
 
 @_machine
-def _remembered(x, hidden, cell, flat, at, after, kept):  # type: ignore[no-untyped-def]
+def _remembered(x: Any, hidden: Any, cell: Any, flat: Any, at: Any, after: Any, kept: Any) -> Any:
     """One step of an LSTM from `hidden` and `cell` into `after` and `kept`; returns where its weights end."""
     _apart()
     rows, width = x.shape
@@ -311,7 +311,7 @@ def _remembered(x, hidden, cell, flat, at, after, kept):  # type: ignore[no-unty
 
 
 @_machine
-def _seen(query, key, value, keys, values, lag, history, oldest, y):  # type: ignore[no-untyped-def]
+def _seen(query: Any, key: Any, value: Any, keys: Any, values: Any, lag: Any, history: Any, oldest: Any, y: Any) -> Any:
     """What one row sees of its history and of itself: the mean of the heads' weights over values that they share.
 
     Args:
@@ -356,7 +356,7 @@ def _seen(query, key, value, keys, values, lag, history, oldest, y):  # type: ig
 
 
 @_machine
-def _read(raw, flat, at, stops, x):  # type: ignore[no-untyped-def]
+def _read(raw: Any, flat: Any, at: Any, stops: Any, x: Any) -> Any:
     """Samples as the network reads them: normalized, and how near they are to their limits; see `Corrector.read`."""
     rows, channels = raw.shape
     scaling, at = _taken(flat, at, 3, channels)
@@ -373,7 +373,18 @@ def _read(raw, flat, at, stops, x):  # type: ignore[no-untyped-def]
 
 
 @_machine
-def advance(raw, corrected, flat, sizes, place, fed, before, memory, keys, values):  # type: ignore[no-untyped-def]
+def advance(
+    raw: Any,
+    corrected: Any,
+    flat: Any,
+    sizes: Any,
+    place: Any,
+    fed: Any,
+    before: Any,
+    memory: Any,
+    keys: Any,
+    values: Any,
+) -> Any:
     """One sample; the encoder reads the one before it, then the decoder this one.
 
     Args:

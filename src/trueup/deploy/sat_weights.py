@@ -14,7 +14,6 @@ from jaxtyping import Float32
 from trueup.core.model_card import STEP_NAME, ModelCard
 from trueup.errors import DataError
 
-
 # Columns that the machine code takes at once.
 _AT_ONCE = 16
 
@@ -141,7 +140,12 @@ class SatWeights:
             raise DataError(f"{path} holds no weights of a step", got=error) from error
         if flat.dtype != np.float32 or flat.shape != (count,) or not np.isfinite(flat).all():
             raise DataError(f"{path} holds other weights than it says", got=flat.shape, expected=(count,))
-        if min(astuple(sizes)) < 0 or sizes.width % sizes.heads or not sizes.history or (sizes.inputs, sizes.outputs) != (len(card.inputs), len(card.outputs)):
+        if (
+            min(astuple(sizes)) < 0
+            or sizes.width % sizes.heads
+            or not sizes.history
+            or (sizes.inputs, sizes.outputs) != (len(card.inputs), len(card.outputs))
+        ):
             raise DataError(
                 f"{path} is of another network than the card beside it",
                 got=f"{sizes.inputs} inputs, {sizes.outputs} outputs",

@@ -73,6 +73,7 @@ def _motion(card: ModelCard) -> Float64[np.ndarray, "T I"]:
 
 
 def machine_name() -> str:
+    """What this runs on, for people."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

@@ -47,7 +47,8 @@ _PIECE = 64
 # Of windows with more samples, what lies between the layers is not kept for the gradients but computed again, piece by
 # piece: it is twenty times as much as the layers themselves say.
 _WHOLE = 1024
-_AGAIN = 512
+# Samples of all motions together whose variables are selected at a time: what lies between is then still in a cache.
+_ROWS = 2048
 
 
 @dataclass(frozen=True)
@@ -159,19 +160,21 @@ class Sat(Network):
         """See `Network.learn`: some of the errors that the encoder is told are true, the others predicted (SAT, V).
 
         What the network would predict of itself from its own predictions is unknown before the pass; it is told what
-        it predicts from those true errors. With that, all samples are still seen at once.
+        it predicts from those true errors. With that, all samples are still seen at once. What the present says does
+        not depend on errors, and is worked out once.
         """
         del lengths  # the future, padding or not, is not seen
+        now = _selected(self.select_now, x)
         if self.feedback == "zero":
-            return self._said(self._taught(x, torch.zeros_like(wanted)))
+            return self._said(self._taught(x, torch.zeros_like(wanted), now))
         if not self.own_share:
-            return self._said(self._taught(x, wanted))
+            return self._said(self._taught(x, wanted, now))
         with torch.no_grad():
             own = torch.rand(*x.shape[:2], 1, device=x.device) < self.own_share
-            fed = torch.where(own, self.taught(x, wanted), wanted)
+            fed = torch.where(own, self._median(self._taught(x, wanted, now)), wanted)
             if self.own_share == 1:
-                fed = self.taught(x, fed)
-        return self._said(self._taught(x, fed))
+                fed = self._median(self._taught(x, fed, now))
+        return self._said(self._taught(x, fed, now))
 
     def _said(self, out: Tensor) -> Tensor:
         return out if self.quantiles == 1 else out.view(*out.shape[:-1], self.quantiles, self.outputs)
@@ -186,11 +189,11 @@ class Sat(Network):
             x: normalized inputs, (T, B, I).
             fed: normalized errors after each sample, (T, B, K); that of the last sample is not read.
         """
-        return self._median(self._taught(x, fed))
+        return self._median(self._taught(x, fed, _selected(self.select_now, x)))
 
-    def _taught(self, x: Tensor, fed: Tensor) -> Tensor:
-        """The same with all quantiles, (T, B, Q K)."""
-        past, now = self._embedded(x, fed)
+    def _taught(self, x: Tensor, fed: Tensor, now: Tensor) -> Tensor:
+        """The same with all quantiles, (T, B, Q K); `now` is what `select_now` makes of x, (T, B, W)."""
+        past, now = self._embedded(x, fed, now)
         if self.attention is None:
             return self._ended(now)
         kept = [_after_nothing(values, self.history - 1) for values in self.attention.kept(past)]
@@ -207,7 +210,7 @@ class Sat(Network):
         The last is the present one. Only samples whose whole history is there are counted, T > history.
         """
         assert self.attention is not None
-        past, now = self._embedded(x, fed)
+        past, now = self._embedded(x, fed, _selected(self.select_now, x))
         keys, values = self.attention.kept(past)
         total, count = now.new_zeros(self.history + 1), 0
         for start in range(self.history, len(x), _PIECE):
@@ -232,10 +235,9 @@ class Sat(Network):
             return self.taught(x, x.new_zeros(*x.shape[:2], self.outputs))
         return super().forward(x, lengths)
 
-    def _embedded(self, x: Tensor, fed: Tensor) -> tuple[Tensor, Tensor]:
+    def _embedded(self, x: Tensor, fed: Tensor, now: Tensor) -> tuple[Tensor, Tensor]:
         """What the encoder makes of the sample before each with its error, and the decoder of each, both (T, B, W)."""
         past = _selected(self.select_past, _after_nothing(torch.cat([x, fed], dim=-1)[:-1], 1))
-        now = _selected(self.select_now, x)
         if self.dense_past is not None and self.dense_now is not None:
             return self.dense_past(past), self.dense_now(now)
         if not self.recurrent:
@@ -281,7 +283,7 @@ class Sat(Network):
         return self._ended(self.last(self.process(seen), now))
 
     def _ended(self, x: Tensor) -> Tensor:
-        """The last layer, of full precision in any case: the physics-informed loss takes differences of what it says."""
+        """The last layer, in full precision: the physics-informed loss takes differences of what it says."""
         with torch.autocast(x.device.type, enabled=False):
             out: Tensor = self.dense(x.to(self.dense.weight.dtype))
         return out
@@ -319,7 +321,6 @@ class Sat(Network):
     def _draw_last(self, graph: Graph, x: str) -> str:
         """The last layer, of which the medians are drawn only."""
         return draw_gemm(graph, self._median_layer(), x)
-
 
     def step_weights(self) -> StepWeights | None:
         """See `Network.step_weights`; the ablations have none."""
@@ -369,7 +370,7 @@ def _lstm_weights(lstm: nn.LSTM) -> dict[str, Tensor]:
 
 
 def _remade(function: Callable[..., Tensor], *given: Tensor, again: bool) -> Tensor:
-    """What a function says; for the gradients it says it again, if asked for, so that nothing of it is kept till then."""
+    """What a function says; `again` says it once more for the gradients, so that nothing of it is kept till then."""
     if not (again and torch.is_grad_enabled()):
         return function(*given)
     out: Tensor = checkpoint(function, *given, use_reentrant=False)
@@ -378,9 +379,8 @@ def _remade(function: Callable[..., Tensor], *given: Tensor, again: bool) -> Ten
 
 def _selected(selection: VariableSelection, x: Tensor) -> Tensor:
     """What the variables of samples (T, B, V) say, (T, B, W)."""
-    if len(x) <= _WHOLE:
-        return selection.said(x)
-    return torch.cat([_remade(selection.said, piece, again=True) for piece in torch.split(x, _AGAIN)])
+    pieces = torch.split(x, max(1, _ROWS // x.shape[1]))
+    return torch.cat([_remade(selection.said, piece, again=len(x) > _WHOLE) for piece in pieces])
 
 
 def _after_nothing(x: Tensor, rows: int) -> Tensor:
