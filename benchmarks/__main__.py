@@ -32,6 +32,7 @@ NAMES = (
     "augment",
     "sat_so101",
     "streaming",
+    "sat_speed",
 )
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from augment.augment_cases import RATE_HZ, RUN, make_dataset
 from trueup.augment import Augmentation, AugmentConfig, preset
@@ -15,7 +16,7 @@ from trueup.augment.networks.sat import SatConfig
 from trueup.augment.pairs import any_joint, channels_of, write_pairs
 from trueup.augment.scaling import Scaling
 from trueup.augment.trained import Trained
-from trueup.core.model_card import ANY_JOINT, ModelCard
+from trueup.core.model_card import ANY_JOINT, STEP_NAME, ModelCard
 from trueup.deploy import Network, Stream
 from trueup.errors import ConfigError, MissingSignal, NameMismatch, UnitError
 from trueup.stages import augment, evaluate
@@ -250,3 +251,27 @@ def test_a_graph_of_single_steps_says_so(trained):
     _, models = trained
     assert Network.load(models["sat"][0]).stepwise
     assert not Network.load(models["lstm"][0]).stepwise
+
+
+def test_mixed_precision_learns_about_the_same(trained, tmp_path):
+    folder, _ = trained
+    from trueup.dataset import Dataset
+
+    small = replace(SAT, epochs=1, window=WindowConfig("fixed", 30, 1), network=replace(SAT.network, history=4))
+    found = []
+    for name in ("full", "mixed"):
+        config = replace(small, precision=name)
+        found.append(augment([Dataset(folder / "two")], tmp_path / name, run=RUN, config=config, jobs=1).augmentation)
+    full, mixed = ([epoch.val for epoch in made.training.history] for made in found)
+    assert mixed != full
+    np.testing.assert_allclose(mixed, full, rtol=0.1)
+    assert found[1].corrector.network.dense.weight.dtype == torch.float32
+
+
+def test_a_folder_holds_the_step_of_a_sat_only(trained, tmp_path):
+    _, models = trained
+    assert STEP_NAME in ModelCard.load(models["sat"][0]).files
+    assert STEP_NAME not in ModelCard.load(models["lstm"][0]).files
+    for name in ("sat", "lstm"):  # what belongs to the network before goes with it
+        models[name][1].save(tmp_path)
+        assert (tmp_path / STEP_NAME).exists() == (name == "sat")

@@ -93,6 +93,42 @@ def test_pieces_of_long_motions_are_the_whole(monkeypatch):
     torch.testing.assert_close(network.taught(x, fed), whole, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize("config", ABLATIONS.values(), ids=ABLATIONS.keys())
+def test_long_windows_have_the_gradients_of_short_ones(config, monkeypatch):
+    """Attention in pieces, and what is computed again instead of kept, change nothing but memory."""
+    (x, fed), found = data(), []
+    for sizes in ({"_PIECE": 1000}, {"_PIECE": 7, "_WHOLE": 8, "_ROWS": 5 * B}):
+        network = made(config)
+        for name, size in sizes.items():
+            monkeypatch.setattr(f"trueup.augment.networks.sat.{name}", size)
+        ((network.taught(x, fed) - fed) ** 2).mean().backward()
+        found.append({name: values.grad for name, values in network.named_parameters()})
+    for name, gradient in found[0].items():
+        torch.testing.assert_close(found[1][name], gradient, rtol=1e-9, atol=1e-12)
+        assert gradient is None or gradient.any() or config.attention is False
+
+
+def test_what_is_computed_again_is_not_kept(monkeypatch):
+    """A window of twice the length keeps less for its gradients than one that is just not computed again."""
+    network = made(replace(SMALL, hidden=(32,))).float()
+    monkeypatch.setattr("trueup.augment.networks.sat._WHOLE", 100)
+    monkeypatch.setattr("trueup.augment.networks.sat._ROWS", 50 * B)
+
+    def kept(samples):
+        sizes = []
+
+        def count(values):
+            sizes.append(values.numel())
+            return values
+
+        x, fed = (part.float() for part in data(samples=samples))
+        with torch.autograd.graph.saved_tensors_hooks(count, lambda values: values):
+            network.taught(x, fed)
+        return sum(sizes)
+
+    assert kept(200) < kept(100)
+
+
 def test_attention_is_that_of_the_formula():
     """TFT, eq. 13 to 16, head by head and sample by sample."""
     torch.manual_seed(2)

@@ -28,7 +28,7 @@ from trueup.augment.training import OnProgress, Outcome, train
 from trueup.core.atomic import json_hash, make_folder, remove, write_bytes
 from trueup.core.config import build
 from trueup.core.episode import Episode
-from trueup.core.model_card import CARD_NAME, ONNX_NAME, WEIGHTS_NAME, Channel, Input, ModelCard, Output
+from trueup.core.model_card import CARD_NAME, ONNX_NAME, STEP_NAME, WEIGHTS_NAME, Channel, Input, ModelCard, Output
 from trueup.core.provenance import provenance
 from trueup.core.step_times import LATENCY_NAME
 from trueup.core.timeseries import TimeSeries
@@ -188,7 +188,7 @@ class Augmentation:
             return Stream.load(folder, rate_hz=rate_hz, joints=joints, settings=settings)
 
     def save(self, folder: Path) -> ModelCard:
-        """Write `model.onnx`, `weights.safetensors` and, last, `model.json`; returns the card as written.
+        """Write `model.onnx`, `weights.safetensors`, `step.npz` of a SAT and, last, `model.json`; returns that card.
 
         What belongs to a model that was there goes: half of it must not be taken for one, nor the times of its steps
         for those of this one.
@@ -196,10 +196,13 @@ class Augmentation:
         make_folder(folder)
         state = {name: value.contiguous() for name, value in self.corrector.state_dict().items()}
         weights, graph = save_tensors(state), self.export()
-        for name in (CARD_NAME, LATENCY_NAME):
+        step = self.corrector.step_weights()
+        for name in (CARD_NAME, LATENCY_NAME, STEP_NAME):
             remove(folder / name)
         write_bytes(folder / WEIGHTS_NAME, weights)
         write_bytes(folder / ONNX_NAME, graph)
+        if step is not None:
+            write_bytes(folder / STEP_NAME, step.to_bytes())
         self.card = self.card.save(folder)
         return self.card
 

@@ -258,6 +258,8 @@ class AugmentConfig:
         stop_after: epochs without improvement on val after which training stops; 0 for never.
         margin: share of an input's training range by which a stream's input may leave it.
         coverage: share of samples that the intervals are to cover.
+        precision: `mixed` multiplies matrices in bfloat16 in training, which GPUs are several times faster at; CPUs are
+            not. Weights, losses, val and what is exported stay float32.
     """
 
     method: str = "realeasy-rt"
@@ -271,6 +273,7 @@ class AugmentConfig:
     stop_after: int = 15
     margin: float = 0.1
     coverage: float = 0.9
+    precision: Literal["full", "mixed"] = "full"
 
     def __post_init__(self) -> None:
         """Refuse numbers that make no training."""

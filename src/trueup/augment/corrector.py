@@ -14,6 +14,7 @@ from trueup.augment.graph import Graph
 from trueup.augment.networks.base import Network
 from trueup.augment.scaling import Scaling, Stops
 from trueup.core.model_card import State
+from trueup.deploy.sat_weights import SatWeights, Sizes
 
 # How deep a joint can lean into its stop, in widths beyond the one before it.
 _BEYOND = 2.0
@@ -131,6 +132,28 @@ class Corrector(nn.Module):
         for state, name, shape in zip(self.states, (*after, *after_buffer), shapes, strict=True):
             graph.output(name, f"{state.name}_out", shape)
         return graph.serialized(metadata)
+
+    def step_weights(self) -> SatWeights | None:
+        """The weights as the machine code of `deploy.sat_machine` reads them; None where it cannot run the network."""
+        own = self.network.step_weights()
+        if own is None:
+            return None
+        sizes = Sizes(len(self.center), len(self.stop_edge), self.network.outputs, **own.sizes)
+        other = torch.where(self.has_other > 0, self.other, -1)
+        none = torch.zeros_like(self.gate)
+        plain = self.target == "plain"
+        rows = {
+            "read.scaling": (self.center, self.scale, other),
+            "read.stops": (self.stop_index, self.stop_edge, self.stop_slope),
+            "write.sum": (
+                self.base,
+                1.0 - self.gate if plain else none + 1.0,
+                self.gate * self.out_center,
+                self.gate * self.out_scale,
+            ),
+        }
+        given = {name: torch.stack([row.double() for row in group]).cpu().numpy() for name, group in rows.items()}
+        return SatWeights.of(sizes, {**own.parts, **given})
 
     def _bounded(self, graph: Graph, x: str, origin: Tensor) -> str:
         """`read` as nodes, without the factor of each input, and with no more of its origin than is said, (I + N,)."""

@@ -184,7 +184,8 @@ def _epoch(
         rate = _rate(config, history, done + len(windows) * (number - 1), len(windows))
         for group in optimizer.param_groups:
             group["lr"] = rate
-        found = loss.of(corrector, batch)
+        with torch.autocast(corrector.center.device.type, torch.bfloat16, enabled=config.precision == "mixed"):
+            found = loss.of(corrector, batch)
         optimizer.zero_grad(set_to_none=True)
         found.backward()  # type: ignore[no-untyped-call]
         if config.optimizer.clip > 0:

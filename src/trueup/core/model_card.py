@@ -13,6 +13,8 @@ inside. With B copies side by side and any number T of samples:
 
 A network that looks into the future (`causal: false`) has no states and takes whole motions. A modular one has the
 channels of one joint, called `*`: it takes all joints of a robot side by side, whichever robot it is (`of_joints`).
+
+`step.npz`, where there is one, holds the weights as the machine code of `deploy.sat_machine` reads them.
 """
 
 from __future__ import annotations
@@ -35,6 +37,7 @@ CARD_SCHEMA = "trueup.model/1"
 CARD_NAME = "model.json"
 ONNX_NAME = "model.onnx"
 WEIGHTS_NAME = "weights.safetensors"
+STEP_NAME = "step.npz"
 ANY_JOINT = "*"
 # Beyond, an input would be in range whatever it is.
 LARGEST_MARGIN = 1e6
@@ -262,7 +265,9 @@ class ModelCard:
 
     def save(self, folder: Path) -> ModelCard:
         """Write model.json, last of all files: with the hashes of the others; returns the card as written."""
-        files = {name: file_hash(folder / name) for name in (ONNX_NAME, WEIGHTS_NAME) if (folder / name).is_file()}
+        files = {
+            name: file_hash(folder / name) for name in (ONNX_NAME, WEIGHTS_NAME, STEP_NAME) if (folder / name).is_file()
+        }
         write_json(folder / CARD_NAME, replace(self, files=files).to_json())
         return ModelCard.load(folder)
 

@@ -1,24 +1,25 @@
-"""A causal network on one stream: fixed tensors, and states that go back and forth between two sets of them."""
+"""A causal network on one stream: a graph in onnxruntime, or machine code where its folder has what that needs."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from dataclasses import astuple
+from importlib import import_module
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
 
 from trueup.deploy.network import Network
+from trueup.deploy.sat_weights import SatWeights, padded
 from trueup.errors import DataError
 
 # onnxruntime plans its memory in the first run; the control loop shall not wait for that.
 _REHEARSALS = 20
 
 
-class Cell:
+class Cell(ABC):
     """One sample in, one out, and no array made.
-
-    A run reads one set of states and writes the other; the next run has them the other way around. Both ways are bound
-    beforehand.
 
     Args:
         network: a causal network.
@@ -32,32 +33,24 @@ class Cell:
         card = network.card
         self.x: Float32[np.ndarray, "I"] = np.zeros(len(card.inputs), np.float32)
         self.y: Float32[np.ndarray, "K"] = np.zeros(len(card.outputs), np.float32)
-        self._specs = card.states
         self._copies = card.copies
-        first = np.zeros((self._copies, self.x.size // self._copies))
-        # The bindings hold addresses only: these arrays, x and y must live as long as they do.
-        self._states = [{state.name: state.initial(first) for state in card.states} for _ in range(2)]
-        self._session = network.session
-        self._bindings = [self._bound(*self._states), self._bound(*self._states[::-1])]
-        self._turn = 0
         self._finite = np.ones(len(card.outputs), bool)
         self._all = self._finite.tobytes()
 
+    @staticmethod
+    def of(network: Network, *, compiled: bool) -> Cell:
+        """As machine code, where that is asked for and the network has it."""
+        if compiled and network.step is not None:
+            return MachineCell(network, network.step)
+        return GraphCell(network)
+
+    @abstractmethod
     def start(self) -> None:
         """Put the states to where they are before the first sample, which is in `x`."""
-        for state in self._specs:
-            # Broadcast over the rows of a buffer that begins full of the first sample.
-            first = self.x.reshape(self._copies, -1)
-            self._states[0][state.name][...] = first if state.start == "first" else 0.0
-        self._turn = 0
 
+    @abstractmethod
     def run(self) -> bool:
         """From `x` and the states to `y` and the states after this sample; whether all of `y` is finite."""
-        self._session.run_with_iobinding(self._bindings[self._turn])
-        self._turn ^= 1
-        np.isfinite(self.y, self._finite)
-        # Comparing bytes takes a fifth of the time of `all()`.
-        return self._finite.tobytes() == self._all
 
     def rehearse(self, x: Float32[np.ndarray, "I"]) -> None:
         """Run a few times on a sample, and start anew.
@@ -75,6 +68,41 @@ class Cell:
             raise DataError("the network's output is not finite in the middle of its own training range")
         self.start()
 
+
+class GraphCell(Cell):
+    """By onnxruntime.
+
+    A run reads one set of states and writes the other; the next run has them the other way around. Both ways are bound
+    beforehand.
+    """
+
+    def __init__(self, network: Network) -> None:
+        super().__init__(network)
+        card = network.card
+        self._specs = card.states
+        first = np.zeros((self._copies, self.x.size // self._copies))
+        # The bindings hold addresses only: these arrays, x and y must live as long as they do.
+        self._states = [{state.name: state.initial(first) for state in card.states} for _ in range(2)]
+        self._session = network.session
+        self._bindings = [self._bound(*self._states), self._bound(*self._states[::-1])]
+        self._turn = 0
+
+    def start(self) -> None:
+        """See `Cell.start`."""
+        for state in self._specs:
+            # Broadcast over the rows of a buffer that begins full of the first sample.
+            first = self.x.reshape(self._copies, -1)
+            self._states[0][state.name][...] = first if state.start == "first" else 0.0
+        self._turn = 0
+
+    def run(self) -> bool:
+        """See `Cell.run`."""
+        self._session.run_with_iobinding(self._bindings[self._turn])
+        self._turn ^= 1
+        np.isfinite(self.y, self._finite)
+        # Comparing bytes takes a fifth of the time of `all()`.
+        return self._finite.tobytes() == self._all
+
     def _bound(self, before: dict[str, np.ndarray], after: dict[str, np.ndarray]) -> Any:
         binding = self._session.io_binding()
 
@@ -87,3 +115,42 @@ class Cell:
             bind(binding.bind_input, name, tensor, tensor.shape)
             bind(binding.bind_output, f"{name}_out", after[name], tensor.shape)
         return binding
+
+
+class MachineCell(Cell):
+    """A state augmentation transformer by `sat_machine`: keys and values of the past stay where they are.
+
+    The first one on a machine waits until the code is compiled; the next processes find it on disk.
+    """
+
+    def __init__(self, network: Network, weights: SatWeights) -> None:
+        super().__init__(network)
+        sizes, copies = weights.sizes, self._copies
+        inner = sizes.width // sizes.heads
+        self._advance = import_module("trueup.deploy.sat_machine").advance
+        self._history = sizes.history
+        shapes = (
+            (copies, sizes.outputs),
+            (copies, sizes.inputs + sizes.stops),
+            (2, copies, sizes.width),
+            (copies, sizes.heads, inner, padded(sizes.history)),
+            (copies, padded(sizes.history), inner),
+        )
+        self._states = tuple(np.zeros(shape, np.float32) for shape in shapes)
+        rows = (self.x.reshape(copies, -1), self.y.reshape(copies, -1))
+        self._given = (*rows, weights.flat, astuple(sizes))
+        self._place = 0
+
+    def start(self) -> None:
+        """See `Cell.start`."""
+        for values in self._states:
+            values.fill(0.0)
+        self._place = 0
+
+    def run(self) -> bool:
+        """See `Cell.run`."""
+        place = self._place
+        self._advance(*self._given, place, *self._states)
+        self._place = place + 1 if place + 1 < self._history else 0
+        np.isfinite(self.y, self._finite)
+        return self._finite.tobytes() == self._all

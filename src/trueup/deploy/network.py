@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from trueup.core.model_card import CARD_NAME, ONNX_NAME, ModelCard, State
+from trueup.deploy.sat_weights import SatWeights
 from trueup.errors import DataError, needing
 
 _TYPE = "tensor(float)"
@@ -25,11 +26,13 @@ class Network:
         folder: where it came from.
         card: what it says of itself.
         session: onnxruntime's session over the graph, on one thread of the CPU.
+        step: weights for machine code that takes the same steps, where the folder has them.
     """
 
     folder: Path
     card: ModelCard
     session: Any
+    step: SatWeights | None = None
 
     @staticmethod
     def load(folder: Path | str) -> Network:
@@ -66,7 +69,7 @@ class Network:
                 got=error,
             ) from error
         _check_graph(session, card, folder)
-        return Network(folder, card, session)
+        return Network(folder, card, session, SatWeights.load(folder, card))
 
     @property
     def stepwise(self) -> bool:

@@ -33,6 +33,7 @@ class StreamSettings:
         margin: share of a channel's training range by which an input may leave it; None for what the card says. Larger:
             corrections from inputs that training never saw.
         measure: keep a histogram of how long steps take.
+        compiled: take steps as machine code where the network has such, a `sat`; else, and False, by onnxruntime.
     """
 
     warmup_steps: int | None = None
@@ -44,6 +45,7 @@ class StreamSettings:
     rate_tolerance: float = 0.1
     margin: float | None = None
     measure: bool = True
+    compiled: bool = True
 
     def __post_init__(self) -> None:
         """Refuse rules that make no sense."""

@@ -73,7 +73,7 @@ class Stream:
         self._card = card
         self._settings = settings = settings or StreamSettings()
         self._span = Span(card.inputs, card.margin if settings.margin is None else settings.margin)
-        self._cell = Cell(network)
+        self._cell = Cell.of(network, compiled=settings.compiled)
         self._raw = np.zeros(len(card.inputs))
         self._base = index_of(card.base)
         self._values = np.full(len(card.outputs), np.nan)

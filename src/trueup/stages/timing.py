@@ -59,7 +59,7 @@ def time_steps(folder: Path | str, *, rate_hz: float = 1000.0, seconds: float = 
         stream.step_vector(motion[number % _SAMPLES], time_s=number / card.rate_hz)
 
     report = run_loop(step, rate_hz=rate_hz, duration_s=seconds)
-    return StepTimes.of_loop(report.to_json(), machine=_machine(), network=card.files[ONNX_NAME]), report
+    return StepTimes.of_loop(report.to_json(), machine=machine_name(), network=card.files[ONNX_NAME]), report
 
 
 def _motion(card: ModelCard) -> Float64[np.ndarray, "T I"]:
@@ -72,7 +72,8 @@ def _motion(card: ModelCard) -> Float64[np.ndarray, "T I"]:
     return motion
 
 
-def _machine() -> str:
+def machine_name() -> str:
+    """What this runs on, for people."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

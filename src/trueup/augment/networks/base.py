@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -17,6 +19,19 @@ from trueup.errors import ConfigError
 States = tuple[Tensor, ...]
 # Samples that a network without a state works on at a time.
 _PIECE = 512
+
+
+@dataclass(frozen=True, eq=False)
+class StepWeights:
+    """A network's part of what `deploy.sat_weights` holds.
+
+    Attributes:
+        sizes: the fields of `Sizes` that the network knows.
+        parts: matrices by their names in `Sizes.shapes`.
+    """
+
+    sizes: Mapping[str, int]
+    parts: Mapping[str, np.ndarray]
 
 
 class Network(nn.Module, ABC):
@@ -105,6 +120,10 @@ class Network(nn.Module, ABC):
             x = graph.add("Add", x, graph.floats(shift.numpy()))
         out, after = self.draw(graph, x, states)
         return graph.add("Mul", out, graph.floats(outputs.numpy())), after
+
+    def step_weights(self) -> StepWeights | None:
+        """What machine code for its step needs; None where there is none, and the graph is all."""
+        return None
 
     def initial(self, first: Tensor) -> States:
         """The states before the first sample, (B, I)."""

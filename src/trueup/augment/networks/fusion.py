@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor, nn
 
 from trueup.augment.graph import Graph
 from trueup.augment.networks.base import draw_norm
+from trueup.deploy.sat_weights import padded
 
 
 class Gated(nn.Module):
@@ -22,6 +25,11 @@ class Gated(nn.Module):
         """(..., inputs) and (..., width) to (..., width)."""
         out: Tensor = self.norm(skipped + nn.functional.glu(self.both(self.dropout(x)), dim=-1))
         return out
+
+    def step_weights(self, before: nn.Linear | None = None) -> dict[str, Tensor]:
+        """For machine code; with a dense layer before it that is merged into its own."""
+        own = linear(self.both) if before is None else _merged(before, self.both)
+        return {**own, "norm": torch.stack([self.norm.weight, self.norm.bias])}
 
     def draw(self, graph: Graph, x: str, skipped: str) -> str:
         """The same as nodes, (B, inputs) and (B, width)."""
@@ -75,6 +83,26 @@ class VariableSelection(nn.Module):
         gated = nn.functional.glu(torch.einsum("...vw,vwu->...vu", said, self.inner) + self.inner_offset, dim=-1)
         return torch.einsum("...v,...vw->...w", shares, self.norm(said + gated)), shares
 
+    def said(self, x: Tensor) -> Tensor:
+        """The first of both."""
+        out: Tensor = self(x)[0]
+        return out
+
+    def step_weights(self) -> dict[str, Tensor]:
+        """For machine code."""
+        first, weigh = linear(self.weigh.first), self.weigh.gate.step_weights(self.weigh.second)
+        weigh |= {name: torch.cat([widened(half) for half in weigh[name].chunk(2, dim=1)], dim=1) for name in _WIDE}
+        return {
+            "first": first["weight"],
+            "first_bias": first["bias"],
+            **{f"weigh{name}": weigh[own] for name, own in (("", "weight"), ("_bias", "bias"), ("_norm", "norm"))},
+            "spread": self.spread,
+            "offset": self.offset,
+            "inner": self.inner.flatten(0, 1),
+            "inner_bias": self.inner_offset,
+            "norm": torch.stack([self.norm.weight, self.norm.bias]),
+        }
+
     def draw(self, graph: Graph, x: str) -> str:
         """What they say, as nodes, (B, V) to (B, W)."""
         shares = graph.add("Softmax", self.weigh.draw(graph, x), axis=-1)
@@ -84,7 +112,8 @@ class VariableSelection(nn.Module):
         said = graph.add("Elu", graph.add("Add", said, graph.floats(self.offset.detach().numpy()[:, None])))
         both = graph.add("MatMul", said, graph.floats(self.inner.detach().numpy()))
         both = graph.add("Add", both, graph.floats(self.inner_offset.detach().numpy()[:, None]))
-        normed = draw_norm(graph, self.norm, graph.add("Add", said, _draw_glu(graph, both)))
+        # Not by "Add": onnxruntime would make one node of sum and normalization, which takes four times as long as two.
+        normed = draw_norm(graph, self.norm, graph.add("Sum", said, _draw_glu(graph, both)))
         weights = graph.add("Unsqueeze", graph.add("Transpose", shares, perm=[1, 0]), last)
         return graph.add("ReduceSum", graph.add("Mul", normed, weights), first, keepdims=0)
 
@@ -168,6 +197,31 @@ class Attention(nn.Module):
         bounds = [graph.integers([bound]) for bound in (1, self.history)]
         after = [graph.add("Slice", rows, *bounds, graph.integers([axis])) for rows, axis in ((keys, 2), (values, 1))]
         return draw_gemm(graph, self.merge, seen), after[0], after[1]
+
+
+def linear(layer: nn.Linear, factor: float = 1.0) -> dict[str, Tensor]:
+    """A dense layer for machine code: weights (inputs, outputs) and biases (1, outputs)."""
+    return {"weight": factor * layer.weight.double().T, "bias": factor * layer.bias.double()[None]}
+
+
+_WIDE = ("weight", "bias")
+
+
+def widened(x: Tensor) -> Tensor:
+    """With columns of zeros up to what machine code takes at once."""
+    return nn.functional.pad(x, (0, padded(x.shape[1]) - x.shape[1]))
+
+
+def stacked(layers: Sequence[nn.Linear]) -> dict[str, Tensor]:
+    """Dense layers of the same inputs side by side."""
+    parts = [linear(layer) for layer in layers]
+    return {name: torch.cat([part[name] for part in parts], dim=1) for name in parts[0]}
+
+
+def _merged(first: nn.Linear, second: nn.Linear) -> dict[str, Tensor]:
+    """Two dense layers with nothing between them as one."""
+    before, after = linear(first), linear(second)
+    return {"weight": before["weight"] @ after["weight"], "bias": before["bias"] @ after["weight"] + after["bias"]}
 
 
 def draw_gemm(graph: Graph, layer: nn.Linear, x: str) -> str:

@@ -7,13 +7,14 @@ reads a sample one step later, when its error is known: as the network has predi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
 import torch
 from torch import Tensor, nn
+from torch.utils.checkpoint import checkpoint
 
 from trueup.augment.config import (
     AugmentConfig,
@@ -25,14 +26,29 @@ from trueup.augment.config import (
     WindowConfig,
 )
 from trueup.augment.graph import Graph
-from trueup.augment.networks.base import Network, States
-from trueup.augment.networks.fusion import Attention, Gated, GatedResidual, VariableSelection, draw_gemm
+from trueup.augment.networks.base import Network, States, StepWeights
+from trueup.augment.networks.fusion import (
+    Attention,
+    Gated,
+    GatedResidual,
+    VariableSelection,
+    draw_gemm,
+    linear,
+    stacked,
+    widened,
+)
 from trueup.augment.networks.recurrent import onnx_weights
 from trueup.core.model_card import State
 from trueup.errors import ConfigError
 
-# Samples of the present whose history is looked at together: memory grows with this, not with the length of a window.
-_PIECE = 256
+# Samples of the present whose history is looked at together. All pairs of them and of what they may see are scored, so
+# that fewer at once waste less: half of the scores with 64 samples and a history of 128.
+_PIECE = 64
+# Of windows with more samples, what lies between the layers is not kept for the gradients but computed again, piece by
+# piece: it is twenty times as much as the layers themselves say.
+_WHOLE = 1024
+# Samples of all motions together whose variables are selected at a time: what lies between is then still in a cache.
+_ROWS = 2048
 
 
 @dataclass(frozen=True)
@@ -144,19 +160,21 @@ class Sat(Network):
         """See `Network.learn`: some of the errors that the encoder is told are true, the others predicted (SAT, V).
 
         What the network would predict of itself from its own predictions is unknown before the pass; it is told what
-        it predicts from those true errors. With that, all samples are still seen at once.
+        it predicts from those true errors. With that, all samples are still seen at once. What the present says does
+        not depend on errors, and is worked out once.
         """
         del lengths  # the future, padding or not, is not seen
+        now = _selected(self.select_now, x)
         if self.feedback == "zero":
-            return self._said(self._taught(x, torch.zeros_like(wanted)))
+            return self._said(self._taught(x, torch.zeros_like(wanted), now))
         if not self.own_share:
-            return self._said(self._taught(x, wanted))
+            return self._said(self._taught(x, wanted, now))
         with torch.no_grad():
             own = torch.rand(*x.shape[:2], 1, device=x.device) < self.own_share
-            fed = torch.where(own, self.taught(x, wanted), wanted)
+            fed = torch.where(own, self._median(self._taught(x, wanted, now)), wanted)
             if self.own_share == 1:
-                fed = self.taught(x, fed)
-        return self._said(self._taught(x, fed))
+                fed = self._median(self._taught(x, fed, now))
+        return self._said(self._taught(x, fed, now))
 
     def _said(self, out: Tensor) -> Tensor:
         return out if self.quantiles == 1 else out.view(*out.shape[:-1], self.quantiles, self.outputs)
@@ -171,20 +189,19 @@ class Sat(Network):
             x: normalized inputs, (T, B, I).
             fed: normalized errors after each sample, (T, B, K); that of the last sample is not read.
         """
-        return self._median(self._taught(x, fed))
+        return self._median(self._taught(x, fed, _selected(self.select_now, x)))
 
-    def _taught(self, x: Tensor, fed: Tensor) -> Tensor:
-        """The same with all quantiles, (T, B, Q K)."""
-        past, now = self._embedded(x, fed)
+    def _taught(self, x: Tensor, fed: Tensor, now: Tensor) -> Tensor:
+        """The same with all quantiles, (T, B, Q K); `now` is what `select_now` makes of x, (T, B, W)."""
+        past, now = self._embedded(x, fed, now)
         if self.attention is None:
-            out: Tensor = self.dense(now)
-            return out
+            return self._ended(now)
         kept = [_after_nothing(values, self.history - 1) for values in self.attention.kept(past)]
         parts = []
         for start in range(0, len(x), _PIECE):
             own = now[start : start + _PIECE]
             rows = slice(start, start + self.history - 1 + len(own))
-            parts.append(self._looked(own, (kept[0][rows], kept[1][rows])))
+            parts.append(_remade(self._looked, own, kept[0][rows], kept[1][rows], again=len(x) > _WHOLE))
         return torch.cat(parts)
 
     def profile(self, x: Tensor, fed: Tensor) -> Tensor:
@@ -193,7 +210,7 @@ class Sat(Network):
         The last is the present one. Only samples whose whole history is there are counted, T > history.
         """
         assert self.attention is not None
-        past, now = self._embedded(x, fed)
+        past, now = self._embedded(x, fed, _selected(self.select_now, x))
         keys, values = self.attention.kept(past)
         total, count = now.new_zeros(self.history + 1), 0
         for start in range(self.history, len(x), _PIECE):
@@ -218,10 +235,9 @@ class Sat(Network):
             return self.taught(x, x.new_zeros(*x.shape[:2], self.outputs))
         return super().forward(x, lengths)
 
-    def _embedded(self, x: Tensor, fed: Tensor) -> tuple[Tensor, Tensor]:
+    def _embedded(self, x: Tensor, fed: Tensor, now: Tensor) -> tuple[Tensor, Tensor]:
         """What the encoder makes of the sample before each with its error, and the decoder of each, both (T, B, W)."""
-        past = self.select_past(_after_nothing(torch.cat([x, fed], dim=-1)[:-1], 1))[0]
-        now = self.select_now(x)[0]
+        past = _selected(self.select_past, _after_nothing(torch.cat([x, fed], dim=-1)[:-1], 1))
         if self.dense_past is not None and self.dense_now is not None:
             return self.dense_past(past), self.dense_now(now)
         if not self.recurrent:
@@ -249,22 +265,27 @@ class Sat(Network):
             now = self.after_decoder(_stepped(self.decoder, now, hidden, cell)[0], now)
             past = self.after_encoder(hidden, past)
         if self.attention is None:
-            out = self.dense(now)
+            out = self._ended(now)
         else:
             key, value = self.attention.kept(past)
             keys = torch.cat([carried["keys"].permute(2, 0, 1, 3), key])
             values = torch.cat([carried["values"].transpose(0, 1), value])
-            out = self._looked(now, (keys, values))
+            out = self._looked(now, keys, values)
             carried |= {"keys": keys[1:].permute(1, 2, 0, 3), "values": values[1:].transpose(0, 1)}
         out = self._median(out)
         carried |= {"sample": x, "fed": out if self.feedback == "own" else torch.zeros_like(out)}
         return out, tuple(carried.values())
 
-    def _looked(self, now: Tensor, past: tuple[Tensor, Tensor]) -> Tensor:
+    def _looked(self, now: Tensor, keys: Tensor, values: Tensor) -> Tensor:
         """The outputs of N samples, given what they may look at; see `Attention.forward`."""
         assert self.attention is not None
-        seen = self.after_attention(self.attention(now, past)[0], now)
-        out: Tensor = self.dense(self.last(self.process(seen), now))
+        seen = self.after_attention(self.attention(now, (keys, values))[0], now)
+        return self._ended(self.last(self.process(seen), now))
+
+    def _ended(self, x: Tensor) -> Tensor:
+        """The last layer, in full precision: the physics-informed loss takes differences of what it says."""
+        with torch.autocast(x.device.type, enabled=False):
+            out: Tensor = self.dense(x.to(self.dense.weight.dtype))
         return out
 
     def draw(self, graph: Graph, x: str, states: Sequence[str]) -> tuple[str, tuple[str, ...]]:
@@ -299,9 +320,67 @@ class Sat(Network):
 
     def _draw_last(self, graph: Graph, x: str) -> str:
         """The last layer, of which the medians are drawn only."""
+        return draw_gemm(graph, self._median_layer(), x)
+
+    def step_weights(self) -> StepWeights | None:
+        """See `Network.step_weights`; the ablations have none."""
+        if self.attention is None or not self.recurrent:
+            return None
+        found = self.attention
+        kept, query = (stacked([found.key, found.value]), linear(found.query, found.inner**-0.5))
+        parts = {
+            **_under("select_past", self.select_past.step_weights()),
+            **_under("select_now", self.select_now.step_weights()),
+            **_under("encoder", _lstm_weights(self.encoder)),
+            **_under("decoder", _lstm_weights(self.decoder)),
+            **_under("after_encoder", self.after_encoder.step_weights()),
+            **_under("after_decoder", self.after_decoder.step_weights()),
+            **_under("kept", kept),
+            **_under("query", query),
+            "attention.lag": found.lag,
+            **_under("after_attention", self.after_attention.step_weights(found.merge)),
+            **_under("first", linear(self.process.first)),
+            **_under("process", self.process.gate.step_weights(self.process.second)),
+            **_under("last", self.last.step_weights()),
+            **_under("dense", {name: widened(part) for name, part in linear(self._median_layer()).items()}),
+        }
+        sizes = {"width": self.width, "heads": found.heads, "history": self.history, "own": self.feedback == "own"}
+        return StepWeights(
+            {name: int(size) for name, size in sizes.items()},
+            {name: values.detach().double().cpu().numpy() for name, values in parts.items()},
+        )
+
+    def _median_layer(self) -> nn.Linear:
+        """The last layer, with the medians only."""
         rows = slice(self.quantiles // 2 * self.outputs, (self.quantiles // 2 + 1) * self.outputs)
-        weight, bias = (graph.floats(part.detach()[rows].numpy()) for part in (self.dense.weight, self.dense.bias))
-        return graph.add("Gemm", x, weight, bias, transB=1)
+        made = nn.Linear(self.width, self.outputs)
+        made.weight, made.bias = (nn.Parameter(part.detach()[rows]) for part in (self.dense.weight, self.dense.bias))
+        return made
+
+
+def _under(group: str, parts: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {f"{group}.{name}": values for name, values in parts.items()}
+
+
+def _lstm_weights(lstm: nn.LSTM) -> dict[str, Tensor]:
+    given, again, first, second = (
+        lstm.get_parameter(name) for name in ("weight_ih_l0", "weight_hh_l0", "bias_ih_l0", "bias_hh_l0")
+    )
+    return {"given": given.T, "again": again.T, "bias": (first.double() + second.double())[None]}
+
+
+def _remade(function: Callable[..., Tensor], *given: Tensor, again: bool) -> Tensor:
+    """What a function says; `again` says it once more for the gradients, so that nothing of it is kept till then."""
+    if not (again and torch.is_grad_enabled()):
+        return function(*given)
+    out: Tensor = checkpoint(function, *given, use_reentrant=False)
+    return out
+
+
+def _selected(selection: VariableSelection, x: Tensor) -> Tensor:
+    """What the variables of samples (T, B, V) say, (T, B, W)."""
+    pieces = torch.split(x, max(1, _ROWS // x.shape[1]))
+    return torch.cat([_remade(selection.said, piece, again=len(x) > _WHOLE) for piece in pieces])
 
 
 def _after_nothing(x: Tensor, rows: int) -> Tensor:
@@ -333,6 +412,8 @@ def _gates(lstm: nn.LSTM, x: Tensor, hidden: Tensor) -> tuple[Tensor, ...]:
     weights = weights + nn.functional.linear(
         hidden, lstm.get_parameter("weight_hh_l0"), lstm.get_parameter("bias_hh_l0")
     )
+    # With mixed precision, the sum over a whole motion that a cell is would lose what is small.
+    weights = weights.to(torch.promote_types(weights.dtype, torch.float32))
     entry, forget, candidate, out = weights.chunk(4, dim=-1)
     return entry.sigmoid(), forget.sigmoid(), candidate.tanh(), out.sigmoid()
 
