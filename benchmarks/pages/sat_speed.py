@@ -43,8 +43,8 @@ both LSTM layers times their weights alone, by numpy, a quarter of all weights. 
 actuator, {twelve:.0f} us for twelve in one call. {verdict}
 
 `Stream` takes the steps of a SAT as [machine code](runtime.md#machine-code). Its time goes into reading the weights
-once (one actuator: 0.9 to 1.2 MB, more than the second-level cache holds) and into multiplying by them (twelve); that of
-onnxruntime, into a hundred nodes and into copies of keys and values.
+once (one actuator: 0.9 to 1.2 MB, more than the second-level cache holds), and into multiplying by them (twelve); that
+of onnxruntime, into a hundred nodes and into copies of keys and values.
 
 Training, {samples} samples of {batch} actuators in a batch, one thread, processor time of a batch beside that of a bare
 torch loop of the same layers, in turn:
