@@ -73,8 +73,9 @@ Position RMSE on test as the [ladder](augmentation.md#evaluating) has it, mean o
 
 ### What carries over
 
-Chosen on train and val, and among {seen} only: two are trained on, the third is judged, on
-motions that are not trained on. Small recurrent networks, which train in seconds; RMSE in mrad before and after.
+What the networks above read was chosen on train and val, and among {seen} only: two are trained on, the third
+is judged, on motions that are not trained on. Small recurrent networks, which train in seconds; RMSE in mrad before and
+after. `mirrored` and `blind` are [options](augmentation.md#one-network-for-all-joints) made for this.
 
 {choice}
 
@@ -143,12 +144,13 @@ def verdict(result: Mapping[str, Any]) -> str:
             }[found["verdict"]]
         )
     held = _difference(result, "sat-sensed", HELD, "unseen")
+    change = f"{_interval(held['difference'])} mrad"
     lines.append(
-        "Holding the last error, which needs no network, is "
+        "That is the reading more than the network: "
         + {
-            "better": f"worse than that: the network says {_interval(held['difference'])} mrad against it.",
-            "worse": f"still better at this rate: the network says {_interval(held['difference'])} mrad against it.",
-            "undecided": f"as good: the network says {_interval(held['difference'])} mrad against it.",
+            "better": f"yet it leaves less than the last error held, without any network: {change}.",
+            "worse": f"the last error held, without any network, leaves still less; the network leaves {change} more.",
+            "undecided": f"between it and the last error held, without any network, nothing is decided: {change}.",
         }[held["verdict"]]
     )
     return "\n".join(lines)
