@@ -102,8 +102,9 @@ def evaluate(
     _refuse_same_names(cards, models)
     run = _run_of(dataset, cards) if run is None else run
     ids = _motions(dataset, run, split, drop_flagged=drop_flagged)
-    # From here on, modular networks are for the joints of this robot.
-    predictors = [predictor.of_joints(dataset.run_info(run).get("joints", ())) for predictor in predictors]
+    # From here on, modular networks are for the joints, or bodies, of this robot.
+    first = dataset.episode(ids[0], runs=[run]).run(run)
+    predictors = [predictor.of_joints(predictor.card.blocks_of(first)) for predictor in predictors]
     cards = [predictor.card for predictor in predictors]
     corrections = tuple(
         correct_unless_same(dataset, predictor, run=run, ids=ids, track=track) for predictor in predictors
