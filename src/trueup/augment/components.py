@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from trueup.augment.rotations import refuse_no_rotation
+from trueup.augment.rotations import refuse_no_rotation, six_of
 from trueup.core.timeseries import BODY_PREFIX
 
 POSITION, ROTATION = (f"{BODY_PREFIX}{name}" for name in ("position", "rotation"))
@@ -27,13 +27,10 @@ def components(signal: str) -> tuple[str, ...]:
     return tuple(f"{signal}.{name}" for name in (_SIX if signal == ROTATION else _AXES))
 
 
-def place_of(component: str) -> tuple[int, ...]:
-    """Where a component stands in the vector or matrix of its signal."""
+def number_of(component: str) -> int:
+    """Which of the components of its signal it is."""
     signal, _, name = component.rpartition(".")
-    if signal != ROTATION:
-        return (_AXES.index(name),)
-    column, row = divmod(_SIX.index(name), len(_AXES))
-    return row, column
+    return (_SIX if signal == ROTATION else _AXES).index(name)
 
 
 def values_of(values: Float[np.ndarray, "T B ..."], body: int, component: str, where: str) -> Float[np.ndarray, "T"]:
@@ -42,7 +39,9 @@ def values_of(values: Float[np.ndarray, "T B ..."], body: int, component: str, w
     Raises:
         DataError: of a rotation that is none.
     """
-    own = values[:, body]
-    if component == f"{ROTATION}.{_SIX[0]}":  # once, not for each of the six
+    own, number = values[:, body], number_of(component)
+    if not component.startswith(ROTATION):
+        return own[:, number]
+    if number == 0:  # once, not for each of the six
         refuse_no_rotation(own, where)
-    return own[(slice(None), *place_of(component))]
+    return six_of(own)[:, number]

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from trueup.augment.channels import Grid, gather
-from trueup.augment.components import ROTATION, place_of
+from trueup.augment.components import ROTATION, number_of
 from trueup.augment.rotations import rotation_of, six_of
 from trueup.core.episode import Episode
 from trueup.core.model_card import Channel, ModelCard
@@ -72,11 +72,11 @@ def corrected(episode: Episode, run: str, card: ModelCard, network: Predict) -> 
         if not output.of_body:
             values[:, series.joints.index(output.joint)] += added[:, number]
             continue
-        body, place = series.bodies.index(output.joint), place_of(output.signal)
+        body, place = series.bodies.index(output.joint), number_of(output.signal)
         if output.quantity == ROTATION:
-            turned.setdefault(body, np.zeros((len(series), 6)))[:, 3 * place[1] + place[0]] = added[:, number]
+            turned.setdefault(body, np.zeros((len(series), 6)))[:, place] = added[:, number]
         else:
-            values[(slice(None), body, *place)] += added[:, number]
+            values[:, body, place] += added[:, number]
     for body, six in turned.items():
         own = signals[ROTATION][:, body]
         rows = six.any(axis=1)

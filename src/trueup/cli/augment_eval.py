@@ -11,6 +11,7 @@ from trueup.cli import options
 from trueup.cli.augment_tables import confidence_table, cut_table, error_table, gated_lines, shown_groups
 from trueup.cli.console import note, out, track, warning
 from trueup.cli.gap import hold_bars
+from trueup.core.timeseries import BODY_PREFIX
 
 if TYPE_CHECKING:
     from trueup.core.augment_result import AugmentResult
@@ -74,12 +75,16 @@ def evaluate(
 
 def show(result: AugmentResult) -> None:
     """Per group of motions what is left of the errors, then how far the networks can be trusted."""
+    from trueup.report.body_units import evaluation_for_people
+
+    result = evaluation_for_people(result)
     main = result.main_signal
     others = [signal for signal in result.signals if signal != main]
     for condition in shown_groups(result):
         out.print(cut_table(result, condition, main))
-        if others:
-            out.print(error_table(result, condition, others))
+        for kind in (False, True):  # bodies are no joints, and have columns of their own
+            if own := [signal for signal in others if signal.startswith(BODY_PREFIX) == kind]:
+                out.print(error_table(result, condition, own))
     confidence = confidence_table(result, main)
     if confidence.row_count:
         out.print(confidence)

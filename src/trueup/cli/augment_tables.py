@@ -18,6 +18,7 @@ from trueup.core.augment_result import (
     joint_title,
 )
 from trueup.core.results import Estimate
+from trueup.core.timeseries import BODY_PREFIX
 
 # More joints than this do not fit beside each other.
 _MOST_COLUMNS = 10
@@ -44,7 +45,7 @@ def cut_table(result: AugmentResult, condition: str, signal: str) -> Table:
         f"{signal} MSE{_bracketed(unit)}, {_group_line(result, condition)}; "
         "x: times smaller than the simulation [95 % interval]"
     )
-    return _laid_out(title, [""], joints, rows)
+    return _laid_out(title, [""], [joint_title(joint, signal) for joint in joints], rows)
 
 
 def error_table(result: AugmentResult, condition: str, signals: Sequence[str]) -> Table:
@@ -60,8 +61,9 @@ def error_table(result: AugmentResult, condition: str, signals: Sequence[str]) -
             cuts = model.cuts[condition].get(signal, {})
             cells = [_error_cell(cuts.get(j), unit, off=result.is_off(model, signal, j)) for j in joints]
             rows.append(["", model.name, *cells])
+    bodies = all(signal.startswith(BODY_PREFIX) for signal in signals)
     title = f"RMSE, {_group_line(result, condition)}; ~ undecided, off: switched off by its training"
-    return _laid_out(title, ["", ""], joints, rows)
+    return _laid_out(title, ["", ""], [joint_title(joint, signals[0] if bodies else "") for joint in joints], rows)
 
 
 def confidence_table(result: AugmentResult, signal: str) -> Table:
@@ -158,11 +160,10 @@ def _text(text: str) -> Text:
     return Text(text)
 
 
-def _laid_out(title: str, corners: Sequence[str], joints: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+def _laid_out(title: str, corners: Sequence[str], names: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     """One row per network and one column per joint, or the other way round where there are too many joints."""
     table = Table(title=_text(title), title_justify="left")
-    names = [joint_title(joint) for joint in joints]
-    if len(joints) <= _MOST_COLUMNS:
+    if len(names) <= _MOST_COLUMNS:
         for corner in corners:
             table.add_column(corner, no_wrap=True)
         for name in names:

@@ -16,6 +16,7 @@ from trueup.core.augment_result import (
     joint_title,
 )
 from trueup.core.results import Estimate
+from trueup.core.timeseries import BODY_PREFIX
 from trueup.core.traces import EpisodeTraces, Trace
 from trueup.report.augment_figures import factor_figure, latency_figure, motion_figure, reliability_figure
 from trueup.report.augment_words import (
@@ -110,7 +111,7 @@ def _cuts_table(result: AugmentResult, condition: str, signal: str, error: Error
         for model in result.models:
             cut = model.cuts[condition].get(signal, {}).get(joint)
             cells.append(_cut_cell(cut, error, unit, off=result.is_off(model, signal, joint)))
-        rows.append(TableRow(joint_title(joint), cells, strong=joint == ALL_JOINTS))
+        rows.append(TableRow(joint_title(joint, signal), cells, strong=joint == ALL_JOINTS))
     count = plural(result.motions[condition], "motion")
     split = "" if result.split == "all" else f", {split_title(result.split)}"
     caption = (
@@ -119,7 +120,8 @@ def _cuts_table(result: AugmentResult, condition: str, signal: str, error: Error
         "square error is than the simulation's, below it the paired 95 % interval of that, over whole motions. "
         "▼ better and ▲ worse where it excludes 1, ≈ undecided."
     )
-    return Table(["Joint", "simulation", *(model.name for model in result.models)], rows, caption)
+    head = "Body" if signal.startswith(BODY_PREFIX) else "Joint"
+    return Table([head, "simulation", *(model.name for model in result.models)], rows, caption)
 
 
 def _number(estimate: Estimate, unit: str) -> str:
@@ -241,7 +243,7 @@ def confidence_chooser(run: RunFolder, result: AugmentResult) -> Chooser | None:
         if covered:
             rows = [
                 TableRow(
-                    joint_title(joint),
+                    joint_title(joint, signal),
                     [_coverage_cell(items.get(joint), model.coverage_target) for model, items in covered],
                     strong=joint == ALL_JOINTS,
                 )
