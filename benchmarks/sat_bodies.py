@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from trueup.augment import AugmentConfig, preset
-from trueup.augment.config import DataConfig, LossConfig, NetworkConfig, OptimizerConfig, WindowConfig
+from trueup.augment.config import LossConfig, NetworkConfig, OptimizerConfig, WindowConfig
 from trueup.augment.networks.sat import SatConfig
 from trueup.dataset import Dataset, is_dataset
 from trueup.lab import LabSpec, Sensors
@@ -128,31 +128,38 @@ def data() -> Dataset:
 
 
 def configs() -> Mapping[str, AugmentConfig]:
-    """The networks: small ones, so that one core trains them."""
-    bodies = preset("sat-bodies").data
-    sat = AugmentConfig(
-        "sat-bodies",
-        SatConfig(hidden=(32,), heads=4, history=64),
-        data=bodies,
-        window=WindowConfig("fixed", samples=192, draws=1),
-        loss=LossConfig(kind="absolute"),
-        optimizer=OptimizerConfig(rate=3e-3),
-        epochs=12,
-    )
+    """The networks: small ones at half the rate, so that one core trains them."""
+    bodies = replace(preset("sat-bodies").data, rate_hz=RATE_HZ / 2)
     lstm = AugmentConfig(
         "lstm-bodies",
         NetworkConfig("lstm", (32, 32)),
         data=bodies,
-        window=WindowConfig("fixed", samples=250, draws=1),
+        window=WindowConfig("fixed", samples=125, draws=1),
         loss=LossConfig(kind="absolute"),
         optimizer=OptimizerConfig(rate=5e-3),
-        epochs=24,
+        epochs=20,
     )
     whole = replace(
         lstm,
         method="lstm-whole",
-        data=DataConfig(signals=bodies.signals, reads=bodies.reads, stops=False),
+        data=replace(bodies, modular=False),
         network=NetworkConfig("lstm", (64, 64)),
         epochs=40,
     )
-    return {"lstm": lstm, "lstm-whole": whole, "sat": sat}
+    sat = AugmentConfig(
+        "sat-bodies",
+        SatConfig(hidden=(32,), heads=4, history=64),
+        data=bodies,
+        window=WindowConfig("fixed", samples=128, draws=1),
+        loss=LossConfig(kind="absolute"),
+        optimizer=OptimizerConfig(rate=3e-3),
+        epochs=8,
+    )
+    return {"lstm-whole": whole, "lstm-bodies": lstm, "sat-bodies": sat}
+
+
+def train(dataset: Dataset, name: str) -> Path:
+    """The folder of a network, trained unless it is there."""
+    folder = FOLDER / "models" / name
+    augment([dataset], folder, run=STOCK, config=configs()[name], name=name, jobs=1, resume=True)
+    return folder
