@@ -8,15 +8,20 @@ on one core) and writes `benchmarks/results/sat_bodies.json`.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from benchmarks.table import Row, at_least, shown
 from trueup.augment import AugmentConfig, preset
 from trueup.augment.config import LossConfig, NetworkConfig, OptimizerConfig, WindowConfig
 from trueup.augment.networks.sat import SatConfig
+from trueup.core.atomic import make_folder, write_json
+from trueup.core.model_card import ModelCard
+from trueup.core.provenance import provenance
 from trueup.dataset import Dataset, is_dataset
 from trueup.lab import LabSpec, Sensors
 from trueup.lab.spec import (
@@ -33,10 +38,12 @@ from trueup.lab.spec import (
     Saturation,
     Warming,
 )
+from trueup.measure import ratio_interval
+from trueup.measure.metrics.body import position_distance, rotation_distance
 from trueup.record import MotionGroup, PlanSetSpec, RecordSettings
 from trueup.record.references import ReferenceSettings
 from trueup.robots import RobotSpec, load_robot
-from trueup.stages import LabRig, record, replay
+from trueup.stages import STOCK, LabRig, augment, evaluate, record, replay
 
 FOLDER = Path("runs") / "sat_bodies"
 RESULT = Path(__file__).parent / "results" / "sat_bodies.json"
@@ -50,6 +57,7 @@ RATE_HZ = 250.0
 # Paper, VI-B: from 8.72 to 1.90 mm, and the largest error from 17.5 to 5 mm.
 MAE_CUT, MAX_CUT = 0.75, 0.65
 KINDS = ("point-to-point", "sines")
+MODULAR = ("lstm-bodies", "sat-bodies")
 
 
 def lab() -> LabSpec:
@@ -128,7 +136,7 @@ def data() -> Dataset:
 
 
 def configs() -> Mapping[str, AugmentConfig]:
-    """The networks: small ones at half the rate, so that one core trains them."""
+    """The networks: small ones at a share of the rate, so that one core trains them."""
     bodies = replace(preset("sat-bodies").data, rate_hz=RATE_HZ / 2)
     lstm = AugmentConfig(
         "lstm-bodies",
@@ -137,7 +145,7 @@ def configs() -> Mapping[str, AugmentConfig]:
         window=WindowConfig("fixed", samples=125, draws=1),
         loss=LossConfig(kind="absolute"),
         optimizer=OptimizerConfig(rate=5e-3),
-        epochs=20,
+        epochs=40,
     )
     whole = replace(
         lstm,
@@ -149,11 +157,11 @@ def configs() -> Mapping[str, AugmentConfig]:
     sat = AugmentConfig(
         "sat-bodies",
         SatConfig(hidden=(32,), heads=4, history=64),
-        data=bodies,
+        data=replace(bodies, rate_hz=RATE_HZ / 4),
         window=WindowConfig("fixed", samples=128, draws=1),
         loss=LossConfig(kind="absolute"),
         optimizer=OptimizerConfig(rate=3e-3),
-        epochs=8,
+        epochs=6,
     )
     return {"lstm-whole": whole, "lstm-bodies": lstm, "sat-bodies": sat}
 
@@ -163,3 +171,97 @@ def train(dataset: Dataset, name: str) -> Path:
     folder = FOLDER / "models" / name
     augment([dataset], folder, run=STOCK, config=configs()[name], name=name, jobs=1, resume=True)
     return folder
+
+
+def run() -> list[Row]:
+    """Record, train, evaluate, write the result file."""
+    dataset = data()
+    folders = [train(dataset, name) for name in configs()]
+    found = evaluate(dataset, folders, FOLDER / "evaluated", run=STOCK, project=True, overwrite=True)
+    labels = {model.name: model.run for model in found.result.models}
+    ids = sorted(found.result.conditions_of)
+    errors = {label: _errors(dataset, label, ids) for label in (STOCK, *labels.values())}
+    kinds = {"": ids, **{kind: [name for name in ids if name.startswith(f"{kind}/")] for kind in KINDS}}
+    tests = {
+        kind: {"motions": len(own), **_compared(errors, labels, [ids.index(name) for name in own])}
+        for kind, own in kinds.items()
+    }
+    result = {
+        "schema": "trueup.bodies/1",
+        "robot": ROBOT,
+        "bodies": list(BODIES),
+        "motions": {split: list(dataset.splits.values()).count(split) for split in ("train", "val", "test")},
+        "not_recorded": list(dataset.info.notes),
+        "tests": tests,
+        "joint_gaps": {
+            model.name: {kind: estimate.to_json() for kind, estimate in vars(model.gaps[""]).items()}
+            for model in found.result.models
+        },
+        "training": {name: _training(name) for name in configs()},
+        "provenance": provenance(
+            config={name: config.to_json() for name, config in configs().items()}, seed=0, data_hash=dataset.hash
+        ),
+    }
+    make_folder(RESULT.parent)
+    write_json(RESULT, result)
+    return _rows(tests)
+
+
+_MEASURES: Mapping[str, tuple[str, Callable[..., Any], Callable[..., Any]]] = {
+    "position_mae": ("m", position_distance, np.mean),
+    "position_max": ("m", position_distance, np.max),
+    "rotation_mae": ("rad", rotation_distance, np.mean),
+    "rotation_max": ("rad", rotation_distance, np.max),
+}
+
+
+def _errors(dataset: Dataset, label: str, ids: Sequence[str]) -> dict[str, list[float]]:
+    """Measure -> motion by motion: over samples as it says, then the mean over bodies."""
+    found: dict[str, list[float]] = {name: [] for name in _MEASURES}
+    for name in ids:
+        episode = dataset.episode(name, runs=[label])
+        measured, series = episode.measured, episode.run(label)
+        rows = np.searchsorted(series.time_s, measured.time_s - 1e-6).clip(max=len(series) - 1)
+        for measure, (_, distance, over) in _MEASURES.items():
+            signal = f"body.{measure.partition('_')[0]}"
+            away: np.ndarray = distance(measured[signal], series[signal][rows])
+            found[measure].append(float(over(away, axis=0).mean()))
+    return found
+
+
+def _compared(errors: Mapping[str, Any], labels: Mapping[str, str], rows: Sequence[int]) -> dict[str, Any]:
+    """Measure -> the simulator's error, and of each network its error and the share that it takes away, paired."""
+    found: dict[str, Any] = {}
+    for measure, (unit, *_) in _MEASURES.items():
+        stock = np.array(errors[STOCK][measure])[rows]
+        found[measure] = {"unit": unit, "simulated": _mean(stock), "networks": {}}
+        for name, label in labels.items():
+            own = np.array(errors[label][measure])[rows]
+            ratio = (float(end[0]) for end in ratio_interval(own[:, None], stock[:, None]))
+            value, low, high = (1 - end for end in ratio)
+            cut = {"value": value, "low": high, "high": low}
+            found[measure]["networks"][name] = {"error": _mean(own), "cut": cut}
+    return found
+
+
+def _mean(values: np.ndarray) -> dict[str, float]:
+    value, low, high = (float(end[0]) for end in ratio_interval(values[:, None], np.ones((len(values), 1))))
+    return {"value": value, "low": low, "high": high}
+
+
+def _training(name: str) -> dict[str, Any]:
+    card = ModelCard.load(FOLDER / "models" / name)
+    made = card.provenance["training"]
+    off = sorted({f"{item.quantity} of {item.joint}: {item.reason}" for item in card.outputs if item.gate == 0})
+    return {"seconds": made["seconds"], "epochs": len(made["history"]), "best_epoch": made["best_epoch"], "off": off}
+
+
+def _rows(tests: Mapping[str, Any]) -> list[Row]:
+    rows = []
+    for kind, test in tests.items():
+        for measure, bar in (("position_mae", MAE_CUT), ("position_max", MAX_CUT), ("rotation_mae", None)):
+            for name, network in test[measure]["networks"].items():
+                what, value = f"{name}, {kind or 'all test motions'}: {measure} cut", 100 * network["cut"]["value"]
+                held = bar is not None and not kind and name in MODULAR
+                rows.append(at_least(what, value, 100 * (bar or 0), "%") if held else shown(what, value, "%"))
+    return rows

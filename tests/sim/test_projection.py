@@ -145,6 +145,27 @@ def test_closed_chains_stay_closed():
     assert after < before
 
 
+def test_a_slide_is_free_along_its_axis():
+    model = mujoco.MjModel.from_xml_string("""
+    <mujoco><worldbody><body name="rail" pos="0 0 1" euler="0 0 30">
+      <body name="cart" pos="0.1 0 0"><joint name="way" type="slide" axis="1 0 0"/><geom size="0.1" mass="1"/>
+        <body name="pole" pos="0 0 0.1"><joint name="swing" axis="0 1 0" pos="0 0 -0.1"/><geom size="0.1" mass="1"/>
+    </body></body></body></worldbody></mujoco>""")
+    bodies = ("cart", "pole")
+    series = bodies_at(model, ("way", "swing"), bodies, np.array([[0.3, -0.5], [-0.2, 1.0]]))
+    gaps = JointGaps(model, bodies)
+    assert gaps.joints == ("way", "swing")
+    assert gaps.of(series).apart_m.max() < 1e-12
+    axis = series["body.rotation"][:, 0, :, 0]
+    across = series["body.rotation"][:, 0, :, 1]
+    both = np.stack([0.05 * axis + 0.01 * across] * 2, axis=1)
+    found = gaps.of(with_signals(series, body_position=series["body.position"] + both))
+    np.testing.assert_allclose(found.apart_m, [[0.01, 0], [0.01, 0]], atol=1e-12)
+    turn = Rotation.from_rotvec([0.02, 0, 0]).as_matrix()
+    turned = turn @ series["body.rotation"]
+    np.testing.assert_allclose(gaps.of(with_signals(series, body_rotation=turned)).turned_rad[:, 0], 0.02, atol=1e-9)
+
+
 def test_what_cannot_be_projected_is_refused():
     robot, model, bodies = robot_of("kickbot_a")
     with pytest.raises(NameMismatch, match="tail"):

@@ -13,6 +13,7 @@ from trueup.core.augment_result import (
     ANY_CONDITION,
     AugmentResult,
     Cut,
+    JointGap,
     ModelEvaluation,
     group_title,
     joint_title,
@@ -64,6 +65,26 @@ def error_table(result: AugmentResult, condition: str, signals: Sequence[str]) -
     bodies = all(signal.startswith(BODY_PREFIX) for signal in signals)
     title = f"RMSE, {_group_line(result, condition)}; ~ undecided, off: switched off by its training"
     return _laid_out(title, ["", ""], [joint_title(joint, signals[0] if bodies else "") for joint in joints], rows)
+
+
+def joint_gap_table(result: AugmentResult) -> Table:
+    """How far corrected bodies have come apart at their joints: mean, and mean over motions of the largest."""
+    table = Table(title=_text("bodies apart at their joints: mean, largest of a motion"), title_justify="left")
+    table.add_column("joint")
+    runs = {_SIMULATION: result.gaps, **{model.name: model.gaps for model in result.models if model.gaps}}
+    for name in runs:
+        table.add_column(_text(name), justify="right")
+    for joint in result.gaps if len(runs) > 1 else ():
+        cells = [_gap_cell(gaps.get(joint)) for gaps in runs.values()]
+        table.add_row(_text(joint_title(joint)), *map(_text, cells))
+    return table
+
+
+def _gap_cell(gap: JointGap | None) -> str:
+    if gap is None:
+        return _NOTHING
+    pairs = ((gap.apart, gap.apart_max), (gap.turned, gap.turned_max))
+    return "\n".join(f"{mean.value:.3g}, {most.value:.3g} {mean.unit}" for mean, most in pairs)
 
 
 def confidence_table(result: AugmentResult, signal: str) -> Table:

@@ -88,6 +88,23 @@ class Coverage:
 
 
 @dataclass(frozen=True)
+class JointGap:
+    """How far the bodies of a run are from being joined at a joint; all numbers are means over motions.
+
+    Attributes:
+        apart: distance between the two halves, mean over samples [m].
+        apart_max: the largest one of a motion.
+        turned: angle between them off the joint's axis, mean over samples [rad].
+        turned_max: the largest one of a motion.
+    """
+
+    apart: Estimate
+    apart_max: Estimate
+    turned: Estimate
+    turned_max: Estimate
+
+
+@dataclass(frozen=True)
 class Reliability:
     """Whether "the simulator is far off here" is right as often as it says, over the joints of one signal.
 
@@ -148,6 +165,7 @@ class ModelEvaluation:
         coverage_note: what limits that.
         reliability: condition -> signal -> of the probability that the simulator is far off.
         latency: of one step; None where it was not timed.
+        gaps: joint -> how far corrected bodies are apart there, where bodies are corrected.
     """
 
     name: str
@@ -164,6 +182,7 @@ class ModelEvaluation:
     coverage_note: str = ""
     reliability: Mapping[str, Mapping[str, Reliability]] = field(default_factory=dict)
     latency: StepTimes | None = None
+    gaps: Mapping[str, JointGap] = field(default_factory=dict)
 
     @property
     def off_reasons(self) -> list[str]:
@@ -210,6 +229,7 @@ class AugmentResult:
         models: one item per network, in the order given.
         pairs: every network against those that were named before it.
         conditions_of: motion -> its condition.
+        gaps: joint -> how far the simulated bodies are apart there, which a simulator keeps small.
         notes: what must be said.
         settings: bootstrap draws, seed, bins of the reliability.
         provenance: versions, data hash, hashes of the cards.
@@ -224,6 +244,7 @@ class AugmentResult:
     models: tuple[ModelEvaluation, ...]
     pairs: tuple[ModelPair, ...] = ()
     conditions_of: Mapping[str, str] = field(default_factory=dict)
+    gaps: Mapping[str, JointGap] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)

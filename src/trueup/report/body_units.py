@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from trueup.core.augment_result import AugmentResult, Cut, Pooled
+from trueup.core.augment_result import AugmentResult, Cut, JointGap, Pooled
 from trueup.core.results import Estimate, GapResult, Ladder, Metrics
 
 # Signal -> unit of an error -> the unit that is shown.
@@ -55,6 +55,7 @@ def evaluation_for_people(result: AugmentResult) -> AugmentResult:
 
     return replace(
         result,
+        gaps=_joint_gaps(result.gaps),
         simulated={
             name: {signal: {own: pooled(signal, item) for own, item in items.items()} for signal, items in tree.items()}
             for name, tree in result.simulated.items()
@@ -69,10 +70,24 @@ def evaluation_for_people(result: AugmentResult) -> AugmentResult:
                     }
                     for name, tree in model.cuts.items()
                 },
+                gaps=_joint_gaps(model.gaps),
             )
             for model in result.models
         ),
     )
+
+
+def _joint_gaps(gaps: Mapping[str, JointGap]) -> Mapping[str, JointGap]:
+    position, rotation = _OF_SIGNAL
+    return {
+        joint: JointGap(
+            _shown(position, gap.apart),
+            _shown(position, gap.apart_max),
+            _shown(rotation, gap.turned),
+            _shown(rotation, gap.turned_max),
+        )
+        for joint, gap in gaps.items()
+    }
 
 
 def _metrics(metrics: Metrics) -> Metrics:

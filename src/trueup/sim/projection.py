@@ -59,7 +59,7 @@ class JointGaps:
         self._model, self._bodies = model, _numbers(model, bodies)
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
-        self._fixed = {
+        self._fixed: dict[int, tuple[np.ndarray, np.ndarray]] = {
             number: (data.xpos[number].copy(), data.xmat[number].reshape(3, 3).copy())
             for number in range(model.nbody)
             if model.body_weldid[number] == 0
@@ -103,7 +103,7 @@ class JointGaps:
             data = self._model.eq_data[number]
             ends = (self._model.eq_obj1id[number], data[:3]), (self._model.eq_obj2id[number], data[3:6])
             first, second = (self._point(int(body), place, series) for body, place in ends)
-            apart[:, column] = np.linalg.norm(first - second, axis=-1)
+            apart[:, column] = _lengths(first - second)
         return Gaps(self.joints, apart, turned)
 
     def _joint(self, number: int, series: TimeSeries) -> tuple[Float64[np.ndarray, "T"], Float64[np.ndarray, "T"]]:
@@ -117,10 +117,11 @@ class JointGaps:
         if int(model.jnt_type[number]) == _SLIDE:
             along = held @ axis
             off = off - (off * along).sum(axis=-1, keepdims=True) * along
-            return np.linalg.norm(off, axis=-1), _angle(np.swapaxes(held, -1, -2) @ own)
+            return _lengths(off), _angle(np.swapaxes(held, -1, -2) @ own)
         first, second = held @ axis, own @ axis
-        sine = np.linalg.norm(np.cross(first, second), axis=-1)
-        return np.linalg.norm(off, axis=-1), np.arctan2(sine, (first * second).sum(axis=-1))
+        sine = _lengths(np.cross(first, second))
+        turned: np.ndarray = np.arctan2(sine, (first * second).sum(axis=-1))
+        return _lengths(off), turned
 
     def _point(self, body: int, place: np.ndarray, series: TimeSeries) -> Float64[np.ndarray, "T 3"]:
         if body in self._fixed:
@@ -131,7 +132,8 @@ class JointGaps:
 
     def _turn(self, body: int, series: TimeSeries) -> Float64[np.ndarray, "*T 3 3"]:
         if body in self._fixed:
-            return self._fixed[body][1]
+            turn: np.ndarray = self._fixed[body][1]
+            return turn
         return np.asarray(series[ROTATION][:, self._bodies.index(body)])
 
 
@@ -260,6 +262,10 @@ def _numbers(model: mujoco.MjModel, bodies: Sequence[str]) -> list[int]:
     return [known.index(name) for name in bodies]
 
 
+def _lengths(vectors: Float[np.ndarray, "T 3"]) -> Float64[np.ndarray, "T"]:
+    return np.asarray(np.sqrt((vectors**2).sum(axis=-1)))
+
+
 def _matrix(quaternion: np.ndarray) -> Float64[np.ndarray, "3 3"]:
     flat = np.empty(9)
     mujoco.mju_quat2Mat(flat, quaternion)
@@ -278,4 +284,5 @@ def _angle(turn: Float[np.ndarray, "T 3 3"]) -> Float64[np.ndarray, "T"]:
     skew = np.stack(
         [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], axis=-1
     )
-    return np.arctan2(0.5 * np.linalg.norm(skew, axis=-1), 0.5 * (np.trace(turn, axis1=-2, axis2=-1) - 1.0))
+    cosine = 0.5 * (np.trace(turn, axis1=-2, axis2=-1) - 1.0)
+    return np.asarray(np.arctan2(0.5 * _lengths(skew), cosine))

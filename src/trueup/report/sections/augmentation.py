@@ -11,6 +11,7 @@ from trueup.core.augment_result import (
     Coverage,
     Cut,
     ErrorKind,
+    JointGap,
     ModelEvaluation,
     group_title,
     joint_title,
@@ -53,6 +54,7 @@ def augmentation_section(run: RunFolder) -> Section | None:
         "notes": result.notes,
         "networks": network_table(result),
         "cuts": cuts_chooser(run, result),
+        "gaps": gaps_table(result),
         "motion": motion_chooser(run, result, best),
         "coverage": confidence_chooser(run, result),
         "off": off_sentences(result),
@@ -161,6 +163,37 @@ def _pairs_table(result: AugmentResult, condition: str, signal: str) -> Table:
     return Table(["", *names], rows if len(names) > 1 else [], caption)
 
 
+def gaps_table(result: AugmentResult) -> Chooser | None:
+    """How far corrected bodies have come apart at their joints."""
+    models = [model for model in result.models if model.gaps]
+    if not models or not result.gaps:
+        return None
+    rows = [
+        TableRow(
+            joint_title(joint),
+            [_gap_cell(gaps.get(joint)) for gaps in (result.gaps, *(model.gaps for model in models))],
+            strong=joint == ALL_JOINTS,
+        )
+        for joint in result.gaps
+    ]
+    table = Table(["Joint", "simulation", *(model.name for model in models)], rows, _GAPS_CAPTION)
+    return Chooser("gaps-chooser", [], Variant(tables={"gaps": table}), [])
+
+
+_GAPS_CAPTION = (
+    "Distance between the two halves of a joint and, beside it, the angle off the joint's axis: mean over samples and "
+    "motions; below, the mean over motions of the largest. A robot has none; corrected bodies are no robot unless they "
+    "are projected."
+)
+
+
+def _gap_cell(gap: JointGap | None) -> Cell:
+    if gap is None:
+        return Cell(NOTHING)
+    most = f"at most {quantity(gap.apart_max.value, gap.apart.unit)}, {quantity(gap.turned_max.value, gap.turned.unit)}"
+    return Cell(quantity(gap.apart.value, gap.apart.unit), note=most, extra=quantity(gap.turned.value, gap.turned.unit))
+
+
 def motion_chooser(run: RunFolder, result: AugmentResult, best: ModelEvaluation) -> Chooser | None:
     """One typical motion of each group."""
     if run.traces is None:
@@ -211,7 +244,7 @@ def _squares(run: RunFolder, label: str, motion: str, signal: str) -> float:
     """Sum of the mean square errors of the scored joints; 0 where they are not known."""
     errors = run.gap.episodes.get(label, {}).get(motion, {}).get(signal, {}).get(MAIN_METRIC, {})
     known = [errors[joint] for joint in run.gap.scored_joints if math.isfinite(errors.get(joint, math.nan))]
-    return sum(value**2 for value in known)
+    return sum((value**2 for value in known), 0.0)
 
 
 def shown_traces(motion: EpisodeTraces, signal: str, run: str) -> list[Trace]:
