@@ -18,6 +18,8 @@ from trueup.core.model_card import ANY_JOINT, Channel, ModelCard
 from trueup.deploy import Stream
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch
 from trueup.measure.metrics.body import rotation_distance
+from trueup.robots import find_model, load_robot
+from trueup.sim import MujocoSimulator
 from trueup.stages import augment, evaluate
 
 READS = ("body.position", "body.rotation", "body.velocity", "body.force", "body.torque")
@@ -220,6 +222,9 @@ def test_what_is_no_network_for_bodies_is_refused(trained, tmp_path):
     assert "simulation: {bodies" in str(error.value)
     with pytest.raises(MissingSignal, match="corrects bodies, and the run has none"):
         evaluate(joints, [folder / "lstm"], tmp_path / "out", run=RUN)
+    arm = load_robot("demo_arm")
+    with pytest.raises(MissingSignal, match="which no simulator has"):
+        Trained.load(folder / "lstm").simulator(MujocoSimulator.from_robot(arm, find_model(arm)))
     with pytest.raises(ConfigError, match="blocks of different dimension"):
         augment([data], tmp_path / "mixed", run=RUN, config=with_data(LSTM, reads=("velocity",)))
     with pytest.raises(ConfigError, match="blocks of different dimension"):

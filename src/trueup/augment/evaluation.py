@@ -140,14 +140,17 @@ class EvaluationBuilder:
         away = self._differences(measured, simulated)
         valid = np.isfinite(away)
         gap = np.where(valid, away, 0.0)
-        self._metas.append(comparison.meta)
-        self._samples.append(valid.sum(axis=0).astype(np.float64))
-        self._squares.append((gap**2).sum(axis=0))
+        judged = {}
         for label, corrected in ((item.run, comparison.run(item.run)) for item in self._candidates):
             correction, left = self._differences(corrected, simulated), self._differences(measured, corrected)
             if not np.isfinite(correction[valid]).all():
                 raise DataError(f"episode {comparison.meta.id!r}: the run {label!r} is not finite")
-            self._tallies[label].add(valid, gap, np.where(valid, correction, 0.0), np.where(valid, left, 0.0))
+            judged[label] = np.where(valid, correction, 0.0), np.where(valid, left, 0.0)
+        self._metas.append(comparison.meta)
+        self._samples.append(valid.sum(axis=0).astype(np.float64))
+        self._squares.append((gap**2).sum(axis=0))
+        for label, (correction, left) in judged.items():
+            self._tallies[label].add(valid, gap, correction, left)
 
     def _differences(self, first: TimeSeries, second: TimeSeries) -> Float64[np.ndarray, "T C"]:
         """First - second for each column; of bodies the distance between the two, and the angle."""

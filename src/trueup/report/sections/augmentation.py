@@ -98,7 +98,7 @@ def cuts_chooser(run: RunFolder, result: AugmentResult) -> Chooser | None:
         if pairs.rows:
             tables["pairs"] = pairs
         cuts = {model.name: model.cuts[condition].get(signal, {}) for model in result.models}
-        return Variant(tables=tables, figures={"cuts": factor_figure(joints, cuts, styles)})
+        return Variant(tables=tables, figures={"cuts": factor_figure(joints, cuts, styles, signal)})
 
     preferred = (next(iter(result.conditions)), result.main_signal, "mse")
     return make_chooser("cuts-chooser", menus, make, preferred=preferred)
