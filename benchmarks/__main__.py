@@ -31,6 +31,7 @@ NAMES = (
     "training",
     "augment",
     "streaming",
+    "sat_bodies",
 )
 
 
