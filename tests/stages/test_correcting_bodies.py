@@ -74,6 +74,8 @@ def test_bodies_come_apart_and_the_nearest_robot_does_not(evaluated):
         assert corrected[joint].turned.value > 1e-4
         assert projected[joint].apart_max.value < 1e-6
         assert projected[joint].turned_max.value < 1e-5
+    # What is measured is of a robot whose parts sit elsewhere, by 2 mm in each axis.
+    assert result.measured_gaps[""].apart.value == pytest.approx(2e-3 * np.sqrt(8 / np.pi), rel=0.5)
     assert corrected[""].apart.low < corrected[""].apart.value < corrected[""].apart.high
 
 

@@ -71,10 +71,11 @@ def joint_gap_table(result: AugmentResult) -> Table:
     """How far corrected bodies have come apart at their joints: mean, and mean over motions of the largest."""
     table = Table(title=_text("bodies apart at their joints: mean, largest of a motion"), title_justify="left")
     table.add_column("joint")
-    runs = {_SIMULATION: result.gaps, **{model.name: model.gaps for model in result.models if model.gaps}}
+    known = {"measured": result.measured_gaps} if result.measured_gaps else {}
+    runs = {**known, _SIMULATION: result.gaps, **{model.name: model.gaps for model in result.models if model.gaps}}
     for name in runs:
         table.add_column(_text(name), justify="right")
-    for joint in result.gaps if len(runs) > 1 else ():
+    for joint in result.gaps if any(model.gaps for model in result.models) else ():
         cells = [_gap_cell(gaps.get(joint)) for gaps in runs.values()]
         table.add_row(_text(joint_title(joint)), *map(_text, cells))
     return table

@@ -230,6 +230,7 @@ class AugmentResult:
         pairs: every network against those that were named before it.
         conditions_of: motion -> its condition.
         gaps: joint -> how far the simulated bodies are apart there, which a simulator keeps small.
+        measured_gaps: the same of the bodies as they were measured: what the robot is built differently from its model.
         notes: what must be said.
         settings: bootstrap draws, seed, bins of the reliability.
         provenance: versions, data hash, hashes of the cards.
@@ -245,6 +246,7 @@ class AugmentResult:
     pairs: tuple[ModelPair, ...] = ()
     conditions_of: Mapping[str, str] = field(default_factory=dict)
     gaps: Mapping[str, JointGap] = field(default_factory=dict)
+    measured_gaps: Mapping[str, JointGap] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)

@@ -56,6 +56,7 @@ def evaluation_for_people(result: AugmentResult) -> AugmentResult:
     return replace(
         result,
         gaps=_joint_gaps(result.gaps),
+        measured_gaps=_joint_gaps(result.measured_gaps),
         simulated={
             name: {signal: {own: pooled(signal, item) for own, item in items.items()} for signal, items in tree.items()}
             for name, tree in result.simulated.items()

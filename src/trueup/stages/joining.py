@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     import mujoco
 
 _PROJECTED = "-projected"
+_MEASURED = ""  # no run is called so
+_POSES = (f"{BODY_PREFIX}position", f"{BODY_PREFIX}rotation")
 _UNITS = {"apart": "m", "apart_max": "m", "turned": "rad", "turned_max": "rad"}
 
 
@@ -159,9 +161,11 @@ def with_gaps(
         tally = GapTally(model_of(dataset, result.run))
         for name in track(ids, "joints", len(ids)):
             episode = dataset.episode(name, runs=labels)
-            tally.add({label: series for label, series in episode.simulated.items() if label in labels})
+            runs = {label: series for label, series in episode.simulated.items() if label in labels}
+            whole = all(signal in episode.measured for signal in _POSES)
+            tally.add({**runs, _MEASURED: episode.measured} if whole else runs)
     except TrueupError as error:
         return result, [f"how far corrected bodies are apart at their joints is not known: {error.summary}"]
-    gaps = {label: tally.of(label, draws=draws, seed=seed) for label in labels}
+    gaps = {label: tally.of(label, draws=draws, seed=seed) for label in (*labels, _MEASURED)}
     models = tuple(replace(model, gaps=gaps.get(model.run, {})) for model in result.models)
-    return replace(result, gaps=gaps[result.run], models=models), []
+    return replace(result, gaps=gaps[result.run], measured_gaps=gaps[_MEASURED], models=models), []

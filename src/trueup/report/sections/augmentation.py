@@ -168,22 +168,24 @@ def gaps_table(result: AugmentResult) -> Chooser | None:
     models = [model for model in result.models if model.gaps]
     if not models or not result.gaps:
         return None
+    columns = {"measured": result.measured_gaps, "simulation": result.gaps}
+    columns |= {model.name: model.gaps for model in models}
     rows = [
         TableRow(
             joint_title(joint),
-            [_gap_cell(gaps.get(joint)) for gaps in (result.gaps, *(model.gaps for model in models))],
+            [_gap_cell(gaps.get(joint)) for gaps in columns.values()],
             strong=joint == ALL_JOINTS,
         )
         for joint in result.gaps
     ]
-    table = Table(["Joint", "simulation", *(model.name for model in models)], rows, _GAPS_CAPTION)
+    table = Table(["Joint", *columns], rows, _GAPS_CAPTION)
     return Chooser("gaps-chooser", [], Variant(tables={"gaps": table}), [])
 
 
 _GAPS_CAPTION = (
     "Distance between the two halves of a joint and, beside it, the angle off the joint's axis: mean over samples and "
-    "motions; below, the mean over motions of the largest. A robot has none; corrected bodies are no robot unless they "
-    "are projected."
+    "motions; below, the mean over motions of the largest. A simulated robot has none, nor has a projected one; what is "
+    "measured of a robot whose parts sit elsewhere than in the model has some, and so have corrections that follow it."
 )
 
 
