@@ -19,7 +19,7 @@ from trueup.dataset import Dataset
 from trueup.errors import ConfigError, TrueupError
 from trueup.measure import bootstrap_interval
 from trueup.robots import RobotSpec, find_model
-from trueup.stages.correcting import CorrectionSummary, make_unless_same
+from trueup.stages.correcting import CorrectionSummary, in_run_names, make_unless_same
 from trueup.stages.progress import Track, silent
 
 if TYPE_CHECKING:
@@ -158,12 +158,13 @@ def with_gaps(
     if len(labels) == 1:
         return result, []
     try:
-        tally = GapTally(model_of(dataset, result.run))
+        tally, info = GapTally(model_of(dataset, result.run)), dataset.run_info(result.run)
         for name in track(ids, "joints", len(ids)):
             episode = dataset.episode(name, runs=labels)
             runs = {label: series for label, series in episode.simulated.items() if label in labels}
-            whole = all(signal in episode.measured for signal in _POSES)
-            tally.add({**runs, _MEASURED: episode.measured} if whole else runs)
+            if all(signal in episode.measured for signal in _POSES):
+                runs[_MEASURED] = in_run_names(episode, info).measured
+            tally.add(runs)
     except TrueupError as error:
         return result, [f"how far corrected bodies are apart at their joints is not known: {error.summary}"]
     gaps = {label: tally.of(label, draws=draws, seed=seed) for label in (*labels, _MEASURED)}
