@@ -184,8 +184,8 @@ def gaps_table(result: AugmentResult) -> Chooser | None:
 
 _GAPS_CAPTION = (
     "Distance between the two halves of a joint and, beside it, the angle off the joint's axis: mean over samples and "
-    "motions; below, the mean over motions of the largest. A simulated robot has none, nor has a projected one; a "
-    "robot whose parts sit elsewhere than in the model is measured to have some, and so have corrections that follow it."
+    "motions; below, the mean over motions of the largest. A simulated robot has none, nor has a projected one. What "
+    "is measured of a robot whose parts sit elsewhere than in its model has some, and corrections follow it there."
 )
 
 
