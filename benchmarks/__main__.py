@@ -33,6 +33,7 @@ NAMES = (
     "sat_so101",
     "streaming",
     "sat_speed",
+    "sat_bodies",
 )
 
 

@@ -156,8 +156,11 @@ class Augmentation:
             on_progress=on_progress,
         )
         errors = errors_of(corrector, task.val)
-        counted = [config.loss.weights.get(channel.signal, 1.0) > 0 for channel in task.val.outputs]
-        used, reasons = gates_of(errors, counted, seed=seed)
+        blocks = list(dict.fromkeys((channel.quantity, channel.joint) for channel in task.val.outputs))
+        groups = [blocks.index((channel.quantity, channel.joint)) for channel in task.val.outputs]
+        counted = [config.loss.weights.get(quantity, 1.0) > 0 for quantity, _ in blocks]
+        passed, why = gates_of(errors.merged(groups), counted, seed=seed)
+        used, reasons = passed[groups], [why[group] for group in groups]
         corrector.set_gate(used.astype(float))
         errors = replace(errors, corrected=np.where(used, errors.corrected, errors.simulated))
         card = _card(task, config, corrector, summary, errors, reasons, trained, seed)
@@ -172,7 +175,8 @@ class Augmentation:
             TrueupError: what `correction.corrected` raises.
         """
         run = run or self.card.run
-        return corrected(episode, run, self.card.of_joints(episode.run(run).joints), self._computed)
+        card = self.card.of_joints(self.card.blocks_of(episode.run(run)))
+        return corrected(episode, run, card, self._computed)
 
     def _computed(self, x: np.ndarray) -> np.ndarray:
         """(N, 1, I) to (N, 1, K); the joints of a modular network go through it side by side."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from trueup.augment.components import values_of
 from trueup.core.episode import Episode
 from trueup.core.hold import held_rows
 from trueup.core.model_card import Channel
@@ -73,7 +74,8 @@ def gather(
 
     Raises:
         MissingSignal: the episode lacks the run, the command or a signal.
-        NameMismatch: joints are missing; both lists are printed.
+        NameMismatch: joints or bodies are missing; both lists are printed.
+        DataError: a rotation is none.
         UnitError: a channel has another unit than the series.
     """
     columns = []
@@ -109,24 +111,28 @@ def column(series: TimeSeries, channel: Channel, where: str) -> Float32[np.ndarr
 
     Raises:
         MissingSignal: there is no such signal.
-        NameMismatch: there is no such joint.
+        NameMismatch: there is no such joint or body.
         UnitError: the unit differs.
+        DataError: a rotation is none.
     """
-    if channel.signal not in series:
-        raise MissingSignal(f"{where} has no signal {channel.signal!r}", available=series.signals)
-    if channel.joint not in series.joints:
+    quantity = channel.quantity
+    if quantity not in series:
+        raise MissingSignal(f"{where} has no signal {quantity!r}", available=series.signals)
+    what, names = ("body", series.bodies) if channel.of_body else ("joint", series.joints)
+    if channel.joint not in names:
         raise NameMismatch(
-            f"{where} lacks the joint {channel.joint!r}",
-            left=series.joints,
+            f"{where} lacks the {what} {channel.joint!r}",
+            left=names,
             right=[channel.joint],
             left_name="it has",
             right_name="the network needs",
         )
-    at = series.joints.index(channel.joint)
-    unit = series.units[channel.signal][at]
+    at = names.index(channel.joint)
+    unit = series.units[quantity][at]
     if unit != channel.unit:
-        raise UnitError(f"{where}: {channel.signal} of {channel.joint!r}", got=unit, expected=channel.unit)
-    return series[channel.signal][:, at]
+        raise UnitError(f"{where}: {quantity} of {channel.joint!r}", got=unit, expected=channel.unit)
+    values = series[quantity]
+    return values_of(values, at, channel.signal, f"{where}, {channel.joint}") if channel.of_body else values[:, at]
 
 
 def _linear(stamps_s: Float64[np.ndarray, "T"], values: np.ndarray, time_s: Float64[np.ndarray, "N"]) -> np.ndarray:

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
+from trueup.augment import components
 from trueup.augment.networks import METHODS, method, network_class
 from trueup.core.config import build, read_yaml
 from trueup.core.model_card import LARGEST_MARGIN
@@ -82,24 +83,27 @@ class DataConfig:
     """What the network reads and corrects.
 
     Attributes:
-        signals: those that are corrected; None for all of position, velocity, torque that both sides have.
-        reads: simulated signals that are read besides those that are corrected; here, `load` is one.
+        signals: those that are corrected; None for all signals of joints that both sides have. `body.position` and
+            `body.rotation` make a network for bodies.
+        reads: simulated signals that are read besides those that are corrected; here, `load` is one, and
+            `body.velocity`, `body.angular_velocity`, `body.force`, `body.torque` are.
         command: commanded signals that are read, as how far they are from the simulated ones; () for none, as in the
             papers.
         measured: signals of the robot that are read one sample late, as how far they are from the simulated ones
             (SAT, V); for networks that run beside a robot with sensors.
         rate_hz: samples per second; None for the rate of the logs.
         joints: those that are trained on and corrected; all that are scored if empty.
+        bodies: likewise; all that were measured if empty.
         normalization: `limits` maps the joints' limits to [0, 1] (Realeasy, IV-B); `statistics` takes mean and
             standard deviation of the train split.
         stops: whether the network is also told how near each joint is to its limits: a simulated joint that leans on
             its stop is carried by it, and its torque says little. For joints whose limits are known.
         modular: one network for every joint, which so serves joints and robots that it never saw (SAT, IV); it knows
-            nothing of a joint's place or limits.
+            nothing of a joint's place or limits. Or one for every body.
         blind: signals that are corrected without being read: the position of a joint that it never saw says something
             else to a modular network than those of the joints that it knows.
         mirrored: a modular network also learns every motion the other way around, so that it prefers no direction:
-            what one joint is off by to one side all the time, another one is not.
+            what one joint is off by to one side all the time, another one is not. Not for bodies.
     """
 
     signals: tuple[str, ...] | None = None
@@ -108,6 +112,7 @@ class DataConfig:
     measured: tuple[str, ...] = ()
     rate_hz: float | None = None
     joints: tuple[str, ...] = ()
+    bodies: tuple[str, ...] = ()
     normalization: Literal["limits", "statistics"] = "statistics"
     stops: bool = True
     modular: bool = False
@@ -130,16 +135,23 @@ class DataConfig:
                 expected="stops: false, normalization: statistics",
             )
         for name in (*(self.signals or ()), *self.command, *self.measured):
-            if name not in SIGNALS:
-                raise ConfigError("data: signals", got=name, available=SIGNALS)
+            further = () if name in self.command or name in self.measured else components.CORRECTED
+            if name not in (known := (*SIGNALS, *further)):
+                raise ConfigError("data: signals", got=name, available=known)
         for name in self.blind:
             if name not in SIGNALS or (self.signals is not None and name not in self.signals):
                 raise ConfigError(
                     "data: blind to a signal that is not corrected", got=name, available=self.signals or SIGNALS
                 )
+        if self.mirrored and any("." in name for name in self.signals or ()):
+            raise ConfigError("data: mirrored is for joints", got=self.signals, hint="A body knows up from down.")
         for name in self.reads:
-            if name not in (*SIGNALS, "load"):
-                raise ConfigError("data: reads", got=name, available=(*SIGNALS, "load"))
+            if name not in (known := (*SIGNALS, "load", *components.SIGNALS)):
+                raise ConfigError("data: reads", got=name, available=known)
+        if self.normalization == "limits" and (bodies := [name for name in self.signals or () if "." in name]):
+            raise ConfigError(
+                f"data: {', '.join(bodies)} has no limits to normalize by", expected="normalization: statistics"
+            )
         if self.signals == ():
             raise ConfigError("data: signals is empty", expected="at least one, or none at all for all")
         if self.rate_hz is not None and not (math.isfinite(self.rate_hz) and self.rate_hz > 0):
@@ -199,8 +211,8 @@ class LossConfig:
         if self.consistency and self.target != "residual":
             raise ConfigError("loss: consistency is one of what is added", got=self.target, expected="residual")
         for name, value in self.weights.items():
-            if name not in SIGNALS:
-                raise ConfigError("loss: weights", got=name, available=SIGNALS)
+            if name not in (*SIGNALS, *components.CORRECTED):
+                raise ConfigError("loss: weights", got=name, available=(*SIGNALS, *components.CORRECTED))
             if not (math.isfinite(value) and value >= 0):
                 raise ConfigError(f"loss: weight of {name}", got=value, expected="a number >= 0")
 

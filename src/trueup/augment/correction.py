@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from trueup.augment.channels import Grid, gather
+from trueup.augment.components import ROTATION, number_of
+from trueup.augment.rotations import rotation_of, six_of
 from trueup.core.episode import Episode
 from trueup.core.model_card import Channel, ModelCard
 from trueup.core.timeseries import TimeSeries
@@ -30,12 +32,13 @@ def corrected(episode: Episode, run: str, card: ModelCard, network: Predict) -> 
     """A run of an episode with the card's outputs corrected; everything else is as it was.
 
     What is added to the run's own values is the difference between output and corrected input, interpolated linearly
-    where the network sees the motion on a clock of its own. A correction of zero changes no bit.
+    where the network sees the motion on a clock of its own. A correction of zero changes no bit. What is added to the
+    six numbers of a body's rotation makes a rotation again by Gram-Schmidt (SAT, V-A).
 
     Args:
         episode: with the run in it, in the joint names of the run.
         run: label.
-        card: what the network takes and gives.
+        card: what the network takes and gives, on the joints or bodies of this run.
         network: maps the inputs to the corrected outputs.
 
     Raises:
@@ -45,7 +48,7 @@ def corrected(episode: Episode, run: str, card: ModelCard, network: Predict) -> 
         DataError: the run has fewer samples per second than the network needs, or an input or output is not finite.
     """
     series = episode.run(run)
-    refuse_other_joints(series.joints, card, f"the run {run!r}")
+    refuse_other_joints((*series.joints, *series.bodies), card, f"the run {run!r}")
     refuse_slower(series, card, f"episode {episode.id!r}, {run}")
     grid = Grid.of(series.time_s, card.rate_hz)
     x = gather(episode, run, card.inputs, grid.time_s)
@@ -61,10 +64,23 @@ def corrected(episode: Episode, run: str, card: ModelCard, network: Predict) -> 
     _refuse_not_finite(y, card.outputs, grid, f"episode {episode.id!r}: an output of {card.name!r}")
     added = grid.back(y - x[:, card.base], series.time_s)
     signals = dict(series.signals)
-    for name in {output.signal for output in card.outputs}:
+    for name in {output.quantity for output in card.outputs}:
         signals[name] = signals[name].copy()
+    turned: dict[int, Float64[np.ndarray, "T 6"]] = {}
     for number, output in enumerate(card.outputs):
-        signals[output.signal][:, series.joints.index(output.joint)] += added[:, number]
+        values = signals[output.quantity]
+        if not output.of_body:
+            values[:, series.joints.index(output.joint)] += added[:, number]
+            continue
+        body, place = series.bodies.index(output.joint), number_of(output.signal)
+        if output.quantity == ROTATION:
+            turned.setdefault(body, np.zeros((len(series), 6)))[:, place] = added[:, number]
+        else:
+            values[:, body, place] += added[:, number]
+    for body, six in turned.items():
+        own = signals[ROTATION][:, body]
+        rows = six.any(axis=1)
+        own[rows] = rotation_of(six_of(own[rows]) + six[rows])
     return replace(series, signals=signals)
 
 

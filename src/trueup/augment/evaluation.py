@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from trueup.augment.components import POSITION, ROTATION
 from trueup.augment.pooling import Column, Pooling, Totals
 from trueup.augment.reliability import Calibration
+from trueup.augment.rotations import refuse_no_rotation
 from trueup.core.augment_result import (
     ALL_JOINTS,
     ANY_CONDITION,
@@ -26,10 +28,12 @@ from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.deploy import Confidence
 from trueup.errors import DataError, NameMismatch
 from trueup.measure import Comparison
+from trueup.measure.metrics.body import position_distance, rotation_distance
 
 # The conditions of the papers' data set stand in their order, others after them.
 _CONDITIONS = ("multi-joint", "single-joint", "cartesian")
 _SIGNALS = ("position", "velocity", "torque")
+_DISTANCES = {POSITION: position_distance, ROTATION: rotation_distance}
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,7 @@ class _Tally:
         self._confidence = Confidence(card)
         self._outputs = card.outputs
         places = {(column.signal, column.joint): number for number, column in enumerate(columns)}
-        # Outputs that were not measured cannot be judged.
+        # Outputs that were not measured cannot be judged, and the intervals of components say nothing of distances.
         self._at = {
             number: places[output.signal, output.joint]
             for number, output in enumerate(card.outputs)
@@ -133,33 +137,48 @@ class EvaluationBuilder:
         """
         measured, simulated = comparison.measured, comparison.run(self._run)
         self._refuse_others(comparison.meta.id, measured, simulated)
-        truth, stock = self._values(measured), self._values(simulated)
-        valid = np.isfinite(truth) & np.isfinite(stock)
-        corrected = {candidate.run: self._values(comparison.run(candidate.run)) for candidate in self._candidates}
-        for label, values in corrected.items():
-            if not np.isfinite(values[valid]).all():
+        away = self._differences(measured, simulated)
+        valid = np.isfinite(away)
+        gap = np.where(valid, away, 0.0)
+        judged = {}
+        for label, corrected in ((item.run, comparison.run(item.run)) for item in self._candidates):
+            correction, left = self._differences(corrected, simulated), self._differences(measured, corrected)
+            if not np.isfinite(correction[valid]).all():
                 raise DataError(f"episode {comparison.meta.id!r}: the run {label!r} is not finite")
-        gap = np.where(valid, truth - stock, 0.0)
+            judged[label] = np.where(valid, correction, 0.0), np.where(valid, left, 0.0)
         self._metas.append(comparison.meta)
         self._samples.append(valid.sum(axis=0).astype(np.float64))
         self._squares.append((gap**2).sum(axis=0))
-        for candidate in self._candidates:
-            values = corrected[candidate.run]
-            correction = np.where(valid, values - stock, 0.0)
-            self._tallies[candidate.run].add(valid, gap, correction, np.where(valid, truth - values, 0.0))
+        for label, (correction, left) in judged.items():
+            self._tallies[label].add(valid, gap, correction, left)
 
-    def _values(self, series: TimeSeries) -> Float64[np.ndarray, "T C"]:
+    def _differences(self, first: TimeSeries, second: TimeSeries) -> Float64[np.ndarray, "T C"]:
+        """First - second for each column; of bodies the distance between the two, and the angle."""
         names = dict.fromkeys(column.signal for column in self._columns)
-        return np.concatenate([np.asarray(series[name], np.float64) for name in names], axis=1)
+        parts = []
+        for name in names:
+            ends = [np.asarray(series[name], np.float64) for series in (first, second)]
+            parts.append(_DISTANCES[name](*ends) if name in _DISTANCES else ends[0] - ends[1])
+        return np.concatenate(parts, axis=1)
 
     def _refuse_others(self, episode: str, measured: TimeSeries, simulated: TimeSeries) -> None:
-        both = [name for name in measured.signals if name in simulated and not name.startswith(BODY_PREFIX)]
+        # Bodies are compared where somebody corrects them.
+        asked = {output.quantity for candidate in self._candidates for output in candidate.card.outputs}
+        both = [
+            name
+            for name in measured.signals
+            if name in simulated and (not name.startswith(BODY_PREFIX) or (name in asked and name in _DISTANCES))
+        ]
         names = sorted(both, key=lambda name: (name not in _SIGNALS, _SIGNALS.index(name) if name in _SIGNALS else 0))
         columns = [
-            Column(name, joint, unit)
+            Column(name, owner, "rad" if name == ROTATION else unit)
             for name in names
-            for joint, unit in zip(measured.joints, measured.units[name], strict=True)
+            for owner, unit in zip(
+                measured.bodies if name.startswith(BODY_PREFIX) else measured.joints, measured.units[name], strict=True
+            )
         ]
+        if ROTATION in names:
+            refuse_no_rotation(measured[ROTATION], f"episode {episode!r}, measured")
         if not columns:
             raise DataError(f"episode {episode!r}: measurement and {self._run!r} have no signal in common")
         if not self._columns:
@@ -239,12 +258,16 @@ class EvaluationBuilder:
             trained_run=card.run,
             trained_robot=card.robot,
             causal=card.causal,
-            signals=tuple(dict.fromkeys(output.signal for output in card.outputs)),
+            signals=tuple(dict.fromkeys(output.quantity for output in card.outputs)),
             cuts={
                 name: pooling.tree(pooling.cuts(own[rows], squares[rows], samples[rows]))
                 for name, rows in groups.items()
             },
-            gated=tuple(GatedOutput(item.signal, item.joint, item.reason) for item in card.outputs if item.gate == 0.0),
+            gated=tuple(
+                dict.fromkeys(
+                    GatedOutput(item.quantity, item.joint, item.reason) for item in card.outputs if item.gate == 0.0
+                )
+            ),
             coverage={
                 name: pooling.tree(pooling.coverage(inside[rows], widths[rows], covered[rows]))
                 for name, rows in groups.items()

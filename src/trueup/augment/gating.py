@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -29,6 +29,16 @@ class Errors:
     simulated: Float64[np.ndarray, "E K"]
     corrected: Float64[np.ndarray, "E K"]
     conditions: tuple[str, ...]
+
+    def merged(self, groups: Sequence[int]) -> Errors:
+        """The outputs of a group as one: the components of a vector are used together or not at all.
+
+        Args:
+            groups: for each output the number of its group, (K,).
+        """
+        table = np.zeros((len(groups), max(groups) + 1))
+        table[np.arange(len(groups)), groups] = 1.0
+        return replace(self, simulated=self.simulated @ table, corrected=self.corrected @ table)
 
     def rmse(self, which: Float64[np.ndarray, "E K"]) -> Float64[np.ndarray, "K"]:
         """Over all samples, (K,)."""

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float64
 from torch import Tensor
 
+from trueup.augment.components import components
 from trueup.augment.config import LossConfig
 from trueup.augment.corrector import Corrector
 from trueup.augment.windows import Batch
@@ -101,11 +102,14 @@ def _mean(values: Tensor, valid: Tensor | None) -> Tensor:
 
 
 def _weights(config: LossConfig, outputs: Sequence[Channel]) -> Float64[np.ndarray, "K"]:
-    signals = list(dict.fromkeys(channel.signal for channel in outputs))
+    signals = list(dict.fromkeys(channel.quantity for channel in outputs))
     unknown = sorted(set(config.weights) - set(signals))
     if unknown:
         raise ConfigError(f"loss: weights of {', '.join(unknown)}, which is not corrected", available=signals)
-    weights = np.array([config.weights.get(channel.signal, 1.0) for channel in outputs])
+    # The components of a vector or rotation share the weight of one number.
+    weights = np.array(
+        [config.weights.get(channel.quantity, 1.0) / len(components(channel.quantity)) for channel in outputs]
+    )
     if weights.sum() <= 0:
         raise ConfigError("loss: weights leave nothing to learn", got=dict(config.weights))
     shares: np.ndarray = weights / weights.sum()

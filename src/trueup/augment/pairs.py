@@ -16,10 +16,11 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt64
 
 from trueup.augment.channels import Grid, column, gather
+from trueup.augment.components import components
 from trueup.core.episode import Episode
 from trueup.core.model_card import ANY_JOINT, Channel
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
-from trueup.errors import DataError, MissingSignal, UnitError
+from trueup.errors import ConfigError, DataError, MissingSignal, UnitError
 
 # Samples of a val motion are looked for among those of train in runs of this many changes; encoders of low resolution
 # repeat short ones by chance, so several must be found.
@@ -27,6 +28,8 @@ _RUN = 32
 _SHORTEST = 8
 _RUNS_PER_MOTION = 200
 _FOUND = 3
+_NAME_BODIES = "Name the bodies in robot.yaml, `simulation: {bodies: [...]}`, and replay again."
+_KINDS = (("joints", False), ("bodies", True))
 
 
 @dataclass(frozen=True)
@@ -131,7 +134,7 @@ def write_pairs(
         inputs: what the network reads.
         outputs: what it corrects; the measured signals are read.
         rate_hz: of the network.
-        joints: for channels of any joint: those that each become a motion of their own.
+        joints: for channels of any joint or body: those that each become a motion of their own.
         mirrored: each motion also comes the other way around.
 
     Raises:
@@ -171,7 +174,15 @@ def any_joint(channels: Sequence[Channel]) -> tuple[Channel, ...]:
 
     Raises:
         UnitError: joints have different units, such as hinges and slides.
+        ConfigError: some are of joints and some of bodies.
     """
+    if len({channel.of_body for channel in channels}) > 1:
+        kinds = {kind: [c.name for c in channels if c.of_body == of_body] for kind, of_body in _KINDS}
+        raise ConfigError(
+            "joints and bodies are blocks of different dimension, and cannot share a modular network",
+            got=f"{kinds['joints'][0]} and {kinds['bodies'][0]}",
+            hint="Train one network for the joints and one for the bodies.",
+        )
     found: dict[tuple[str, str], Channel] = {}
     for channel in channels:
         own = found.setdefault((channel.series, channel.signal), replace(channel, joint=ANY_JOINT))
@@ -293,6 +304,8 @@ def channels_of(
 ) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
     """Inputs and outputs for an episode: all joints of each signal, simulated ones before commanded ones.
 
+    Of a body's signal it is all components of all bodies; those that were measured can be corrected.
+
     Args:
         episode: one that has everything.
         run: label of the run.
@@ -306,19 +319,23 @@ def channels_of(
         MissingSignal: a signal is on one side only.
     """
     series, truth = episode.run(run), episode.measured
-    both = [name for name in known if name in series and name in truth]
-    chosen = list(both if signals is None else signals)
+    chosen = [name for name in known if name in series and name in truth] if signals is None else list(signals)
     for name in chosen:
-        if name not in both:
-            side = "the run" if name not in series else "the measurement"
-            raise MissingSignal(f"{side} of episode {episode.id!r} has no {name}", available=both)
+        if name not in series or name not in truth:
+            side, has = ("the run", series) if name not in series else ("the measurement", truth)
+            raise MissingSignal(
+                f"{side} of episode {episode.id!r} has no {name}",
+                available=has.signals,
+                hint=_NAME_BODIES if name.startswith(BODY_PREFIX) and name not in series else None,
+            )
     if not chosen:
         raise MissingSignal(f"episode {episode.id!r}: robot and run {run!r} share no signal", available=known)
     corrected = _channels(series, chosen)
     read = _channels(series, [name for name in reads if name not in chosen])
     told = _channels(episode.commanded(), command, "command") if command else []
     sensed = _channels(truth, measured, "measured") if measured else []
-    return (*corrected, *read, *told, *sensed), tuple(corrected)
+    seen = [item for item in corrected if not item.of_body or item.joint in truth.bodies]
+    return (*corrected, *read, *told, *sensed), tuple(seen)
 
 
 def _channels(
@@ -327,9 +344,16 @@ def _channels(
     for name in signals:
         if name not in series:
             what = "commanded" if kind == "command" else kind
-            raise MissingSignal(f"there is no {what} {name}", available=series.signals)
+            raise MissingSignal(
+                f"there is no {what} {name}",
+                available=series.signals,
+                hint=_NAME_BODIES if name.startswith(BODY_PREFIX) else None,
+            )
     return [
-        Channel(name, joint, unit, kind)
+        Channel(component, owner, unit, kind)
         for name in signals
-        for joint, unit in zip(series.joints, series.units[name], strict=True)
+        for component in components(name)
+        for owner, unit in zip(
+            series.bodies if name.startswith(BODY_PREFIX) else series.joints, series.units[name], strict=True
+        )
     ]

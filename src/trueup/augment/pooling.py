@@ -12,6 +12,7 @@ from jaxtyping import Float64
 
 from trueup.core.augment_result import ALL_JOINTS, Coverage, Cut, Pooled
 from trueup.core.results import Estimate, Verdict
+from trueup.core.timeseries import BODY_PREFIX
 from trueup.measure import metric_unit, ratio_interval
 
 T = TypeVar("T")
@@ -33,7 +34,8 @@ class Totals:
         self.columns = list(columns)
         self._members: list[list[int]] = []
         for signal in dict.fromkeys(column.signal for column in columns):
-            members = [k for k, item in enumerate(columns) if item.signal == signal and item.joint in scored]
+            own = [k for k, item in enumerate(columns) if item.signal == signal]
+            members = own if signal.startswith(BODY_PREFIX) else [k for k in own if columns[k].joint in scored]
             units = {columns[k].unit for k in members}
             if len(units) == 1:
                 self._members.append(members)

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float64, Int
 
+from trueup.augment.components import POSITION
 from trueup.augment.pairs import Pairs
 from trueup.core.model_card import Channel
 
@@ -152,16 +153,36 @@ def scaling_of(
         center = np.where(relative, summary.mean, low)
         scale = _positive(np.where(relative, summary.deviation, high - low))
         out_center, out_scale = center[base], scale[base]
+        simulator_rms = _positive(summary.simulator_rms)
     else:
-        center, scale = summary.mean, _positive(summary.deviation)
-        out_center, out_scale = summary.measured_mean, _positive(summary.measured_deviation)
+        outputs = [inputs[place] for place in base]
+        center, scale = _of_quantities(inputs, summary.mean, summary.deviation)
+        out_center, out_scale = _of_quantities(outputs, summary.measured_mean, summary.measured_deviation)
+        _, simulator_rms = _of_quantities(outputs, np.zeros(base.size), summary.simulator_rms)
     if target == "residual":
         out_center = np.zeros(base.size)
-        out_scale = out_scale if normalization == "limits" else _positive(summary.simulator_rms)
-    units = scale[base] if loss_scale == "normalized" else _positive(summary.simulator_rms)
+        out_scale = out_scale if normalization == "limits" else simulator_rms
+    units = scale[base] if loss_scale == "normalized" else simulator_rms
     unread = np.array([channel.series == "simulated" and channel.signal in blind for channel in inputs])
     center, scale = np.where(unread, 0.0, center), np.where(unread, np.inf, scale)
     return Scaling(center, scale, out_center, out_scale, units)
+
+
+def _of_quantities(
+    channels: Sequence[Channel], mean: Float64[np.ndarray, "N"], deviation: Float64[np.ndarray, "N"]
+) -> tuple[Float64[np.ndarray, "N"], Float64[np.ndarray, "N"]]:
+    """Center and scale of channels; those of bodies have one scale for each quantity (SAT, V-A).
+
+    The axes of the world mean nothing to a body, so none of them must be stretched. An origin may be chosen, which
+    positions have and other quantities have not: a shifted rotation is none.
+    """
+    center, scale = mean.copy(), deviation.copy()
+    for quantity in {channel.quantity for channel in channels if channel.of_body}:
+        own = [number for number, channel in enumerate(channels) if channel.quantity == quantity]
+        if quantity != POSITION:
+            center[own] = 0.0
+        scale[own] = np.sqrt((deviation[own] ** 2 + (mean[own] - center[own]) ** 2).mean())
+    return center, _positive(scale)
 
 
 @dataclass(frozen=True, eq=False)

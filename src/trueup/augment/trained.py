@@ -43,7 +43,7 @@ class Trained:
         Raises:
             TrueupError: what `augment.correction.corrected` raises.
         """
-        own = self._predictor.of_joints(episode.run(run).joints)
+        own = self._predictor.of_joints(self.card.blocks_of(episode.run(run)))
         return corrected(episode, run, own.card, own.run)
 
     def stream(

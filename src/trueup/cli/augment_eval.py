@@ -8,9 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from trueup.cli import options
-from trueup.cli.augment_tables import confidence_table, cut_table, error_table, gated_lines, shown_groups
+from trueup.cli.augment_tables import (
+    confidence_table,
+    cut_table,
+    error_table,
+    gated_lines,
+    joint_gap_table,
+    shown_groups,
+)
 from trueup.cli.console import note, out, track, warning
 from trueup.cli.gap import hold_bars
+from trueup.core.timeseries import BODY_PREFIX
 
 if TYPE_CHECKING:
     from trueup.core.augment_result import AugmentResult
@@ -35,6 +43,10 @@ def evaluate(
         ),
     ] = None,
     split: Annotated[str, typer.Option("--split", help="train, val, test, or all.")] = "test",
+    project: Annotated[
+        bool,
+        typer.Option("--project", help="Also measure the robot that is nearest to corrected bodies."),
+    ] = False,
     drop_flagged: options.DropFlagged = False,
     fail_above: options.FailAbove = None,
     seed: options.Seed = 0,
@@ -58,6 +70,7 @@ def evaluate(
         run=run,
         split=split,
         drop_flagged=drop_flagged,
+        project=project,
         seed=seed,
         overwrite=overwrite,
         track=track,
@@ -74,12 +87,19 @@ def evaluate(
 
 def show(result: AugmentResult) -> None:
     """Per group of motions what is left of the errors, then how far the networks can be trusted."""
+    from trueup.report.body_units import evaluation_for_people
+
+    result = evaluation_for_people(result)
     main = result.main_signal
     others = [signal for signal in result.signals if signal != main]
     for condition in shown_groups(result):
         out.print(cut_table(result, condition, main))
-        if others:
-            out.print(error_table(result, condition, others))
+        for kind in (False, True):  # bodies are no joints, and have columns of their own
+            if own := [signal for signal in others if signal.startswith(BODY_PREFIX) == kind]:
+                out.print(error_table(result, condition, own))
+    joined = joint_gap_table(result)
+    if joined.row_count:
+        out.print(joined)
     confidence = confidence_table(result, main)
     if confidence.row_count:
         out.print(confidence)

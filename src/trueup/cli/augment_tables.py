@@ -13,11 +13,13 @@ from trueup.core.augment_result import (
     ANY_CONDITION,
     AugmentResult,
     Cut,
+    JointGap,
     ModelEvaluation,
     group_title,
     joint_title,
 )
 from trueup.core.results import Estimate
+from trueup.core.timeseries import BODY_PREFIX
 
 # More joints than this do not fit beside each other.
 _MOST_COLUMNS = 10
@@ -44,7 +46,7 @@ def cut_table(result: AugmentResult, condition: str, signal: str) -> Table:
         f"{signal} MSE{_bracketed(unit)}, {_group_line(result, condition)}; "
         "x: times smaller than the simulation [95 % interval]"
     )
-    return _laid_out(title, [""], joints, rows)
+    return _laid_out(title, [""], [joint_title(joint, signal) for joint in joints], rows)
 
 
 def error_table(result: AugmentResult, condition: str, signals: Sequence[str]) -> Table:
@@ -60,8 +62,30 @@ def error_table(result: AugmentResult, condition: str, signals: Sequence[str]) -
             cuts = model.cuts[condition].get(signal, {})
             cells = [_error_cell(cuts.get(j), unit, off=result.is_off(model, signal, j)) for j in joints]
             rows.append(["", model.name, *cells])
+    bodies = all(signal.startswith(BODY_PREFIX) for signal in signals)
     title = f"RMSE, {_group_line(result, condition)}; ~ undecided, off: switched off by its training"
-    return _laid_out(title, ["", ""], joints, rows)
+    return _laid_out(title, ["", ""], [joint_title(joint, signals[0] if bodies else "") for joint in joints], rows)
+
+
+def joint_gap_table(result: AugmentResult) -> Table:
+    """How far corrected bodies have come apart at their joints: mean, and mean over motions of the largest."""
+    table = Table(title=_text("bodies apart at their joints: mean, largest of a motion"), title_justify="left")
+    table.add_column("joint")
+    known = {"measured": result.measured_gaps} if result.measured_gaps else {}
+    runs = {**known, _SIMULATION: result.gaps, **{model.name: model.gaps for model in result.models if model.gaps}}
+    for name in runs:
+        table.add_column(_text(name), justify="right")
+    for joint in result.gaps if any(model.gaps for model in result.models) else ():
+        cells = [_gap_cell(gaps.get(joint)) for gaps in runs.values()]
+        table.add_row(_text(joint_title(joint)), *map(_text, cells))
+    return table
+
+
+def _gap_cell(gap: JointGap | None) -> str:
+    if gap is None:
+        return _NOTHING
+    pairs = ((gap.apart, gap.apart_max), (gap.turned, gap.turned_max))
+    return "\n".join(f"{mean.value:.3g}, {most.value:.3g} {mean.unit}" for mean, most in pairs)
 
 
 def confidence_table(result: AugmentResult, signal: str) -> Table:
@@ -158,11 +182,10 @@ def _text(text: str) -> Text:
     return Text(text)
 
 
-def _laid_out(title: str, corners: Sequence[str], joints: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+def _laid_out(title: str, corners: Sequence[str], names: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     """One row per network and one column per joint, or the other way round where there are too many joints."""
     table = Table(title=_text(title), title_justify="left")
-    names = [joint_title(joint) for joint in joints]
-    if len(joints) <= _MOST_COLUMNS:
+    if len(names) <= _MOST_COLUMNS:
         for corner in corners:
             table.add_column(corner, no_wrap=True)
         for name in names:

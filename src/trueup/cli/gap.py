@@ -57,6 +57,7 @@ def gap(
     from trueup.dataset import Dataset
     from trueup.measure import parse_bar, refuse_unknown
     from trueup.report import write_report
+    from trueup.report.body_units import gap_for_people
     from trueup.robots import load_robot
     from trueup.stages import explain as attribute
     from trueup.stages import folder
@@ -93,8 +94,9 @@ def gap(
     )
     shown = _list(metrics) or ["rmse"]
     show_flags(measurement.quality, only_dropped=True)
-    out.print(gap_table(measurement.gap, metric="rmse" if "rmse" in shown else shown[0]))
-    for line in verdicts(measurement.gap):
+    people = gap_for_people(measurement.gap)
+    out.print(gap_table(people, metric="rmse" if "rmse" in shown else shown[0]))
+    for line in verdicts(people):
         out.print(line, markup=False)
     for line in measurement.gap.settings["warnings"]:
         note(line)

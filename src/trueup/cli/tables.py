@@ -9,6 +9,11 @@ from rich.table import Table
 
 from trueup.core.results import Estimate, GapResult, Ladder, MetricResult, Metrics
 
+_MAIN = "rmse"
+# What stands for the RMSE of a joint where the signal is that of a body.
+_OF_BODIES = {"body.position": "position_norm", "body.rotation": "rotation_distance"}
+_COMPARED = {"position": _MAIN, **_OF_BODIES}
+
 
 def number(estimate: Estimate) -> str:
     """`0.0365 [0.021, 0.054] rad`; the interval is left out where there is none."""
@@ -42,7 +47,11 @@ def ladder_table(ladder: Ladder, *, signal: str = "position", metric: str = "rms
 
 def gap_table(gap: GapResult, *, metric: str = "rmse") -> Table:
     """One row per run, split and signal."""
-    table = Table(title=f"{metric}, mean over scored joints and motions [95 % interval]", title_justify="left")
+    has_bodies = metric == _MAIN and any(
+        signal in _OF_BODIES for splits in gap.runs.values() for items in splits.values() for signal in items
+    )
+    about = " (of bodies: mean distance and angle)" if has_bodies else ""
+    table = Table(title=f"{metric}{about}, mean over scored joints and motions [95 % interval]", title_justify="left")
     for name in ("run", "split", "signal"):
         table.add_column(name)
     table.add_column("motions", justify="right")
@@ -51,21 +60,23 @@ def gap_table(gap: GapResult, *, metric: str = "rmse") -> Table:
     for run, splits in gap.runs.items():
         for split, signals in splits.items():
             for signal, metrics in signals.items():
-                if metric in metrics and not _repeats(splits, split, signal, metric):
-                    result = metrics[metric]
+                own = _OF_BODIES.get(signal, metric) if metric == _MAIN else metric
+                if own in metrics and not _repeats(splits, split, signal, own):
+                    result = metrics[own]
                     table.add_row(run, split, signal, str(result.episodes), number(result.total), _worst(gap, result))
     return table
 
 
 def verdicts(gap: GapResult) -> list[str]:
-    """What else must be known of the table, one line each: windows, and the paired comparisons of the position."""
+    """What else must be known of the table, one line each: windows, and runs compared in pairs."""
     window_s = gap.settings.get("window_s")
     lines = [] if window_s is None else [f"simulations restarted from the measured state every {window_s:g} s"]
     whole = not any(gap.splits.values())  # no splits: the comparison over all motions is the only one
     for pair in gap.paired:
-        if pair.signal == "position" and pair.metric == "rmse" and (pair.split != "all" or whole):
+        if _COMPARED.get(pair.signal) == pair.metric and (pair.split != "all" or whole):
             change = f"{100 * abs(pair.relative):.1f} % {'less' if pair.difference.value < 0 else 'more'}"
-            lines.append(f"{pair.run} against {pair.baseline}, {pair.split}: {change} ({pair.verdict})")
+            about = f"{pair.signal}, " if pair.signal in _OF_BODIES else ""
+            lines.append(f"{pair.run} against {pair.baseline}, {about}{pair.split}: {change} ({pair.verdict})")
     return lines
 
 
@@ -81,7 +92,8 @@ def _episodes(metrics: Metrics, signal: str, metric: str) -> int:
 
 
 def _worst(gap: GapResult, result: MetricResult) -> str:
-    scored = {joint: result.per_joint[joint] for joint in gap.scored_joints if joint in result.per_joint}
+    joints = result.per_joint if not result.per_joint.keys() <= set(gap.joints) else gap.scored_joints
+    scored = {joint: result.per_joint[joint] for joint in joints if joint in result.per_joint}
     known = {joint: item for joint, item in scored.items() if not math.isnan(item.value)}
     if not known:
         return ""

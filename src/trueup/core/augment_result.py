@@ -7,7 +7,7 @@ over whole motions, since samples of one motion are not independent. gap.json be
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +16,7 @@ from trueup.core.atomic import as_read_back, read_json, without_nan, write_json
 from trueup.core.config import build_versioned
 from trueup.core.results import Estimate, Verdict
 from trueup.core.step_times import StepTimes
+from trueup.core.timeseries import BODY_PREFIX
 from trueup.errors import ConfigError
 
 AUGMENT_SCHEMA = "trueup.augment/1"
@@ -32,9 +33,13 @@ def group_title(condition: str) -> str:
     return condition or "all motions"
 
 
-def joint_title(joint: str) -> str:
-    """A joint, or all that are scored together."""
-    return joint or "all joints"
+def joint_title(joint: str, signal: str = "") -> str:
+    """A joint, or all that are scored together; of a body's signal a body, or all of them."""
+    return joint or ("all bodies" if _of_bodies(signal) else "all joints")
+
+
+def _of_bodies(signal: str) -> bool:
+    return signal.startswith(BODY_PREFIX)
 
 
 @dataclass(frozen=True)
@@ -80,6 +85,23 @@ class Coverage:
 
     share: Estimate
     half_width: Estimate
+
+
+@dataclass(frozen=True)
+class JointGap:
+    """How far the bodies of a run are from being joined at a joint; all numbers are means over motions.
+
+    Attributes:
+        apart: distance between the two halves, mean over samples [m].
+        apart_max: the largest one of a motion.
+        turned: angle between them off the joint's axis, mean over samples [rad].
+        turned_max: the largest one of a motion.
+    """
+
+    apart: Estimate
+    apart_max: Estimate
+    turned: Estimate
+    turned_max: Estimate
 
 
 @dataclass(frozen=True)
@@ -143,6 +165,7 @@ class ModelEvaluation:
         coverage_note: what limits that.
         reliability: condition -> signal -> of the probability that the simulator is far off.
         latency: of one step; None where it was not timed.
+        gaps: joint -> how far corrected bodies are apart there, where bodies are corrected.
     """
 
     name: str
@@ -159,6 +182,7 @@ class ModelEvaluation:
     coverage_note: str = ""
     reliability: Mapping[str, Mapping[str, Reliability]] = field(default_factory=dict)
     latency: StepTimes | None = None
+    gaps: Mapping[str, JointGap] = field(default_factory=dict)
 
     @property
     def off_reasons(self) -> list[str]:
@@ -205,6 +229,8 @@ class AugmentResult:
         models: one item per network, in the order given.
         pairs: every network against those that were named before it.
         conditions_of: motion -> its condition.
+        gaps: joint -> how far the simulated bodies are apart there, which a simulator keeps small.
+        measured_gaps: the same of the bodies as they were measured: what the robot is built differently from its model.
         notes: what must be said.
         settings: bootstrap draws, seed, bins of the reliability.
         provenance: versions, data hash, hashes of the cards.
@@ -219,6 +245,8 @@ class AugmentResult:
     models: tuple[ModelEvaluation, ...]
     pairs: tuple[ModelPair, ...] = ()
     conditions_of: Mapping[str, str] = field(default_factory=dict)
+    gaps: Mapping[str, JointGap] = field(default_factory=dict)
+    measured_gaps: Mapping[str, JointGap] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
@@ -249,9 +277,13 @@ class AugmentResult:
         return next(item for item in self.models if item.name == name)
 
     def joints_of(self, condition: str, signal: str) -> list[str]:
-        """Those whose errors are known, in the robot's order; all together last."""
+        """Those whose errors are known, in the robot's order, or its bodies; all together last."""
         known = self.simulated[condition].get(signal, {})
-        return [joint for joint in (*self.joints, ALL_JOINTS) if joint in known]
+        names = [name for name in known if name != ALL_JOINTS] if _of_bodies(signal) else self.joints
+        return [name for name in (*names, ALL_JOINTS) if name in known]
+
+    def _bodies_of(self, signal: str) -> list[str]:
+        return [name for name in self.joints_of(ANY_CONDITION, signal) if name != ALL_JOINTS]
 
     def unit_of(self, condition: str, signal: str, error: ErrorKind) -> str:
         """The unit of all errors of a signal; empty if its joints have different ones."""
@@ -260,8 +292,8 @@ class AugmentResult:
 
     def is_off(self, model: ModelEvaluation, signal: str, joint: str) -> bool:
         """Whether the training of a network switched an output off; all together if all scored joints are."""
-        joints = self.scored_joints if joint == ALL_JOINTS else (joint,)
-        return all(model.is_off(signal, name) for name in joints)
+        every = self._bodies_of(signal) if _of_bodies(signal) else self.scored_joints
+        return all(model.is_off(signal, name) for name in (every if joint == ALL_JOINTS else (joint,)))
 
     def off_outputs(self, model: ModelEvaluation) -> list[str]:
         """What the training of a network switched off, signal by signal, e.g. `torque of joint1, joint2`."""
@@ -269,9 +301,13 @@ class AugmentResult:
         for item in model.gated:
             joints.setdefault(item.signal, []).append(item.joint)
         return [
-            f"{signal} of {'all joints' if set(self.joints) <= set(names) else ', '.join(names)}"
+            f"{signal} of " + (joint_title(ALL_JOINTS, signal) if self._are_all(signal, names) else ", ".join(names))
             for signal, names in joints.items()
         ]
+
+    def _are_all(self, signal: str, names: Sequence[str]) -> bool:
+        every = self._bodies_of(signal) if _of_bodies(signal) else self.joints
+        return set(every) <= set(names)
 
     def best(self, signal: str) -> ModelEvaluation | None:
         """The network that leaves least of a signal's error, over all motions; None without networks."""

@@ -12,7 +12,8 @@ inside. With B copies side by side and any number T of samples:
     STATE_out                      the states after the last sample, same shapes
 
 A network that looks into the future (`causal: false`) has no states and takes whole motions. A modular one has the
-channels of one joint, called `*`: it takes all joints of a robot side by side, whichever robot it is (`of_joints`).
+channels of one joint, called `*`: it takes all joints of a robot side by side, whichever robot it is (`of_joints`). A
+network for bodies has channels of bodies where others have those of joints.
 
 `step.npz`, where there is one, holds the weights as the machine code of `deploy.sat_machine` reads them.
 """
@@ -31,7 +32,8 @@ from jaxtyping import Float, Int
 
 from trueup.core.atomic import as_read_back, file_hash, json_hash, read_json, regular, without_nan, write_json
 from trueup.core.config import build
-from trueup.errors import ConfigError, DataError, FormatError
+from trueup.core.timeseries import BODY_PREFIX, TimeSeries
+from trueup.errors import ConfigError, DataError, FormatError, MissingSignal
 
 CARD_SCHEMA = "trueup.model/1"
 CARD_NAME = "model.json"
@@ -49,8 +51,8 @@ class Channel:
     """One number per sample.
 
     Attributes:
-        signal: signal name, e.g. `torque`.
-        joint: joint name, as the robot has it.
+        signal: signal name, e.g. `torque`; of a body one of its components, e.g. `body.position.x`.
+        joint: joint name, as the robot has it, or name of the body.
         unit: SI unit.
         series: where it comes from: the simulator, the command that robot and simulator follow, or what the robot's
             sensors have said one sample before.
@@ -65,6 +67,16 @@ class Channel:
     def name(self) -> str:
         """E.g. `simulated.torque.joint1`."""
         return f"{self.series}.{self.signal}.{self.joint}"
+
+    @property
+    def of_body(self) -> bool:
+        """Whether it is of a body, and not of a joint."""
+        return self.signal.startswith(BODY_PREFIX)
+
+    @property
+    def quantity(self) -> str:
+        """The signal of the robot that it is of: `body.position` for `body.position.x`."""
+        return self.signal.rpartition(".")[0] if self.of_body else self.signal
 
 
 @dataclass(frozen=True)
@@ -153,14 +165,14 @@ class ModelCard:
         name: e.g. `panda-realeasy-rt`.
         method: e.g. `realeasy-rt`.
         robot: name of the kind of robot.
-        joints: names of its joints, in order.
+        joints: names of its joints, in order; of its bodies, where channels are of bodies.
         run: label of the simulated run that it was trained to correct, e.g. `mujoco/stock`.
         rate_hz: samples per second that it was trained at.
         causal: whether it needs no sample of the future.
         inputs: I channels.
         outputs: K channels.
         states: what a stream carries; empty if not causal.
-        modular: whether it is a network for a joint, and each joint of a robot goes through it (SAT, IV).
+        modular: whether it is a network for a joint or a body, and each one of a robot goes through it (SAT, IV).
         warmup_steps: samples after a start from which on the state is informative.
         margin: share of a channel's training range by which an input may leave it.
         coverage: share of samples that the intervals are to cover.
@@ -214,13 +226,14 @@ class ModelCard:
 
     @property
     def copies(self) -> int:
-        """How often one robot goes through the network: its joints, where that is modular."""
+        """How often one robot goes through the network: its joints or bodies, where that is modular."""
         return len(self.joints) if self.modular else 1
 
     def of_joints(self, joints: Sequence[str]) -> ModelCard:
         """The card for a robot with these joints: the channels of a modular one for each of them, one after the other.
 
-        Any other card, or one that has joints already, is returned as it is.
+        Of a network for bodies, the names are those of bodies (`blocks_of`). Any other card, or one that has joints
+        already, is returned as it is.
         """
         if not self.modular or self.joints != (ANY_JOINT,):
             return self
@@ -231,6 +244,22 @@ class ModelCard:
         )
         inputs = tuple(replace(channel, joint=joint) for joint in joints for channel in self.inputs)
         return replace(self, joints=tuple(joints), inputs=inputs, outputs=outputs)
+
+    def blocks_of(self, series: TimeSeries) -> tuple[str, ...]:
+        """The joints of a simulated run, or its bodies if this is a network for bodies.
+
+        Raises:
+            MissingSignal: the run has no bodies.
+        """
+        if not self.outputs[0].of_body:
+            return series.joints
+        if not series.bodies:
+            raise MissingSignal(
+                f"the network {self.name!r} corrects bodies, and the run has none",
+                available=series.signals,
+                hint="Name them in robot.yaml, `simulation: {bodies: [...]}`, and replay again.",
+            )
+        return series.bodies
 
     def to_json(self) -> dict[str, Any]:
         """The content of model.json, with a hash over all the rest."""

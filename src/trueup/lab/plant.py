@@ -155,11 +155,11 @@ _INNER: dict[str, Any] = {"nogil": True, "no_cpython_wrapper": True, "no_cfunc_w
 
 @cache
 def compiled() -> tuple[Any, Any]:
-    """`advance(engine, numbers, settings, state, orders, log)` and `weigh(engine, numbers, state)`, compiled once.
+    """`advance(engine, numbers, settings, state, orders, log, places)` and `weigh(engine, numbers, state)`, compiled.
 
-    `advance` runs N control steps, writes the state after each into `log` (N, LOGGED, J), and returns how many it has
-    done: all, unless the robot stopped before. `weigh` computes the torques that carry the arm, as far as the robot
-    knows.
+    `advance` runs N control steps, writes the state after each into `log` (N, LOGGED, J) and, where `places` (N, nq)
+    has rows, all of MuJoCo's coordinates there, and returns how many steps it has done: all, unless the robot stopped
+    before. `weigh` computes the torques that carry the arm, as far as the robot knows.
     """
     weigh = numba.njit(nogil=True)(_plain(_weigh))
     friction, receive, control = (numba.njit(**_INNER)(_plain(own)) for own in (friction_level, _receive, _control))
@@ -371,7 +371,13 @@ def _loop(step: Any, weigh: Any, receive: Any, control: Any, joint: Any) -> Any:
     """The loop over control steps, with the functions that it calls."""
 
     def advance(
-        engine: Engine, numbers: np.ndarray, settings: Settings, state: State, orders: Orders, log: np.ndarray
+        engine: Engine,
+        numbers: np.ndarray,
+        settings: Settings,
+        state: State,
+        orders: Orders,
+        log: np.ndarray,
+        places: np.ndarray,
     ) -> int:
         joints, dt = engine.column.size, settings.physics_step_s
         power, brake = np.zeros(joints), np.zeros(joints)
@@ -418,6 +424,9 @@ def _loop(step: Any, weigh: Any, receive: Any, control: Any, joint: Any) -> Any:
                 log[k, RISE, j] = state.joints[j].rise
                 log[k, CURRENT, j] = state.joints[j].current
                 log[k, VOLTAGE, j] = state.joints[j].voltage
+            if places.shape[0]:
+                for i in range(engine.qpos.size):
+                    places[k, i] = engine.qpos[i]
             state.counters[0] = tick + 1
         return int(orders.command.shape[0])
 

@@ -140,6 +140,7 @@ def build_plant(truth: Truth, payload_kg: float) -> Plant:
     editable.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     editable.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     model = compile_spec(editable, path)
+    _mount(model, truth)
     data = mujoco.MjData(model)
     homes = {model.key(index).name: model.key_qpos[index] for index in range(model.nkey)}
     column = np.array([model.joint(name).qposadr[0] for name in truth.joints])
@@ -152,6 +153,19 @@ def build_plant(truth: Truth, payload_kg: float) -> Plant:
         state=_state(spec, len(truth.joints)),
         home=np.array(homes["home"][column] if "home" in homes else np.zeros(column.size)),
     )
+
+
+def _mount(model: mujoco.MjModel, truth: Truth) -> None:
+    """Move the bodies to where they sit."""
+    for name, mount in truth.mounts.items():
+        number = model.body(name).id
+        turn, angle = np.array(mount.turn), float(np.linalg.norm(mount.turn))
+        quaternion, before = np.empty(4), model.body_quat[number].copy()
+        mujoco.mju_axisAngle2Quat(quaternion, turn / angle if angle else np.array([1.0, 0.0, 0.0]), angle)
+        mujoco.mju_mulQuat(model.body_quat[number], before, quaternion)
+        model.body_pos[number] += mount.offset
+    if truth.mounts:
+        mujoco.mj_setConst(model, mujoco.MjData(model))  # masses and inverse inertias that follow from the places
 
 
 def _refuse_other_robot(truth: Truth, robot: RobotSpec, model: mujoco.MjModel) -> None:
@@ -170,9 +184,14 @@ def _refuse_other_robot(truth: Truth, robot: RobotSpec, model: mujoco.MjModel) -
             expected=list(robot.joint_names),
         )
     bodies = [model.body(index).name for index in range(model.nbody)]
-    if tuple(truth.joints) != robot.joint_names or not set(truth.bodies) <= set(bodies):
+    if tuple(truth.joints) != robot.joint_names or not {*truth.bodies, *truth.mounts} <= set(bodies):
         raise ConfigError(
             f"the truth is not that of a {robot.name!r}", got=[*truth.joints, *truth.bodies], available=[*own, *bodies]
+        )
+    strange = [name for name in truth.spec.markers.bodies if name not in bodies[1:]]
+    if strange:
+        raise ConfigError(
+            f"lab: {robot.name!r} has no body {strange[0]!r}, on which markers or mounting are", available=bodies[1:]
         )
 
 

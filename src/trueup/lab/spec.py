@@ -214,6 +214,23 @@ class Winding:
 
 
 @dataclass(frozen=True)
+class Mounting:
+    """The parts are not mounted where the model has them: prints and assembly are not exact.
+
+    A part of a closed chain is held from two sides, and could not be assembled: such robots have no such effect.
+
+    Attributes:
+        enabled: whether the effect is there; as it comes, its sizes are 0.
+        position_m: spread of where a body sits on the one that carries it, each axis [m].
+        rotation_rad: spread of how it is turned there, about each axis [rad].
+    """
+
+    enabled: bool = True
+    position_m: float = 0.0
+    rotation_rad: float = 0.0
+
+
+@dataclass(frozen=True)
 class Warming:
     """Joints warm up by the power that friction and windings dissipate, and warm grease brakes less.
 
@@ -233,6 +250,23 @@ class Warming:
     copper_w_per_nm2: PerJoint = (0.01, 0.01, 0.01, 0.01, 0.1, 0.1, 0.1)
     time_constant_s: float = 900.0
     softening: float = 0.012
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Bodies that a motion capture follows beside the robot's own sensors. Not an effect: it changes no motion.
+
+    Attributes:
+        bodies: of the model; none if empty.
+        position_noise_m: standard deviation of where a body's frame is seen, each axis [m].
+        position_step_m: resolution [m]; 0 for none.
+        rotation_noise_rad: standard deviation of how it is seen turned, about each axis [rad].
+    """
+
+    bodies: tuple[str, ...] = ()
+    position_noise_m: float = 0.0
+    position_step_m: float = 0.0
+    rotation_noise_rad: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -270,6 +304,8 @@ class LabSpec:
         readings: sensors.
         warming: friction that changes with temperature.
         winding: motors of servos.
+        mounting: where the parts sit on one another.
+        markers: bodies that a motion capture follows.
         controller: inside the robot.
         payload_site: site of the model that a payload hangs on.
         payload_offset_m: from the site to the payload's center of mass, along the site's z axis [m].
@@ -293,6 +329,8 @@ class LabSpec:
     readings: Readings = field(default_factory=Readings)
     warming: Warming = field(default_factory=Warming)
     winding: Winding = field(default_factory=Winding)
+    mounting: Mounting = field(default_factory=Mounting)
+    markers: Markers = field(default_factory=Markers)
     controller: Controller = field(default_factory=Controller)
     payload_site: str = "payload"
     payload_offset_m: float = 0.05
@@ -313,6 +351,8 @@ class LabSpec:
         for name, value in _numbers(self):
             if value == 0 and name in (*positive, "physics_step_s", "saturation.torque_nm", "payload_radius_m"):
                 raise ConfigError(f"lab: {name} must be positive", got=value)
+        if len(set(self.markers.bodies)) != len(self.markers.bodies):
+            raise ConfigError("lab: markers.bodies names a body twice", got=list(self.markers.bodies))
         steps = self.control_step_s / self.physics_step_s
         if not 0.5 < steps < 1e9 or abs(steps - round(steps)) > 1e-6:
             raise ConfigError("lab: control_step_s must be a whole number of physics steps", got=f"{steps:g} steps")
@@ -347,7 +387,7 @@ class LabSpec:
 # Each has a stream of draws by its place here: new ones come last.
 EFFECTS = (
     *("inertia", "friction", "gravity", "elasticity", "ripple", "saturation", "delay", "readings", "warming"),
-    "winding",
+    *("winding", "mounting"),
 )
 
 
@@ -383,7 +423,7 @@ def _numbers(tree: Any, prefix: str = "") -> list[tuple[str, float]]:
         if is_dataclass(value):
             found += _numbers(value, f"{name}.")
         elif isinstance(value, tuple):
-            found += [(name, float(item)) for item in value]
+            found += [(name, float(item)) for item in value if not isinstance(item, str)]
         elif isinstance(value, float):
             found.append((name, value))
     return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import mujoco
@@ -93,6 +93,19 @@ class JointTruth:
 
 
 @dataclass(frozen=True)
+class MountTruth:
+    """Where a body sits, seen from where the model has it on the body that carries it.
+
+    Attributes:
+        offset: in the axes of the body that carries it [m].
+        turn: axis times angle, in the body's own axes [rad].
+    """
+
+    offset: tuple[float, float, float]
+    turn: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
 class Truth:
     """One individual.
 
@@ -101,6 +114,7 @@ class Truth:
         unit: its number.
         bodies: name -> inertia, without payload.
         joints: name -> numbers, in the robot's order.
+        mounts: name -> where a body sits; of those that sit where the model has them nothing.
         schema: `trueup.truth/1`.
     """
 
@@ -108,6 +122,7 @@ class Truth:
     unit: int
     bodies: Mapping[str, BodyTruth]
     joints: Mapping[str, JointTruth]
+    mounts: Mapping[str, MountTruth] = field(default_factory=dict)
     schema: str = _SCHEMA
 
     def save(self, path: Path) -> None:
@@ -166,7 +181,8 @@ def draw_truth(spec: LabSpec | None = None, *, unit: int = 1) -> Truth:
         name: JointTruth(**{key: float(values[index]) for key, values in columns.items()})
         for index, name in enumerate(robot.joint_names)
     }
-    return Truth(spec=spec, unit=unit, bodies=bodies, joints=joints)
+    mounts = _mounts(spec, model, streams["mounting"])
+    return Truth(spec=spec, unit=unit, bodies=bodies, joints=joints, mounts=mounts)
 
 
 def per_joint(values: tuple[float, ...], robot: RobotSpec, name: str) -> Float64[np.ndarray, "J"]:
@@ -212,10 +228,9 @@ def tensor(body: BodyTruth) -> Float64[np.ndarray, "3 3"]:
 
 
 def _body(mass: float, com: Float64[np.ndarray, "3"], inertia: Float64[np.ndarray, "3 3"]) -> BodyTruth:
-    x, y, z = map(float, com)
     rows, columns = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
     m11, m22, m33, m12, m13, m23 = (float(value) for value in inertia[rows, columns])
-    return BodyTruth(mass, (x, y, z), (m11, m22, m33, m12, m13, m23))
+    return BodyTruth(mass, _three(com), (m11, m22, m33, m12, m13, m23))
 
 
 def _steiner(mass: float, arm: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3 3"]:
@@ -328,6 +343,30 @@ def _spreads(size: Winding) -> Float64[np.ndarray, "3 1"]:
     """Of resistance, magnets and gear; the last two make the torque constant."""
     share = size.torque_constant / np.sqrt(2)
     return np.array([[size.resistance], [share], [share]]) if size.enabled else np.zeros((3, 1))
+
+
+def _mounts(spec: LabSpec, model: mujoco.MjModel, rng: np.random.Generator) -> dict[str, MountTruth]:
+    size = spec.mounting
+    if not size.enabled or (size.position_m == 0 and size.rotation_rad == 0):
+        return {}
+    if model.neq:
+        raise ConfigError(
+            f"lab: the parts of {spec.robot!r} cannot be mounted elsewhere: its chains are closed",
+            got=f"mounting: position_m: {size.position_m:g}, rotation_rad: {size.rotation_rad:g}",
+            expected="0 and 0",
+        )
+    mounts = {}
+    for number in range(1, model.nbody):
+        offset = size.position_m * rng.standard_normal(3)
+        turn = size.rotation_rad * rng.standard_normal(3)
+        if model.body_jntnum[number]:  # what has no joint is a part of the body that carries it
+            mounts[model.body(number).name] = MountTruth(_three(offset), _three(turn))
+    return mounts
+
+
+def _three(values: Float64[np.ndarray, "3"]) -> tuple[float, float, float]:
+    x, y, z = map(float, values)
+    return x, y, z
 
 
 def loaded(truth: Truth, model: mujoco.MjModel, payload_kg: float) -> dict[str, BodyTruth]:

@@ -5,13 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Bool, Float, Float64, Int
 
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.errors import ConfigError, DataError, MissingSignal, RobotStopped
 from trueup.lab.faults import FOREVER, Fault, stalls
+from trueup.lab.markers import MotionCapture
 from trueup.lab.plant import (
     CURRENT,
     LOGGED,
@@ -50,14 +52,21 @@ _PLACES = (POSITION, VELOCITY, TORQUE, MOTOR_POSITION, MOTOR_TORQUE, RISE, CURRE
 _ROWS = dict(zip(_HIDDEN, _PLACES, strict=True))
 
 
+class _Look(NamedTuple):
+    """What is needed to say what a motion capture saw."""
+
+    places: np.ndarray  # (N, Q), all coordinates of the model; none where there are no markers
+    drawn: np.ndarray  # (N, M, 6)
+
+
 @dataclass(frozen=True, eq=False)
 class Execution:
     """What came of a whole command trajectory.
 
     Attributes:
         measured: `position`, `velocity`, `torque` as the sensors read them, of servos `current` and `voltage` in
-            place of the torque; the first row is from before the first command, the last from after the last one, or
-            from the moment of a stop.
+            place of the torque; `body.position` and `body.rotation` of bodies with markers. The first row is from
+            before the first command, the last from after the last one, or from the moment of a stop.
         truth: the same signals without sensors, and `motor_position`, `motor_torque`, `rise` (temperature above the
             surroundings). For tests and studies; it belongs into no dataset.
         stopped_s: when a protective stop ended it [s], None if nothing did.
@@ -108,6 +117,7 @@ class VirtualRobot:
         self._plant: Plant = build_plant(self.truth, payload_kg)
         self._sensors = spec.readings.sensors if spec.readings.enabled else Sensors()
         self._bias = np.array([joint.torque_bias_nm for joint in self.truth.joints.values()])
+        self._capture = MotionCapture(self._plant.model, spec.markers)
         self._real_time = real_time
         self._advance, self._weigh = compiled()
         self._command = np.zeros((2, len(self.joints)))
@@ -135,8 +145,8 @@ class VirtualRobot:
         """
         if not 0 <= worked_s < np.inf:
             raise ConfigError("worked_s must not be negative", got=worked_s)
-        streams = np.random.default_rng([*np.atleast_1d(seed).tolist(), self.truth.unit]).spawn(3)
-        self._noise, self._jitter, self._losses = streams
+        streams = np.random.default_rng([*np.atleast_1d(seed).tolist(), self.truth.unit]).spawn(4)
+        self._noise, self._jitter, self._losses, self._looks = streams
         self._faults = tuple(faults)
         self._stalls = stalls(self._faults, self.joints, self.control_step_s)
         self._stop = min((f.ticks(self.control_step_s)[0] for f in faults if f.kind == "stop"), default=FOREVER)
@@ -175,7 +185,8 @@ class VirtualRobot:
     def read(self) -> dict[str, Float64[np.ndarray, "J"]]:
         """What the sensors said last: `position` and `velocity` of the links, `torque` between motor and link.
 
-        Of servos `current` and `voltage` in place of the torque.
+        Of servos `current` and `voltage` in place of the torque. Markers are none of the robot's own sensors: what is
+        seen of them is in what `execute` has measured.
         """
         return {signal: values.copy() for signal, values in self._reading.items()}
 
@@ -224,8 +235,8 @@ class VirtualRobot:
         rows[:, 0] = command[first]
         if "velocity" in command:
             rows[:, 1] = command["velocity"]
-        start, before, true_before = self._tick, self._reading, self._truth_now()
-        readings, log = self._run(rows, with_velocity="velocity" in command, until_stop=True)
+        start, before, true_before, look = self._tick, self._reading, self._truth_now(), self._look
+        readings, log, looks = self._run(rows, with_velocity="velocity" in command, until_stop=True)
         done = len(log)
         if done:
             self._command, self._with_velocity = rows[done - 1].copy(), "velocity" in command
@@ -234,10 +245,37 @@ class VirtualRobot:
         clock = (start + kept) * self.control_step_s
         measured = {name: np.concatenate([before[name][None], readings[name]])[kept] for name in self._measured}
         true = {signal: np.concatenate([true_before[row][None], log[:, row]])[kept] for signal, row in _ROWS.items()}
+        seen, poses = self._of_bodies(look, looks, kept)
         return Execution(
-            measured=TimeSeries(clock, self.joints, measured, same_units(self._measured, self.joints)),
-            truth=TimeSeries(clock, self.joints, true, same_units(_HIDDEN, self.joints)),
+            measured=self._series(clock, measured, self._measured, seen),
+            truth=self._series(clock, true, _HIDDEN, poses),
             stopped_s=self.now_s() if done < len(rows) else None,
+        )
+
+    def _of_bodies(
+        self, before: _Look, after: _Look, kept: Int[np.ndarray, "N"]
+    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Bodies with markers as they are seen, and as they are; nothing where there are none."""
+        if not self._capture.bodies:
+            return {}, {}
+        places, drawn = (np.concatenate(parts)[kept] for parts in zip(before, after, strict=True))
+        poses = self._capture.poses(places)
+        return self._capture.seen(poses, drawn), poses
+
+    def _series(
+        self,
+        clock: Float64[np.ndarray, "N"],
+        signals: dict[str, Float64[np.ndarray, "N J"]],
+        units: Mapping[str, str],
+        bodies: dict[str, np.ndarray],
+    ) -> TimeSeries:
+        of_bodies = {name: self._capture.units[name] for name in bodies}
+        return TimeSeries(
+            clock,
+            self.joints,
+            {**signals, **bodies},
+            {**same_units(units, self.joints), **of_bodies},
+            self._capture.bodies,
         )
 
     def stop(self) -> None:
@@ -266,6 +304,7 @@ class VirtualRobot:
         self._plant.state.joints["drive"][:] = self._plant.state.joints["weight"]
         self._hold(pose)
         self._reading = {name: values[0] for name, values in self._sense(self._truth_now()[None]).items()}
+        self._look = self._looked(self._plant.data.qpos[None].copy(), 1)
 
     def load(self, payload_kg: float) -> None:
         """Change the payload, at rest in the present pose.
@@ -275,6 +314,7 @@ class VirtualRobot:
         """
         pose, old = self._plant.position(), self._plant
         self._plant = build_plant(self.truth, payload_kg)
+        self._capture = MotionCapture(self._plant.model, self.truth.spec.markers)
         self._plant.state.joints["rise"][:] = old.state.joints["rise"]
         self._plant.state.counters[:] = old.state.counters
         self.payload_kg = payload_kg
@@ -294,24 +334,30 @@ class VirtualRobot:
 
     def _run(
         self, rows: Float64[np.ndarray, "N 2 J"], *, with_velocity: bool, until_stop: bool
-    ) -> tuple[dict[str, Float64[np.ndarray, "M J"]], Float64[np.ndarray, "M S J"]]:
+    ) -> tuple[dict[str, Float64[np.ndarray, "M J"]], Float64[np.ndarray, "M S J"], _Look]:
         plant, start = self._plant, self._tick
         log = np.empty((len(rows), LOGGED, len(self.joints)))
+        places = np.empty((len(rows) if self._capture.bodies else 0, plant.model.nq))
         # As many draws as steps are done, so that a motion in pieces has those of the whole.
         count = min(len(rows), max(0, self._stop - start)) if until_stop else len(rows)
         orders = Orders(
             np.array(rows[:count]), with_velocity, self._jitter.random(count), self._stop, until_stop, self._stalls
         )
         with np.errstate(all="ignore"):
-            done = int(self._advance(plant.engine, plant.numbers, plant.settings, plant.state, orders, log))
+            done = int(self._advance(plant.engine, plant.numbers, plant.settings, plant.state, orders, log, places))
         log = log[:done]
         if not (np.abs(log[:, (POSITION, VELOCITY)]) <= ABSURD).all():  # a NaN is not
             raise DataError("the simulation of the robot diverged", got=f"after {start * self.control_step_s:.3f} s")
         readings = self._sense(log)
         readings = self._after_losses(readings, start + 1, self._losses.random(done))
+        looks = self._looked(places[:done], done)
         if done:
             self._reading = {signal: values[-1] for signal, values in readings.items()}
-        return readings, log
+            self._look = _Look(looks.places[-1:], looks.drawn[-1:])
+        return readings, log, looks
+
+    def _looked(self, places: Float64[np.ndarray, "L Q"], rows: int) -> _Look:
+        return _Look(places, self._capture.draw(self._looks, rows))
 
     def _sense(self, log: Float64[np.ndarray, "N S J"]) -> dict[str, Float64[np.ndarray, "N J"]]:
         truth = {signal: log[:, _ROWS[signal]] for signal in self._measured}

@@ -18,7 +18,7 @@ from trueup.measure.uncertainty import LEVEL, bootstrap_interval, estimate, pair
 
 ALL = "all"
 EPISODE_METRICS = ("rmse", "max", "phase_lag", "position_norm", "rotation_distance")
-_COMPARED = ("rmse", "position_norm", "rotation_distance")
+_COMPARED = ("rmse", "position_norm", "position_norm_max", "rotation_distance", "rotation_distance_max")
 _SPLIT_ORDER = ("train", "val", "test")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from trueup.core.protocols import Hardware, TrajectoryIO
-from trueup.core.timeseries import TimeSeries, same_units
+from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.core.units import SI_UNIT
 from trueup.errors import ConfigError, DataError, RobotStopped, TrueupError
 
@@ -212,7 +212,8 @@ def _execute(
         trouble = Trouble("stopped", done.stopped_s - start, "the robot has stopped")
     silence = _Silence(silent_s)
     for row, stamp in enumerate(stamps):
-        reading = {name: values[row] for name, values in done.measured.signals.items()}
+        # Cameras go on seeing a robot that says nothing.
+        reading = {name: values[row] for name, values in done.measured.signals.items() if not _of_bodies(name)}
         if silence.noticed(stamp, reading, first[min(row * every, len(first) - 1)]):
             trouble, end = silence.trouble(stamp), row + 1
             break
@@ -221,18 +222,24 @@ def _execute(
     ticks = np.arange(0, min(last, len(first)), every)
     measured = {name: values[:end] for name, values in done.measured.signals.items()}
     return Followed(
-        _series(robot, stamps[:end], measured),
+        _series(robot, stamps[:end], measured, done.measured.bodies),
         _series(robot, (ticks * step_s).tolist(), {name: values[ticks] for name, values in command.items()}),
         trouble,
     )
 
 
-def _series(robot: Hardware, stamps: list[float], signals: Mapping[str, np.ndarray]) -> TimeSeries | None:
+def _of_bodies(signal: str) -> bool:
+    return signal.startswith(BODY_PREFIX)
+
+
+def _series(
+    robot: Hardware, stamps: list[float], signals: Mapping[str, np.ndarray], bodies: tuple[str, ...] = ()
+) -> TimeSeries | None:
     """The series, its clock rounded to the nanosecond: differences of clocks carry rounding errors."""
     if not stamps:
         return None
     unknown = [name for name in signals if name not in SI_UNIT]
     if unknown:
         raise DataError(f"the robot reads signals of unknown unit: {unknown}", hint=f"Known are {list(SI_UNIT)}.")
-    units = same_units({name: SI_UNIT[name] for name in signals}, robot.joints)
-    return TimeSeries(np.round(stamps, 9), robot.joints, dict(signals), units)
+    units = {name: (SI_UNIT[name],) * len(bodies if _of_bodies(name) else robot.joints) for name in signals}
+    return TimeSeries(np.round(stamps, 9), robot.joints, dict(signals), units, bodies)

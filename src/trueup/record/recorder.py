@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from trueup.core.episode import Flag
 from trueup.core.protocols import Hardware, TrajectoryIO
-from trueup.core.timeseries import TimeSeries
+from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.core.units import joint_unit
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, NoPlan, RobotStopped, TrueupError
 from trueup.record.following import Followed, follow, own_steps
@@ -278,7 +278,9 @@ class Recorder:
         """The same numbers with the units of joints that slide."""
         lengths = dict(zip(self.scene.joints, self.scene.length_units, strict=True))
         units = {
-            name: tuple(joint_unit(unit, lengths[joint]) for unit, joint in zip(own, series.joints, strict=True))
+            name: own
+            if name.startswith(BODY_PREFIX)
+            else tuple(joint_unit(unit, lengths[joint]) for unit, joint in zip(own, series.joints, strict=True))
             for name, own in series.units.items()
         }
         return replace(series, units=units)

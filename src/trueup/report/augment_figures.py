@@ -27,13 +27,16 @@ _COLUMNS = 2
 _PANEL_PX = 190
 
 
-def factor_figure(joints: Sequence[str], cuts: Mapping[str, Mapping[str, Cut]], styles: Mapping[str, Style]) -> Figure:
+def factor_figure(
+    joints: Sequence[str], cuts: Mapping[str, Mapping[str, Cut]], styles: Mapping[str, Style], signal: str = ""
+) -> Figure:
     """How many times smaller the MSE is, per joint, one symbol with whiskers per network, on a log axis.
 
     Args:
         joints: rows, top to bottom.
         cuts: name of a network -> joint -> cut.
         styles: how each network is drawn.
+        signal: that it is about.
     """
     known = {
         name: {joint: items[joint] for joint in joints if joint in items and 0.0 < items[joint].factor.value < math.inf}
@@ -63,7 +66,7 @@ def factor_figure(joints: Sequence[str], cuts: Mapping[str, Mapping[str, Cut]], 
                     "color": style.color,
                 },
                 "marker": {"color": style.color, "symbol": style.symbol, "size": 8},
-                "text": [f"{plot_text(joint_title(joint))}: {_cut_hint(cut)}" for joint, cut in items.items()],
+                "text": [f"{plot_text(joint_title(joint, signal))}: {_cut_hint(cut)}" for joint, cut in items.items()],
                 "hovertemplate": "%{text}",
             }
         )
@@ -80,7 +83,7 @@ def factor_figure(joints: Sequence[str], cuts: Mapping[str, Mapping[str, Cut]], 
         },
         "yaxis": {
             "tickvals": list(range(len(joints))),
-            "ticktext": [plot_text(joint_title(joint)) for joint in joints],
+            "ticktext": [plot_text(joint_title(joint, signal)) for joint in joints],
             "range": [len(joints) - 0.45, -0.55],
             "zeroline": False,
         },

@@ -129,7 +129,7 @@ def _inverse(factor: Estimate) -> Estimate:
 
 def _harm_sentence(result: AugmentResult, model: ModelEvaluation) -> str:
     worse = [
-        f"{signal} of {joint_title(joint)} ({group_title(condition)})"
+        f"{signal} of {joint_title(joint, signal)} ({group_title(condition)})"
         for condition in result.conditions
         for signal, cuts in model.cuts[condition].items()
         for joint, cut in cuts.items()

@@ -18,6 +18,7 @@ from trueup.core.quality import Quality
 from trueup.core.results import GapResult, Ladder
 from trueup.core.traces import TraceSet
 from trueup.errors import DataError, TrueupError
+from trueup.report.body_units import evaluation_for_people, gap_for_people, ladder_for_people
 from trueup.report.checks import check_augment, check_fit, check_gap
 from trueup.report.labels import COMMAND, ordered_runs
 from trueup.report.palette import Style, run_styles
@@ -34,7 +35,7 @@ class RunFolder:
     """Everything that is known about one run; what was not computed is None.
 
     Attributes:
-        gap: gap.json.
+        gap: gap.json; errors of bodies, here and in the other files, as people speak of them.
         ladder: ladder.json.
         traces: traces.json and traces.npz.
         quality: quality.json.
@@ -108,10 +109,11 @@ class RunFolder:
         augment = _optional(folder / AUGMENT_NAME, AugmentResult.load)
         if augment is not None:
             check_augment(augment, gap, folder / AUGMENT_NAME)
+        ladder = _optional(folder / "ladder.json", Ladder.load)
         model = folder / "model.fitted.xml"
         return RunFolder(
-            gap=gap,
-            ladder=_optional(folder / "ladder.json", Ladder.load),
+            gap=gap_for_people(gap),
+            ladder=None if ladder is None else ladder_for_people(ladder),
             fit=fit,
             attribution=_optional(folder / "explain.json", Attribution.load),
             graybox=_optional(folder / "graybox.json", GrayboxResult.load),
@@ -121,7 +123,7 @@ class RunFolder:
             quality=_optional(folder / "quality.json", Quality.load),
             analysis=_optional(folder / "analysis.json", Analysis.load),
             engines=_optional(folder / "engines.json", EngineComparison.load),
-            augment=augment,
+            augment=None if augment is None else evaluation_for_people(augment),
         )
 
 

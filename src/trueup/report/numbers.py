@@ -9,7 +9,7 @@ from trueup.core.results import Estimate
 MINUS = "\N{MINUS SIGN}"
 NOTHING = "\N{EN DASH}"
 _IN_DEGREES = {"rad": "°", "rad/s": "°/s", "rad/s^2": "°/s²"}
-_PRETTY_UNIT = {"degC": "°C", "1": "", "kg m2": "kg m²"}
+_PRETTY_UNIT = {"degC": "°C", "1": "", "kg m2": "kg m²", "deg": "°", "deg^2": "(°)²"}
 _POWERS = {"^2": "²", "^3": "³", "^4": "⁴"}
 
 

@@ -143,8 +143,11 @@ def augment(
         measured=data.measured,
         known=SIGNALS,
     )
-    joints = _joints(source, config)
-    outputs = tuple(channel for channel in outputs if channel.joint in joints)
+    joints, bodies = _joints(source, config), _bodies(outputs, config)
+    outputs = tuple(channel for channel in outputs if channel.joint in (bodies if channel.of_body else joints))
+    blocks = bodies if outputs[0].of_body else joints
+    has_bodies = any(channel.of_body for channel in inputs)
+    names = tuple(dict.fromkeys(channel.joint for channel in inputs)) if has_bodies else source.joints
     if data.modular:
         inputs, outputs, limits = any_joint(inputs), any_joint(outputs), {}
     rate_hz = data.rate_hz or rate_of(first, run)
@@ -158,7 +161,7 @@ def augment(
                     inputs=inputs,
                     outputs=outputs,
                     rate_hz=rate_hz,
-                    joints=joints if data.modular else (),
+                    joints=blocks if data.modular else (),
                     mirrored=data.mirrored and split == "train",
                 )
             )
@@ -168,7 +171,7 @@ def augment(
         task = Task(
             name=name,
             robot=source.robot,
-            joints=(ANY_JOINT,) if data.modular else source.joints,
+            joints=(ANY_JOINT,) if data.modular else names,
             run=run,
             rate_hz=rate_hz,
             train=pairs["train"],
@@ -226,6 +229,20 @@ def _joints(source: TrainingData, config: AugmentConfig) -> tuple[str, ...]:
             right_name="run has",
         )
     return config.data.joints or source.scored
+
+
+def _bodies(outputs: Sequence[Channel], config: AugmentConfig) -> tuple[str, ...]:
+    """The bodies that are trained on and corrected, of those that can be."""
+    there = tuple(dict.fromkeys(channel.joint for channel in outputs if channel.of_body))
+    strange = [name for name in config.data.bodies if name not in there]
+    if strange:
+        raise NameMismatch(
+            f"data: bodies {strange} are not both simulated and measured",
+            left=config.data.bodies,
+            right=there,
+            right_name="there are",
+        )
+    return config.data.bodies or there
 
 
 Limits = dict[tuple[str, str], tuple[float, float]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from trueup.core.atomic import as_read_back
 from trueup.core.episode import Episode
 from trueup.core.model_card import ModelCard
 from trueup.core.provenance import provenance
+from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset, RunWriter
 from trueup.errors import MissingSignal, TrueupError
 from trueup.stages.progress import Track, silent
@@ -70,12 +71,47 @@ def correct_unless_same(
         MissingSignal: there are no motions.
         TrueupError: no motion could be corrected; what is wrong with the first.
     """
+    card, base = predictor.card, dataset.run_info(run)
+
+    def made(episode: Episode) -> TimeSeries:
+        return corrected(in_run_names(episode, base), run, card, predictor.run)
+
+    network = {"name": card.name, "method": card.method, "sha256": card.to_json()["sha256"], "files": dict(card.files)}
+    # A run that was made again holds other samples even if it was told the same.
+    corrects = {"run": run, "created": base.get("provenance", {}).get("created")}
+    inputs = {**base.get("inputs", {}), "corrects": corrects, "network": network}
+    return make_unless_same(dataset, corrected_label(run, card), run, inputs, made, ids=ids, track=track)
+
+
+def make_unless_same(
+    dataset: Dataset,
+    label: str,
+    run: str,
+    inputs: Mapping[str, Any],
+    make: Callable[[Episode], TimeSeries],
+    *,
+    ids: Sequence[str],
+    track: Track = silent,
+) -> CorrectionSummary:
+    """A run that is made of another one, motion by motion; kept if nothing that it was made from has changed.
+
+    Args:
+        dataset: with the other run in it.
+        label: of the run to make.
+        run: label of the other one.
+        inputs: what decides about the run that is made.
+        make: from an episode with the other run to the series.
+        ids: motions; those that a kept run lacks are added to it.
+        track: shows progress.
+
+    Raises:
+        MissingSignal: there are no motions.
+        TrueupError: of no motion it could be made; what is wrong with the first.
+    """
     if not ids:
         raise MissingSignal(f"there is no motion whose run {run!r} could be corrected", available=dataset.ids)
     started = time.perf_counter()
-    card, base = predictor.card, dataset.run_info(run)
-    label = corrected_label(run, card)
-    info = _info(dataset, run, card, base)
+    info = _info(dataset, dataset.run_info(run), inputs)
     earlier = dataset.run_info(label) if label in dataset.runs else None
     keeping = earlier is not None and earlier.get("inputs") == as_read_back(info["inputs"])
     before_s = float(earlier.get("seconds", 0.0)) if keeping and earlier is not None else 0.0
@@ -85,9 +121,8 @@ def correct_unless_same(
     with contextlib.ExitStack() as stack:
         writer = None
         for name in track(missing, "correct", len(missing)):
-            episode = dataset.episode(name, runs=[run])
             try:
-                series = corrected(in_run_names(episode, base), run, card, predictor.run)
+                series = make(dataset.episode(name, runs=[run]))
             except TrueupError as error:  # one bad motion must not hide the others
                 failed[name] = error
                 continue
@@ -104,12 +139,10 @@ def correct_unless_same(
     return CorrectionSummary(label, len(missing) - len(failed), len(ids) - len(missing), failed, seconds)
 
 
-def _info(dataset: Dataset, run: str, card: ModelCard, base: Mapping[str, Any]) -> dict[str, Any]:
-    network = {"name": card.name, "method": card.method, "sha256": card.to_json()["sha256"], "files": dict(card.files)}
-    # A run that was made again holds other samples even if it was told the same.
-    corrects = {"run": run, "created": base.get("provenance", {}).get("created")}
+def _info(dataset: Dataset, base: Mapping[str, Any], inputs: Mapping[str, Any]) -> dict[str, Any]:
+    made_from = {key: inputs[key] for key in ("corrects", "network", "projects") if key in inputs}
     return {
         **{key: base[key] for key in _INHERITED if key in base},
-        "inputs": {**base.get("inputs", {}), "corrects": corrects, "network": network},
-        "provenance": provenance(config={"corrects": corrects, "network": network}, data_hash=dataset.hash),
+        "inputs": dict(inputs),
+        "provenance": provenance(config=made_from, data_hash=dataset.hash),
     }

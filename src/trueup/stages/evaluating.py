@@ -19,6 +19,7 @@ from trueup.errors import ConfigError, DataError, MissingSignal, OutputExists, T
 from trueup.stages.comparing import comparison_of, frame_of
 from trueup.stages.correcting import CorrectionSummary, correct_unless_same, corrected_label
 from trueup.stages.folder import forget_explanation, refuse_other_fit
+from trueup.stages.joining import corrects_bodies, project_unless_same, projected_card, with_gaps
 from trueup.stages.ladder import ladder_of
 from trueup.stages.measuring import Measurement, gap
 from trueup.stages.progress import Track, silent
@@ -59,6 +60,7 @@ def evaluate(
     run: str | None = None,
     split: str = _TEST,
     drop_flagged: bool = False,
+    project: bool = False,
     draws: int = 2000,
     seed: int = 0,
     overwrite: bool = False,
@@ -76,6 +78,7 @@ def evaluate(
         run: label of the run to correct; the one that all networks were trained for if None.
         split: motions to evaluate; `all` for every motion.
         drop_flagged: leave out motions with warnings.
+        project: also measure the robot that is nearest to corrected bodies, a run `...-projected` of its own.
         draws: bootstrap resamples.
         seed: of the bootstrap.
         overwrite: replace the results that are in `out`.
@@ -102,12 +105,24 @@ def evaluate(
     _refuse_same_names(cards, models)
     run = _run_of(dataset, cards) if run is None else run
     ids = _motions(dataset, run, split, drop_flagged=drop_flagged)
-    # From here on, modular networks are for the joints of this robot.
-    predictors = [predictor.of_joints(dataset.run_info(run).get("joints", ())) for predictor in predictors]
+    # From here on, modular networks are for the joints, or bodies, of this robot.
+    first = dataset.episode(ids[0], runs=[run]).run(run)
+    predictors = [predictor.of_joints(predictor.card.blocks_of(first)) for predictor in predictors]
     cards = [predictor.card for predictor in predictors]
     corrections = tuple(
         correct_unless_same(dataset, predictor, run=run, ids=ids, track=track) for predictor in predictors
     )
+    latencies = [times for times, _ in timed]
+    if project:
+        nearest = [
+            (project_unless_same(dataset, item.label, ids=_there(dataset, item.label, ids), track=track), card)
+            for item, card in zip(corrections, cards, strict=True)
+            if corrects_bodies(card)
+        ]
+        corrections = (*corrections, *(item for item, _ in nearest))
+        judged = [*cards, *(projected_card(card) for _, card in nearest)]
+    else:
+        judged = cards
     labels = [run, *(item.label for item in corrections)]
     chosen = None if split == EVERY_SPLIT else split
     measurement = gap(
@@ -118,12 +133,14 @@ def evaluate(
     notes += [line for card in cards for line in _resampled(dataset, run, ids, card)]
     notes += [line for _, lines in timed for line in lines]
     notes += _unpromised(dataset, ids, cards)
-    builder, left_out = _reduced(dataset, labels, cards, [times for times, _ in timed], ids, track)
+    latencies += [None] * (len(judged) - len(cards))
+    builder, left_out, measured = _reduced(dataset, labels, judged, latencies, ids, track)
     notes += left_out
     config = {
         "run": run,
         "split": split,
         "drop_flagged": drop_flagged,
+        "project": project,
         "networks": {card.name: card.to_json()["sha256"] for card in cards},
     }
     result = builder.result(
@@ -133,6 +150,8 @@ def evaluate(
         notes=[*warnings, *notes],
         provenance=provenance(config=config, seed=seed, data_hash=dataset.hash),
     )
+    result, unknown = with_gaps(result, dataset, measured, draws=draws, seed=seed, track=track)
+    notes += unknown
     ladder = _ladder(dataset, measurement, run, corrections)
     forget_explanation(out, unless_of=None if overwrite else dataset.hash)
     measurement.save(out)
@@ -193,8 +212,8 @@ def _reduced(
     latencies: Sequence[StepTimes | None],
     ids: Sequence[str],
     track: Track,
-) -> tuple[EvaluationBuilder, list[str]]:
-    """The sums of all motions that every network could correct, and what was left out."""
+) -> tuple[EvaluationBuilder, list[str], list[str]]:
+    """The sums of all motions that every network could correct, what was left out, and these motions."""
     from trueup.augment.evaluation import Candidate, EvaluationBuilder
 
     run, *others = labels
@@ -209,7 +228,7 @@ def _reduced(
             f"{len(ids) - len(everywhere)} of {len(ids)} motions are not in the tables: not every network could "
             "correct them"
         )
-    added = 0
+    added: list[str] = []
     for name in track(everywhere, "evaluate", len(everywhere)):
         episode = dataset.episode(name, runs=labels)
         try:
@@ -218,10 +237,16 @@ def _reduced(
             notes.append(f"{name} was left out: {error.what}")
             continue
         builder.add(comparison)
-        added += 1
+        added.append(name)
     if not added:
         raise DataError("no motion could be corrected by every network", got="; ".join(notes))
-    return builder, notes
+    return builder, notes, added
+
+
+def _there(dataset: Dataset, label: str, ids: Sequence[str]) -> list[str]:
+    """The motions that a run has."""
+    there = set(dataset.run_ids(label))
+    return [name for name in ids if name in there]
 
 
 def _ladder(dataset: Dataset, measurement: Measurement, run: str, corrections: Sequence[CorrectionSummary]) -> Ladder:

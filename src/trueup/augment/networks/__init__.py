@@ -24,6 +24,7 @@ _FILES: Mapping[str, str] = {
     "linear": "perceptron",
     "transformer": "transformer",
     "sat": "sat",
+    "sat-bodies": "sat",
     "moving-average": "moving_average",
     "moving-average-rt": "moving_average",
 }

@@ -8,7 +8,7 @@ reads a sample one step later, when its error is known: as the network has predi
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
+from trueup.augment import components
 from trueup.augment.config import (
     AugmentConfig,
     DataConfig,
@@ -438,4 +439,12 @@ def methods() -> tuple[Method, ...]:
         loss=LossConfig(kind="absolute"),
         optimizer=OptimizerConfig(rate=1e-3),
     )
-    return (Method(config, "one state augmentation transformer for all joints (SAT)"),)
+    bodies = replace(
+        config,
+        method="sat-bodies",
+        data=DataConfig(signals=components.CORRECTED, reads=components.SIGNALS, stops=False, modular=True),
+    )
+    return (
+        Method(config, "one state augmentation transformer for all joints (SAT)"),
+        Method(bodies, "one state augmentation transformer for all bodies, positions and rotations (SAT)"),
+    )

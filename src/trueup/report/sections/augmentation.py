@@ -11,11 +11,13 @@ from trueup.core.augment_result import (
     Coverage,
     Cut,
     ErrorKind,
+    JointGap,
     ModelEvaluation,
     group_title,
     joint_title,
 )
 from trueup.core.results import Estimate
+from trueup.core.timeseries import BODY_PREFIX
 from trueup.core.traces import EpisodeTraces, Trace
 from trueup.report.augment_figures import factor_figure, latency_figure, motion_figure, reliability_figure
 from trueup.report.augment_words import (
@@ -52,6 +54,7 @@ def augmentation_section(run: RunFolder) -> Section | None:
         "notes": result.notes,
         "networks": network_table(result),
         "cuts": cuts_chooser(run, result),
+        "gaps": gaps_table(result),
         "motion": motion_chooser(run, result, best),
         "coverage": confidence_chooser(run, result),
         "off": off_sentences(result),
@@ -95,7 +98,7 @@ def cuts_chooser(run: RunFolder, result: AugmentResult) -> Chooser | None:
         if pairs.rows:
             tables["pairs"] = pairs
         cuts = {model.name: model.cuts[condition].get(signal, {}) for model in result.models}
-        return Variant(tables=tables, figures={"cuts": factor_figure(joints, cuts, styles)})
+        return Variant(tables=tables, figures={"cuts": factor_figure(joints, cuts, styles, signal)})
 
     preferred = (next(iter(result.conditions)), result.main_signal, "mse")
     return make_chooser("cuts-chooser", menus, make, preferred=preferred)
@@ -110,7 +113,7 @@ def _cuts_table(result: AugmentResult, condition: str, signal: str, error: Error
         for model in result.models:
             cut = model.cuts[condition].get(signal, {}).get(joint)
             cells.append(_cut_cell(cut, error, unit, off=result.is_off(model, signal, joint)))
-        rows.append(TableRow(joint_title(joint), cells, strong=joint == ALL_JOINTS))
+        rows.append(TableRow(joint_title(joint, signal), cells, strong=joint == ALL_JOINTS))
     count = plural(result.motions[condition], "motion")
     split = "" if result.split == "all" else f", {split_title(result.split)}"
     caption = (
@@ -119,7 +122,8 @@ def _cuts_table(result: AugmentResult, condition: str, signal: str, error: Error
         "square error is than the simulation's, below it the paired 95 % interval of that, over whole motions. "
         "▼ better and ▲ worse where it excludes 1, ≈ undecided."
     )
-    return Table(["Joint", "simulation", *(model.name for model in result.models)], rows, caption)
+    head = "Body" if signal.startswith(BODY_PREFIX) else "Joint"
+    return Table([head, "simulation", *(model.name for model in result.models)], rows, caption)
 
 
 def _number(estimate: Estimate, unit: str) -> str:
@@ -157,6 +161,39 @@ def _pairs_table(result: AugmentResult, condition: str, signal: str) -> Table:
         "the same motions, all joints together, with the paired 95 % interval."
     )
     return Table(["", *names], rows if len(names) > 1 else [], caption)
+
+
+def gaps_table(result: AugmentResult) -> Chooser | None:
+    """How far corrected bodies have come apart at their joints."""
+    models = [model for model in result.models if model.gaps]
+    if not models or not result.gaps:
+        return None
+    columns = {"measured": result.measured_gaps, "simulation": result.gaps}
+    columns |= {model.name: model.gaps for model in models}
+    rows = [
+        TableRow(
+            joint_title(joint),
+            [_gap_cell(gaps.get(joint)) for gaps in columns.values()],
+            strong=joint == ALL_JOINTS,
+        )
+        for joint in result.gaps
+    ]
+    table = Table(["Joint", *columns], rows, _GAPS_CAPTION)
+    return Chooser("gaps-chooser", [], Variant(tables={"gaps": table}), [])
+
+
+_GAPS_CAPTION = (
+    "Distance between the two halves of a joint and, beside it, the angle off the joint's axis: mean over samples and "
+    "motions; below, the mean over motions of the largest. A simulated robot has none, nor has a projected one. What "
+    "is measured of a robot whose parts sit elsewhere than in its model has some, and corrections follow it there."
+)
+
+
+def _gap_cell(gap: JointGap | None) -> Cell:
+    if gap is None:
+        return Cell(NOTHING)
+    most = f"at most {quantity(gap.apart_max.value, gap.apart.unit)}, {quantity(gap.turned_max.value, gap.turned.unit)}"
+    return Cell(quantity(gap.apart.value, gap.apart.unit), note=most, extra=quantity(gap.turned.value, gap.turned.unit))
 
 
 def motion_chooser(run: RunFolder, result: AugmentResult, best: ModelEvaluation) -> Chooser | None:
@@ -209,7 +246,7 @@ def _squares(run: RunFolder, label: str, motion: str, signal: str) -> float:
     """Sum of the mean square errors of the scored joints; 0 where they are not known."""
     errors = run.gap.episodes.get(label, {}).get(motion, {}).get(signal, {}).get(MAIN_METRIC, {})
     known = [errors[joint] for joint in run.gap.scored_joints if math.isfinite(errors.get(joint, math.nan))]
-    return sum(value**2 for value in known)
+    return sum((value**2 for value in known), 0.0)
 
 
 def shown_traces(motion: EpisodeTraces, signal: str, run: str) -> list[Trace]:
@@ -241,7 +278,7 @@ def confidence_chooser(run: RunFolder, result: AugmentResult) -> Chooser | None:
         if covered:
             rows = [
                 TableRow(
-                    joint_title(joint),
+                    joint_title(joint, signal),
                     [_coverage_cell(items.get(joint), model.coverage_target) for model, items in covered],
                     strong=joint == ALL_JOINTS,
                 )
