@@ -42,8 +42,8 @@ both LSTM layers times their weights alone, by numpy, a quarter of all weights. 
 actuator, {twelve:.0f} us for twelve in one call. {verdict}
 
 `Stream` takes the steps of a SAT as [machine code](runtime.md#machine-code). Its time goes into reading the weights
-once (one actuator: 0.9 to 1.2 MB, more than the second-level cache holds) and into multiplying by them (twelve); that of
-onnxruntime, into a hundred nodes and into copies of keys and values.
+once (one actuator: 0.9 to 1.2 MB, more than the second-level cache holds) and into multiplying by them (twelve); that
+of onnxruntime, into a hundred nodes and into copies of keys and values.
 
 Training, {samples} samples of {batch} actuators in a batch, one thread, processor time of a batch beside that of a bare
 torch loop of the same layers, in turn:
@@ -52,7 +52,7 @@ torch loop of the same layers, in turn:
 
 The errors that the encoder is told are true in the first epoch, then predicted more and more often: a pass more, and
 another one when all of them are. Over the whole schedule a batch takes {ratio:.2f} times as long as in the bare loop;
-asked were {bar:.1f}. {trained}
+asked were {bar:.1f}.{trained}
 
 A step of training on windows of two actuators takes, beyond what the process had before:
 
@@ -90,7 +90,7 @@ def section(result: Mapping[str, Any]) -> str:
         training=_training(training),
         ratio=training["ratio"],
         bar=BARS["training"],
-        trained="" if training["ratio"] <= BARS["training"] else "Missed.",
+        trained="" if training["ratio"] <= BARS["training"] else " Missed.",
         memory=_memory(result["memory"]),
         hours=600 * 7500 * 12 / (training["samples"] * training["batch_size"]) * seconds / 3600,
     )
