@@ -97,7 +97,7 @@ def train(
         on_progress: called after every batch and epoch.
 
     Raises:
-        ConfigError: there is no such device, or none for mixed precision, or training diverges before the end of the first epoch.
+        ConfigError: no such device, mixed precision without a GPU, or training diverges before the end of an epoch.
         OutputExists: the checkpoint is of another training.
     """
     place = find_device(device)
