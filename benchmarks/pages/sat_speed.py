@@ -43,7 +43,7 @@ both LSTM layers times their weights alone, by numpy, a quarter of all weights. 
 actuator, {twelve:.0f} us for twelve in one call. {verdict}
 
 `Stream` takes the steps of a SAT as [machine code](runtime.md#machine-code). Its time goes into reading the weights
-once (one actuator: 0.9 to 1.2 MB, more than the second-level cache holds), and into multiplying by them (twelve); that
+once (one actuator: 0.9 to 1.2 MB, more than the second-level cache holds) and into multiplying by them (twelve); that
 of onnxruntime, into a hundred nodes and into copies of keys and values.
 
 Training, {samples} samples of {batch} actuators in a batch, one thread, processor time of a batch beside that of a bare
@@ -53,7 +53,7 @@ torch loop of the same layers, in turn:
 
 The errors that the encoder is told are true in the first epoch, then predicted more and more often: a pass more, and
 another one when all of them are. Over the whole schedule a batch takes {ratio:.2f} times as long as in the bare loop;
-asked were {bar:.1f}. {trained}
+asked were {bar:.1f}.{trained}
 
 A step of training on windows of two actuators takes, beyond what the process had before:
 
@@ -69,12 +69,12 @@ All of this was measured on one core of a CPU. The paper's set, 600 motions of 3
 trueup augment train data/kickbot-a --method sat --config mixed.yaml --device cuda --out models/sat
 ```
 
-with `precision: mixed` in `mixed.yaml`. No GPU was at hand: neither its times nor its memory were measured.
+with `precision: mixed` in `mixed.yaml`. No GPU was at hand: its times and memory were not measured, nor was mixed precision tried on one.
 """
 
 
 def part(result: Mapping[str, Any]) -> str:
-    """The section as Markdown, without its heading."""
+    """The section as Markdown."""
     machine, training = result["provenance"]["config"]["machine"], result["training"]
     batch = training["batch"]
     seconds = 0.5 * batch["half of them predicted"]["median_s"] + 0.5 * batch["all predicted"]["median_s"]
@@ -91,7 +91,7 @@ def part(result: Mapping[str, Any]) -> str:
         training=_training(training),
         ratio=training["ratio"],
         bar=BARS["training"],
-        trained="" if training["ratio"] <= BARS["training"] else "Missed.",
+        trained="" if training["ratio"] <= BARS["training"] else " Missed.",
         memory=_memory(result["memory"]),
         hours=600 * 7500 * 12 / (training["samples"] * training["batch_size"]) * seconds / 3600,
     )

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from augment.augment_cases import RATE_HZ, RUN, make_dataset
 from trueup.augment import Augmentation, AugmentConfig, preset
@@ -253,19 +252,12 @@ def test_a_graph_of_single_steps_says_so(trained):
     assert not Network.load(models["lstm"][0]).stepwise
 
 
-def test_mixed_precision_learns_about_the_same(trained, tmp_path):
+def test_mixed_precision_is_for_gpus(trained, tmp_path):
     folder, _ = trained
     from trueup.dataset import Dataset
 
-    small = replace(SAT, epochs=1, window=WindowConfig("fixed", 30, 1), network=replace(SAT.network, history=4))
-    found = []
-    for name in ("full", "mixed"):
-        config = replace(small, precision=name)
-        found.append(augment([Dataset(folder / "two")], tmp_path / name, run=RUN, config=config, jobs=1).augmentation)
-    full, mixed = ([epoch.val for epoch in made.training.history] for made in found)
-    assert mixed != full
-    np.testing.assert_allclose(mixed, full, rtol=0.1)
-    assert found[1].corrector.network.dense.weight.dtype == torch.float32
+    with pytest.raises(ConfigError, match="for GPUs"):
+        augment([Dataset(folder / "two")], tmp_path / "m", run=RUN, config=replace(LSTM, precision="mixed"), jobs=1)
 
 
 def test_a_folder_holds_the_step_of_a_sat_only(trained, tmp_path):

@@ -129,6 +129,31 @@ def test_what_is_computed_again_is_not_kept(monkeypatch):
     assert kept(200) < kept(100)
 
 
+@pytest.mark.parametrize("config", ABLATIONS.values(), ids=ABLATIONS.keys())
+def test_mixed_precision_says_and_learns_about_the_same(config):
+    x, wanted = (part.float() for part in data())
+    losses = []
+    for mixed in (False, True):
+        network = made(replace(config, dropout=0.0)).float().train()
+        network.begin(2, 4)
+        optimizer = torch.optim.AdamW(network.parameters(), 1e-2)
+        torch.manual_seed(4)
+        for _ in range(12):
+            with torch.autocast("cpu", torch.bfloat16, enabled=mixed):
+                out = network.learn(x, wanted, None)
+            assert out.dtype == torch.float32
+            loss = (out - wanted).abs().mean()
+            losses.append(float(loss.detach()))
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+    full, rough = np.array(losses).reshape(2, -1)
+    assert (rough != full).all()
+    np.testing.assert_allclose(rough[0], full[0], rtol=0.02)
+    np.testing.assert_allclose(rough[-1], full[-1], rtol=0.1)
+    assert full[-1] < 0.8 * full[0]
+
+
 def test_attention_is_that_of_the_formula():
     """TFT, eq. 13 to 16, head by head and sample by sample."""
     torch.manual_seed(2)

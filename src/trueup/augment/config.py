@@ -271,7 +271,7 @@ class AugmentConfig:
         margin: share of an input's training range by which a stream's input may leave it.
         coverage: share of samples that the intervals are to cover.
         precision: `mixed` multiplies matrices in bfloat16 in training, which GPUs are several times faster at; CPUs are
-            not. Weights, losses, val and what is exported stay float32.
+            not, and it is refused there. Weights, losses, val and what is exported stay float32.
     """
 
     method: str = "realeasy-rt"

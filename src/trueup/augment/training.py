@@ -97,10 +97,13 @@ def train(
         on_progress: called after every batch and epoch.
 
     Raises:
-        ConfigError: there is no such device, or training diverges before the end of the first epoch.
+        ConfigError: no such device, mixed precision without a GPU, or training diverges before the end of an epoch.
         OutputExists: the checkpoint is of another training.
     """
     place = find_device(device)
+    if config.precision == "mixed" and place.type != "cuda":
+        # Torch has no such LSTM for many CPUs, and what it has is slower.
+        raise ConfigError("precision: mixed is for GPUs", got=f"--device {device}", expected="--device cuda")
     corrector.to(place)
     parameters = [item for item in corrector.parameters() if item.requires_grad]
     if not parameters or config.epochs == 0:
