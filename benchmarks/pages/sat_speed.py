@@ -69,7 +69,8 @@ All of this was measured on one core of a CPU. The paper's set, 600 motions of 3
 trueup augment train data/kickbot-a --method sat --config mixed.yaml --device cuda --out models/sat
 ```
 
-with `precision: mixed` in `mixed.yaml`. No GPU was at hand: its times and memory were not measured, nor was mixed precision tried on one.
+with `precision: mixed` in `mixed.yaml`. No GPU was at hand: its times and memory were
+not measured, nor was mixed precision tried on one.
 """
 
 

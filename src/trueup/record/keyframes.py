@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.interpolate import PchipInterpolator, make_interp_spline
-from scipy.spatial.transform import Rotation
 
 from trueup.errors import ConfigError
 from trueup.record.motion import MotionSettings, as_plan
@@ -101,6 +100,8 @@ def animated(
 
 
 def _played(scene: Scene, animation: Animation, speed: float, amplitude: float, clock: ClockSettings) -> Profile:
+    from scipy.interpolate import make_interp_spline
+
     duration_s = animation.duration_s / speed
     count = max(2, round(duration_s * clock.rate_hz))
     time_s = np.arange(count + 1) / count
@@ -125,6 +126,8 @@ def _led(
     scene: Scene, animation: Animation, where: Float64[np.ndarray, "K"], amplitude: float
 ) -> Float64[np.ndarray, "K J"]:
     """Poses at shares of the duration, by inverse kinematics."""
+    from scipy.spatial.transform import Rotation
+
     solver = SiteKinematics(scene, tuple(animation.sites), turned=True)
     targets = {}
     for name, (position, rotation) in solver.poses(scene.home).items():
@@ -142,15 +145,15 @@ def _led(
     return poses
 
 
-def _offsets(animation: Animation, joint: str, home: float) -> PchipInterpolator:
+def _offsets(animation: Animation, joint: str, home: float) -> Any:
     """How far a joint is from home, over the share of the duration."""
     frames = np.array(animation.joints[joint])
     return _track(animation, frames - [0.0, home], np.zeros(1))
 
 
-def _track(
-    animation: Animation, frames: Float64[np.ndarray, "K D"], home: Float64[np.ndarray, "M"]
-) -> PchipInterpolator:
+def _track(animation: Animation, frames: Float64[np.ndarray, "K D"], home: Float64[np.ndarray, "M"]) -> Any:
+    from scipy.interpolate import PchipInterpolator
+
     times = np.concatenate([[0.0], frames[:, 0], [animation.duration_s]]) / animation.duration_s
     values = np.concatenate([home[None], frames[:, 1:], home[None]])
     return PchipInterpolator(times, values if len(home) > 1 else values[:, 0])
