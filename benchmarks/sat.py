@@ -1,0 +1,215 @@
+"""One network for all servos: trained on a KickBot held at its pelvis, tested on robots that it never saw (SAT, VI).
+
+Records virtual hardware, trains what is missing under runs/sat (an hour and a half on two cores), evaluates on
+animations, and writes `benchmarks/results/sat.json`, from which a part of docs/building-blocks.md is made.
+
+    python -m benchmarks sat
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from benchmarks.sat_models import ABOUT, LAB, MODELS, RUN, TESTS, TRAIN_MOTIONS, data_of, folder_of, train
+from benchmarks.table import Row, at_least, shown
+from trueup.augment.trained import Trained
+from trueup.core.atomic import make_folder, write_json
+from trueup.core.model_card import ModelCard
+from trueup.core.provenance import provenance
+from trueup.core.timeseries import TimeSeries
+from trueup.dataset import Dataset
+from trueup.measure import ccc, paired_difference, ratio_interval
+
+RESULT = Path(__file__).parent / "results" / "sat.json"
+SIMULATOR, CURRENT, WHOLE, SAT = "simulator", "sat-current", "whole", "sat"
+UNITS = {"position": "deg", "velocity": "rad/s", "current": "A"}
+# Asked of the modular SAT on robots that it never saw: least share of the simulator's error that it takes away.
+BARS = {"mae": 0.50, "max": 0.35}
+CURRENT_BAR = 0.75
+UNSEEN = tuple(name for name in TESTS if name != "kickbot_a")
+# Of the attention's profile (Fig. 11).
+PROFILED = ("sat", "attention", "attention-dense")
+
+# Signal -> metric -> one value per motion.
+Errors = dict[str, dict[str, list[float]]]
+
+
+def run() -> list[Row]:
+    """Record, train, evaluate, write the result file."""
+    for name in MODELS:
+        train(name)
+    errors = {test: _errors(data_of(test)) for test in TESTS}
+    result = {
+        "schema": "trueup.sat/1",
+        "lab": LAB,
+        "train_motions": TRAIN_MOTIONS,
+        "about": dict(ABOUT),
+        "errors": errors,
+        "cuts": {
+            test: {name: _cuts(own[SIMULATOR], own[name]) for name in own if name != SIMULATOR}
+            for test, own in errors.items()
+        },
+        "modular": {test: _pair(own[SAT], own[WHOLE]) for test, own in errors.items() if WHOLE in own},
+        "attention": {name: _profile(name) for name in PROFILED},
+        "training": {name: _training(name) for name in MODELS},
+        "provenance": provenance(
+            config={"models": {name: config.to_json() for name, config in MODELS.items()}},
+            seed=0,
+            data_hash=data_of("train").hash,
+        ),
+    }
+    make_folder(RESULT.parent)
+    write_json(RESULT, rounded(result))
+    return _rows(result)
+
+
+def _errors(data: Dataset) -> dict[str, Errors]:
+    """Model -> errors of each motion; the simulator's own first."""
+    found: dict[str, Errors] = {SIMULATOR: {}}
+    trained = {name: Trained.load(folder_of(name)) for name in MODELS}
+    for episode in data.episodes(runs=[RUN]):
+        simulated = episode.run(RUN)
+        _count(found[SIMULATOR], episode.measured, simulated, tuple(UNITS))
+        for name, model in trained.items():
+            if not model.card.modular and set(model.card.joints) != set(simulated.joints):
+                continue  # a network of the whole robot has no other
+            corrected = {output.signal for output in model.card.outputs}
+            of = tuple(signal for signal in UNITS if signal in corrected)
+            _count(found.setdefault(name, {}), episode.measured, model.predict(episode, RUN), of)
+    return found
+
+
+def _count(into: Errors, measured: TimeSeries, said: TimeSeries, signals: Sequence[str]) -> None:
+    """Mean and largest error and CCC of a motion, means over joints (SAT, VI-A)."""
+    for signal in signals:
+        apart, truth, own = _apart(measured, said, signal)
+        scale = np.degrees(1.0) if UNITS[signal] == "deg" else 1.0
+        values = {
+            "mae": float(scale * np.abs(apart).mean()),
+            "max": float(scale * np.abs(apart).max(axis=0).mean()),
+            # Of a joint that rests there is no trend to follow.
+            "ccc": float(np.nanmean(np.where(np.ptp(truth, axis=0) > 0, ccc(truth, own), np.nan))),
+        }
+        for metric, value in values.items():
+            into.setdefault(signal, {}).setdefault(metric, []).append(value)
+
+
+def _apart(
+    measured: TimeSeries, said: TimeSeries, signal: str
+) -> tuple[Float64[np.ndarray, "T J"], Float64[np.ndarray, "T J"], Float64[np.ndarray, "T J"]]:
+    truth = measured.select(list(said.joints))
+    inside = (said.time_s >= truth.time_s[0]) & (said.time_s <= truth.time_s[-1])
+    time_s = said.time_s[inside]
+    there = np.stack([np.interp(time_s, truth.time_s, own) for own in truth[signal].T], axis=1)
+    own = np.asarray(said[signal][inside], np.float64)
+    return there - own, there, own
+
+
+def _cuts(base: Errors, own: Errors) -> dict[str, Any]:
+    """Signal -> metric -> share of the simulator's error that is gone, with the paired interval over motions."""
+    found: dict[str, Any] = {}
+    for signal, metric in itertools.product(own, ("mae", "max")):
+        value, low, high = (float(end[0]) for end in ratio_interval(*_columns(own, base, signal, metric)))
+        found.setdefault(signal, {})[metric] = {"value": 1 - value, "low": 1 - high, "high": 1 - low}
+    return found
+
+
+def _columns(own: Errors, base: Errors, signal: str, metric: str) -> tuple[np.ndarray, np.ndarray]:
+    one, other = (np.array(errors[signal][metric], np.float64)[:, None] for errors in (own, base))
+    return one, other
+
+
+def _pair(own: Errors, base: Errors) -> dict[str, Any]:
+    """The modular network against that of the whole robot, motion by motion."""
+    return {
+        metric: paired_difference(
+            np.array(own["position"][metric]),
+            np.array(base["position"][metric]),
+            run=SAT,
+            baseline=WHOLE,
+            split="test",
+            signal="position",
+            metric=metric,
+            unit="deg",
+        ).to_json()
+        for metric in ("mae", "max")
+    }
+
+
+def _profile(name: str) -> list[float]:
+    """Mean share of attention on each past sample, the present one first (Fig. 11)."""
+    import torch
+
+    from trueup.augment import Augmentation
+    from trueup.augment.channels import gather
+    from trueup.augment.networks.sat import Sat
+
+    made = Augmentation.load(folder_of(name))
+    network = made.corrector.network
+    assert isinstance(network, Sat)
+    shares = []
+    for episode in _first(data_of("kickbot_a"), 4):
+        series = episode.run(RUN)
+        card = made.card.of_joints(series.joints)
+        x = torch.from_numpy(gather(episode, RUN, card.inputs, series.time_s)).reshape(
+            len(series), len(card.joints), -1
+        )
+        read = made.corrector.read(x)
+        with torch.no_grad():
+            shares.append(network.profile(read, read.new_zeros(*read.shape[:2], network.outputs)).numpy())
+    return [float(share) for share in np.mean(shares, axis=0)[::-1]]
+
+
+def _first(data: Dataset, count: int) -> Iterator[Any]:
+    yield from itertools.islice(data.episodes(runs=[RUN]), count)
+
+
+def _training(name: str) -> dict[str, Any]:
+    card = ModelCard.load(folder_of(name))
+    made = card.provenance["training"]
+    return {
+        "seconds": made["seconds"],
+        "epochs": len(made["history"]),
+        "motions": made["motions"],
+        "off": [[output.signal, output.joint, output.reason] for output in card.outputs if output.gate == 0],
+    }
+
+
+def rounded(tree: Any) -> Any:
+    """Five digits of every number."""
+    if isinstance(tree, Mapping):
+        return {key: rounded(value) for key, value in tree.items()}
+    if isinstance(tree, list | tuple):
+        return [rounded(value) for value in tree]
+    return float(f"{tree:.5g}") if isinstance(tree, float) else tree
+
+
+def _rows(result: Mapping[str, Any]) -> list[Row]:
+    rows = []
+    for test, metric in itertools.product(UNSEEN, BARS):
+        cut = result["cuts"][test][SAT]["position"][metric]["value"]
+        rows.append(at_least(f"{test}, never seen: position {metric}, SAT against simulator", cut, BARS[metric], ""))
+    for test in TESTS:
+        before, after = (np.mean(result["errors"][test][name]["current"]["ccc"]) for name in (SIMULATOR, CURRENT))
+        rows.append(shown(f"{test}: CCC of the current, simulator", float(before), ""))
+        rows.append(at_least(f"{test}: CCC of the current, SAT", float(after), CURRENT_BAR, ""))
+    for test, pair in result["modular"].items():
+        high = pair["mae"]["difference"]["high"]
+        rows.append(shown(f"{test}: modular - whole robot, position MAE, upper end", high, "deg"))
+    return rows
+
+
+def main() -> None:
+    """Print one line per figure."""
+    for row in run():
+        print(row)
+
+
+if __name__ == "__main__":
+    main()
