@@ -30,10 +30,12 @@ NAMES = (
     "panda",
     "training",
     "augment",
+    "sat",
     "sat_so101",
     "streaming",
     "sat_speed",
     "sat_bodies",
+    "sat_robustness",
 )
 
 
