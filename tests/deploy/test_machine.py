@@ -22,7 +22,7 @@ RATE_HZ = 250.0
 GRAPH = StreamSettings(compiled=False)
 
 
-def modular(folder, config=SMALL, *, seed=0, target="residual", gate=1.0):
+def modular(folder, config=SMALL, *, seed=0, target="residual", gate=1.0, unread=()):
     """A network for any joint, with a command that is read as a distance; all of its numbers are drawn."""
     simulated = [Input(name, ANY_JOINT, "u", low=-2.0, high=2.0) for name in ("position", "velocity", "torque")]
     inputs = (*simulated, Input("position", ANY_JOINT, "u", "command", low=-2.0, high=2.0))
@@ -36,10 +36,10 @@ def modular(folder, config=SMALL, *, seed=0, target="residual", gate=1.0):
         method="sat",
         warmup_steps=0,
     )
-    return kept(folder, card, drawn(card, config, seed, target, gate))
+    return kept(folder, card, drawn(card, config, seed, target, gate, unread=unread))
 
 
-def drawn(card, config, seed=0, target="residual", gate=1.0, stops=None):
+def drawn(card, config, seed=0, target="residual", gate=1.0, stops=None, unread=()):
     """A corrector with weights that are all far from where training begins."""
     rng, width, outputs = np.random.default_rng(seed), len(card.inputs), len(card.outputs)
     scaling = Scaling(
@@ -49,6 +49,7 @@ def drawn(card, config, seed=0, target="residual", gate=1.0, stops=None):
         rng.uniform(0.1, 1, outputs),
         np.ones(outputs),
     )
+    scaling.center[list(unread)], scaling.scale[list(unread)] = 0.0, np.inf
     stops = stops or Stops.none()
     torch.manual_seed(seed)
     reads = width + stops.edge.size
@@ -116,6 +117,12 @@ def test_a_network_of_a_whole_robot_that_feels_its_limits(tmp_path):
     made = kept(tmp_path, card, drawn(card, SMALL, stops=stops))
     machine, graph, _ = compared(made, card.joints)
     np.testing.assert_allclose(machine, graph, atol=5e-5)  # torques are fifty times as large
+
+
+def test_a_position_that_is_corrected_without_being_read(tmp_path):
+    machine, graph, correction = compared(modular(tmp_path, unread=(0,)), ("one", "two"))
+    np.testing.assert_allclose(machine, graph, atol=2e-6)
+    assert np.ptp(correction, axis=0).min() > 1e-2
 
 
 def test_a_start_forgets(tmp_path):

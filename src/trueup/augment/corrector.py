@@ -143,7 +143,8 @@ class Corrector(nn.Module):
         none = torch.zeros_like(self.gate)
         plain = self.target == "plain"
         rows = {
-            "read.scaling": (self.center, self.scale, other),
+            # A factor, not what is divided by: of an input that is not read it is zero.
+            "read.scaling": (self.center, 1.0 / self.scale, other),
             "read.stops": (self.stop_index, self.stop_edge, self.stop_slope),
             "write.sum": (
                 self.base,

@@ -365,7 +365,7 @@ def _read(raw: Any, flat: Any, at: Any, stops: Any, x: Any) -> Any:
         for j in range(channels):
             other = int(scaling[2, j])
             value = raw[i, j] - raw[i, other] if other >= 0 else raw[i, j]
-            x[i, j] = (value - scaling[0, j]) / scaling[1, j]
+            x[i, j] = (value - scaling[0, j]) * scaling[1, j]
         for j in range(stops):
             value = (raw[i, int(near[0, j])] - near[1, j]) * near[2, j]
             x[i, channels + j] = min(max(value, _f(0.0)), _f(2.0))
