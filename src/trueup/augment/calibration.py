@@ -165,8 +165,8 @@ def warmup_steps(corrector: Corrector, pairs: Pairs, rate_hz: float) -> int:
         for _, x, y in pairs:
             start = len(x) // 3
             rows = min(longest, len(x) - start)
-            whole = corrector(torch.from_numpy(x[:, None].copy()).to(place))[start : start + rows, 0].cpu().numpy()
-            cold = corrector(torch.from_numpy(x[start : start + rows, None].copy()).to(place))[:, 0].cpu().numpy()
+            seen = torch.from_numpy(x[: start + rows, None].copy()).to(place)  # of a causal network, no more counts
+            whole, cold = (corrector(part)[-rows:, 0].cpu().numpy() for part in (seen, seen[start:]))
             for sums, values in ((late, cold), (early, whole)):
                 error = (values - y[start : start + rows]) / scale
                 sums[:rows] += (error[:, used] ** 2).sum(axis=1)
