@@ -434,7 +434,15 @@ def methods() -> tuple[Method, ...]:
     config = AugmentConfig(
         "sat",
         SatConfig(),
-        data=DataConfig(reads=("velocity", "torque"), command=("position",), stops=False, modular=True),
+        # What a joint that it never saw does not share: where it stands, and which way its errors lean.
+        data=DataConfig(
+            reads=("velocity", "torque"),
+            command=("position",),
+            stops=False,
+            modular=True,
+            blind=("position",),
+            mirrored=True,
+        ),
         window=WindowConfig("fixed", samples=256, draws=1),
         loss=LossConfig(kind="absolute"),
         optimizer=OptimizerConfig(rate=1e-3),
