@@ -75,8 +75,9 @@ Position RMSE on test as the [ladder](augmentation.md#evaluating) has it, mean o
 
 What the networks above read was chosen on train and val, and among {seen} only: two are trained on, the third
 is judged, on motions that are not trained on. That a network is a SAT was not: of the left-out joints, SATs made
-one worse there, and were kept because they are what this page is about. Small recurrent networks, which train in seconds; RMSE in mrad before and
-after. `mirrored` and `blind` are [options](augmentation.md#one-network-for-all-joints) made for this.
+one worse there, and were kept because they are what this page is about. Small recurrent networks, which train in
+seconds; RMSE in mrad before and after. `mirrored` and `blind` are [options](augmentation.md#one-network-for-all-joints)
+made for this.
 
 {choice}
 
