@@ -71,7 +71,7 @@ MODELS: Mapping[str, AugmentConfig] = {
     "lstm": replace(_BASE, network=_sat(attention=False)),
     "attention": replace(_BASE, network=_sat(backbone="none")),
     "attention-dense": replace(_BASE, network=_sat(backbone="dense")),
-    "whole": replace(_BASE, data=replace(_DATA, modular=False, blind=(), mirrored=False), epochs=20),
+    "whole": replace(_BASE, data=replace(_DATA, modular=False, blind=(), mirrored=False), epochs=4),
     "recurrent": replace(_BASE, network=NetworkConfig("lstm", (32,)), optimizer=OptimizerConfig(rate=5e-3), epochs=4),
     "sat-current": replace(
         _BASE,
