@@ -37,7 +37,8 @@ and motions; in brackets the share of the simulator's error that is gone, with i
 {bars}
 
 The architectures are those of Table I of the paper, whose figures for its KickBotA are, mean and largest error in
-degrees: {paper}. {order}
+degrees: {paper}.
+{order}
 
 {modular}
 
@@ -46,8 +47,8 @@ samples ago (Fig. 11).
 
 {attention}
 
-A network for the current ({current}) is judged by Lin's concordance with the measured current (Fig. 6; paper, KickBotB:
-0.25 to 0.75), mean over joints that move, and motions:
+A network for the current is judged by Lin's concordance with the measured current (Fig. 6; paper, KickBotB: 0.25 to
+0.75), mean over joints that move, and motions:
 
 {ccc}
 
@@ -67,7 +68,6 @@ def part(result: Mapping[str, Any]) -> str:
         order=_order(result),
         modular=_modular(result),
         attention=_attention(result),
-        current=result["about"]["sat-current"],
         ccc=_ccc(result),
         training=", ".join(f"`{name}` {item['seconds'] / 60:.0f} min" for name, item in training.items()),
     )
@@ -125,7 +125,8 @@ def _modular(result: Mapping[str, Any]) -> str:
         lines.append(f"{ROBOTS[test].split(',')[0]} {item['value']:+.3f} [{item['low']:+.3f}, {item['high']:+.3f}]")
     return (
         "The network of the whole robot reads and corrects all twelve servos at once, and so serves robots with the "
-        f"same joints only. Mean error of the modular one minus its, in degrees: {'; '.join(lines)}."
+        f"same joints only. Mean error of the modular one minus its, in degrees: {'; '.join(lines)}. "
+        "That is no claim yet: in so few epochs, each with a twentieth of the batches, it has learned next to nothing."
     )
 
 
