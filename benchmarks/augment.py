@@ -26,7 +26,7 @@ from benchmarks.augment_models import (
     train_all,
 )
 from benchmarks.pages.augment_bars import ARM, LINES, OTHER_UNIT, TORQUE
-from benchmarks.table import Row, at_least, at_most, shown
+from benchmarks.table import Row, at_least, at_most, rounded, shown
 from trueup.core.atomic import make_folder, write_text
 from trueup.core.augment_result import AugmentResult
 from trueup.core.model_card import ModelCard
@@ -80,15 +80,7 @@ def _evaluated(data: Dataset, names: Sequence[str], what: str, run: str, split: 
 def _stored(result: AugmentResult, *, promises: bool = True) -> Any:
     """What the page needs: no list of motions, no more digits than anyone reads."""
     models = result.models if promises else [replace(item, coverage={}, reliability={}) for item in result.models]
-    return _rounded(replace(result, models=tuple(models), conditions_of={}).to_json())
-
-
-def _rounded(tree: Any) -> Any:
-    if isinstance(tree, dict):
-        return {key: _rounded(value) for key, value in tree.items()}
-    if isinstance(tree, list):
-        return [_rounded(value) for value in tree]
-    return float(f"{tree:.5g}") if isinstance(tree, float) else tree
+    return rounded(replace(result, models=tuple(models), conditions_of={}).to_json())
 
 
 def _rungs() -> dict[str, Any]:

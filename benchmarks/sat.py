@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from benchmarks.sat_models import ABOUT, LAB, MODELS, RUN, TESTS, TRAIN_MOTIONS, data_of, folder_of, train
-from benchmarks.table import Row, at_least, shown
+from benchmarks.table import Row, at_least, rounded, shown
 from trueup.augment.trained import Trained
 from trueup.core.atomic import make_folder, write_json
 from trueup.core.model_card import ModelCard
@@ -181,15 +181,6 @@ def _training(name: str) -> dict[str, Any]:
     }
 
 
-def rounded(tree: Any) -> Any:
-    """Five digits of every number."""
-    if isinstance(tree, Mapping):
-        return {key: rounded(value) for key, value in tree.items()}
-    if isinstance(tree, list | tuple):
-        return [rounded(value) for value in tree]
-    return float(f"{tree:.5g}") if isinstance(tree, float) else tree
-
-
 def _rows(result: Mapping[str, Any]) -> list[Row]:
     rows = []
     for test, metric in itertools.product(UNSEEN, BARS):
@@ -203,13 +194,3 @@ def _rows(result: Mapping[str, Any]) -> list[Row]:
         high = pair["mae"]["difference"]["high"]
         rows.append(shown(f"{test}: modular - whole robot, position MAE, upper end", high, "deg"))
     return rows
-
-
-def main() -> None:
-    """Print one line per figure."""
-    for row in run():
-        print(row)
-
-
-if __name__ == "__main__":
-    main()

@@ -19,9 +19,8 @@ import mujoco
 import numpy as np
 
 from benchmarks import sat_bodies, sat_models
-from benchmarks.sat import rounded
 from benchmarks.sat_models import RUN
-from benchmarks.table import Row, at_least, shown
+from benchmarks.table import Row, at_least, rounded, shown
 from trueup.augment.trained import Trained
 from trueup.core.atomic import make_folder, write_json
 from trueup.core.provenance import provenance
@@ -257,13 +256,3 @@ def _each(result: Mapping[str, Any]) -> Iterator[tuple[str, str, float, Mapping[
         for name, shares in result[kind].items():
             for share, item in shares.items():
                 yield kind, name, float(share), item["mae"]
-
-
-def main() -> None:
-    """Print one line per figure."""
-    for row in run():
-        print(row)
-
-
-if __name__ == "__main__":
-    main()

@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks import sat_choice
 from benchmarks.augment_models import ARM_MODELS, so101
 from benchmarks.sat_choice import SEEN, sat
-from benchmarks.table import Row, at_most, shown
+from benchmarks.table import Row, at_most, rounded, shown
 from trueup.augment import AugmentConfig
 from trueup.augment.config import OptimizerConfig
 from trueup.augment.networks.sat import SatConfig
@@ -116,7 +116,7 @@ def score(arm: Dataset, chosen: Mapping[str, Any]) -> list[Row]:
         ),
     }
     make_folder(RESULT.parent)
-    write_text(RESULT, json.dumps(_rounded(result), allow_nan=False, separators=(",", ":")) + "\n")
+    write_text(RESULT, json.dumps(rounded(result), allow_nan=False, separators=(",", ":")) + "\n")
     return _rows(result)
 
 
@@ -248,14 +248,6 @@ def _training(name: str, seed: int) -> dict[str, Any]:
     }
 
 
-def _rounded(tree: Any) -> Any:
-    if isinstance(tree, dict):
-        return {key: _rounded(value) for key, value in tree.items()}
-    if isinstance(tree, list):
-        return [_rounded(value) for value in tree]
-    return float(f"{tree:.5g}") if isinstance(tree, float) else tree
-
-
 def _rows(result: Mapping[str, Any]) -> list[Row]:
     found = result["differences"]
     high = found[f"sat-sensed - {SIMULATOR}"]["mae"]["unseen"]["difference"]["high"]
@@ -265,13 +257,3 @@ def _rows(result: Mapping[str, Any]) -> list[Row]:
             mean = 1e3 * found[f"{name} - {SIMULATOR}"]["mae"][key]["difference"]["value"]
             rows.append(shown(f"{name} - simulator, MAE, {key}", mean, "mrad"))
     return rows
-
-
-def main() -> None:
-    """Print one line per figure."""
-    for row in run():
-        print(row)
-
-
-if __name__ == "__main__":
-    main()

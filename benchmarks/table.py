@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -44,6 +45,15 @@ def at_least(name: str, value: float, limit: float, unit: str) -> Row:
 def shown(name: str, value: float, unit: str) -> Row:
     """A row for a figure without a limit."""
     return Row(name, value, None, unit)
+
+
+def rounded(tree: Any) -> Any:
+    """A result with no more digits than anyone reads: five of every float."""
+    if isinstance(tree, Mapping):
+        return {key: rounded(value) for key, value in tree.items()}
+    if isinstance(tree, list | tuple):
+        return [rounded(value) for value in tree]
+    return float(f"{tree:.5g}") if isinstance(tree, float) else tree
 
 
 def print_table(rows: Sequence[Row], title: str = "") -> None:
