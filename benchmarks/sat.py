@@ -88,11 +88,11 @@ def _errors(data: Dataset) -> dict[str, Errors]:
 def _count(into: Errors, measured: TimeSeries, said: TimeSeries, signals: Sequence[str]) -> None:
     """Mean and largest error and CCC of a motion, means over joints (SAT, VI-A)."""
     for signal in signals:
-        apart, truth, own = _apart(measured, said, signal)
+        error, truth, own = apart(measured, said, signal)
         scale = np.degrees(1.0) if UNITS[signal] == "deg" else 1.0
         values = {
-            "mae": float(scale * np.abs(apart).mean()),
-            "max": float(scale * np.abs(apart).max(axis=0).mean()),
+            "mae": float(scale * np.abs(error).mean()),
+            "max": float(scale * np.abs(error).max(axis=0).mean()),
             # Of a joint that rests there is no trend to follow.
             "ccc": float(np.nanmean(np.where(np.ptp(truth, axis=0) > 0, ccc(truth, own), np.nan))),
         }
@@ -100,9 +100,10 @@ def _count(into: Errors, measured: TimeSeries, said: TimeSeries, signals: Sequen
             into.setdefault(signal, {}).setdefault(metric, []).append(value)
 
 
-def _apart(
+def apart(
     measured: TimeSeries, said: TimeSeries, signal: str
 ) -> tuple[Float64[np.ndarray, "T J"], Float64[np.ndarray, "T J"], Float64[np.ndarray, "T J"]]:
+    """Measured minus said, and both, at the stamps of what is said that the measurement covers."""
     truth = measured.select(list(said.joints))
     inside = (said.time_s >= truth.time_s[0]) & (said.time_s <= truth.time_s[-1])
     time_s = said.time_s[inside]

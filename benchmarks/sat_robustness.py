@@ -19,6 +19,7 @@ import mujoco
 import numpy as np
 
 from benchmarks import sat_bodies, sat_models
+from benchmarks.sat import apart
 from benchmarks.sat_models import RUN
 from benchmarks.table import Row, at_least, rounded, shown
 from trueup.augment.trained import Trained
@@ -206,20 +207,14 @@ def _errors(
     return np.array(before), np.array(after)
 
 
-def _clock(measured: TimeSeries, said: TimeSeries) -> np.ndarray:
-    return (said.time_s >= measured.time_s[0]) & (said.time_s <= measured.time_s[-1])
-
-
 def _joints(measured: TimeSeries, said: TimeSeries) -> np.ndarray:
     """Errors of the position, (T, J) [deg]."""
-    rows, truth = _clock(measured, said), measured.select(list(said.joints))
-    there = np.stack([np.interp(said.time_s[rows], truth.time_s, own) for own in truth["position"].T], axis=1)
-    return np.degrees(np.abs(there - said["position"][rows]))
+    return np.degrees(np.abs(apart(measured, said, "position")[0]))
 
 
 def _bodies(measured: TimeSeries, said: TimeSeries) -> np.ndarray:
     """Distances of the bodies, (T, B) [mm]."""
-    rows = _clock(measured, said)
+    rows = (said.time_s >= measured.time_s[0]) & (said.time_s <= measured.time_s[-1])
     order = [said.bodies.index(name) for name in measured.bodies]
     truth = measured["body.position"]
     flat = truth.reshape(len(truth), -1).T

@@ -38,7 +38,7 @@ from trueup.augment.networks.fusion import (
     stacked,
     widened,
 )
-from trueup.augment.networks.recurrent import onnx_weights
+from trueup.augment.networks.lstm_step import draw_step, gates, step_weights_of, stepped
 from trueup.core.model_card import State
 from trueup.errors import ConfigError
 
@@ -245,12 +245,12 @@ class Sat(Network):
             return past, now
         hidden, _ = self.encoder(past)
         # torch keeps the last cell only, and the decoder begins at each sample with the encoder's.
-        entry, forget, candidate, _ = _gates(self.encoder, past, _after_nothing(hidden[:-1], 1))
+        entry, forget, candidate, _ = gates(self.encoder, past, _after_nothing(hidden[:-1], 1))
         cell, cells = torch.zeros_like(hidden[0]), []
         for kept, new in zip(forget, entry * candidate, strict=True):
             cell = kept * cell + new
             cells.append(cell)
-        decoded = _stepped(self.decoder, now, hidden, torch.stack(cells))[0]
+        decoded = stepped(self.decoder, now, hidden, torch.stack(cells))[0]
         return self.after_encoder(hidden, past), self.after_decoder(decoded, now)
 
     def _step(self, x: Tensor, states: States) -> tuple[Tensor, States]:
@@ -261,9 +261,9 @@ class Sat(Network):
         if self.dense_past is not None and self.dense_now is not None:
             past, now = self.dense_past(past), self.dense_now(now)
         if self.recurrent:
-            hidden, cell = _stepped(self.encoder, past, carried["hidden"], carried["cell"])
+            hidden, cell = stepped(self.encoder, past, carried["hidden"], carried["cell"])
             carried |= {"hidden": hidden, "cell": cell}
-            now = self.after_decoder(_stepped(self.decoder, now, hidden, cell)[0], now)
+            now = self.after_decoder(stepped(self.decoder, now, hidden, cell)[0], now)
             past = self.after_encoder(hidden, past)
         if self.attention is None:
             out = self._ended(now)
@@ -301,8 +301,8 @@ class Sat(Network):
                 _draw_dense(graph, layers, y) for layers, y in ((self.dense_past, past), (self.dense_now, now))
             )
         if self.recurrent:
-            hidden, cell = _draw_lstm(graph, self.encoder, past, carried["hidden"], carried["cell"])
-            decoded, _ = _draw_lstm(graph, self.decoder, now, hidden, cell)
+            hidden, cell = draw_step(graph, self.encoder, past, carried["hidden"], carried["cell"])
+            decoded, _ = draw_step(graph, self.decoder, now, hidden, cell)
             carried |= {"hidden": hidden, "cell": cell}
             now = self.after_decoder.draw(graph, graph.add("Squeeze", decoded, flat), now)
             past = self.after_encoder.draw(graph, graph.add("Squeeze", hidden, flat), past)
@@ -332,8 +332,8 @@ class Sat(Network):
         parts = {
             **_under("select_past", self.select_past.step_weights()),
             **_under("select_now", self.select_now.step_weights()),
-            **_under("encoder", _lstm_weights(self.encoder)),
-            **_under("decoder", _lstm_weights(self.decoder)),
+            **_under("encoder", step_weights_of(self.encoder)),
+            **_under("decoder", step_weights_of(self.decoder)),
             **_under("after_encoder", self.after_encoder.step_weights()),
             **_under("after_decoder", self.after_decoder.step_weights()),
             **_under("kept", kept),
@@ -363,13 +363,6 @@ def _under(group: str, parts: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {f"{group}.{name}": values for name, values in parts.items()}
 
 
-def _lstm_weights(lstm: nn.LSTM) -> dict[str, Tensor]:
-    given, again, first, second = (
-        lstm.get_parameter(name) for name in ("weight_ih_l0", "weight_hh_l0", "bias_ih_l0", "bias_hh_l0")
-    )
-    return {"given": given.T, "again": again.T, "bias": (first.double() + second.double())[None]}
-
-
 def _remade(function: Callable[..., Tensor], *given: Tensor, again: bool) -> Tensor:
     """What a function says; `again` says it once more for the gradients, so that nothing of it is kept till then."""
     if not (again and torch.is_grad_enabled()):
@@ -397,33 +390,6 @@ def _draw_dense(graph: Graph, layers: nn.Sequential, x: str) -> str:
     for layer in layers:
         x = draw_gemm(graph, layer, x) if isinstance(layer, nn.Linear) else graph.add("Relu", x)
     return x
-
-
-def _draw_lstm(graph: Graph, lstm: nn.LSTM, x: str, hidden: str, cell: str) -> tuple[str, str]:
-    """Hidden state and cell (1, B, W) after one sample (B, W)."""
-    given = [graph.floats(part.numpy()[None]) for part in onnx_weights(lstm, "lstm")]
-    row = graph.add("Unsqueeze", x, graph.integers([0]))
-    made = graph.add_many("LSTM", [row, *given, "", hidden, cell], 3, hidden_size=lstm.hidden_size)
-    return made[1], made[2]
-
-
-def _gates(lstm: nn.LSTM, x: Tensor, hidden: Tensor) -> tuple[Tensor, ...]:
-    """Input gate, forget gate, candidate and output gate of samples (T, B, W) after these hidden states."""
-    weights = nn.functional.linear(x, lstm.get_parameter("weight_ih_l0"), lstm.get_parameter("bias_ih_l0"))
-    weights = weights + nn.functional.linear(
-        hidden, lstm.get_parameter("weight_hh_l0"), lstm.get_parameter("bias_hh_l0")
-    )
-    # With mixed precision, the sum over a whole motion that a cell is would lose what is small.
-    weights = weights.to(torch.promote_types(weights.dtype, torch.float32))
-    entry, forget, candidate, out = weights.chunk(4, dim=-1)
-    return entry.sigmoid(), forget.sigmoid(), candidate.tanh(), out.sigmoid()
-
-
-def _stepped(lstm: nn.LSTM, x: Tensor, hidden: Tensor, cell: Tensor) -> tuple[Tensor, Tensor]:
-    """Hidden states and cells one sample later; each of the T samples for itself."""
-    entry, forget, candidate, out = _gates(lstm, x, hidden)
-    cell = forget * cell + entry * candidate
-    return out * cell.tanh(), cell
 
 
 KINDS = {"sat": Sat}
