@@ -117,6 +117,7 @@ class Settings(NamedTuple):
     steps: int
     torque_control: bool
     servo: bool
+    pd: bool
     smoothing: float  # share of the way to a new position that the reference goes in one control step
     delay: float  # [control steps]
     jitter: float  # [control steps]
@@ -259,6 +260,10 @@ def _control(engine: Engine, numbers: np.ndarray, settings: Settings, state: Sta
         rate = 0.0
         if settings.torque_control:
             wanted = state.active[0, j] + state.joints[j].weight
+        elif settings.pd:
+            rate = state.active[1, j] if state.follows_velocity[0] else 0.0
+            wanted = numbers[j].kp * (state.active[0, j] - state.joints[j].motor_position)
+            wanted += numbers[j].kd * (rate - state.joints[j].motor_velocity)
         else:
             if state.follows_velocity[0]:
                 state.joints[j].reference = state.active[0, j]

@@ -261,6 +261,7 @@ def _settings(spec: LabSpec) -> Settings:
         steps=round(spec.control_step_s / spec.physics_step_s),
         torque_control=spec.controller.kind == "torque",
         servo=spec.controller.kind == "servo",
+        pd=spec.controller.kind == "pd",
         smoothing=float(-np.expm1(-2 * np.pi * spec.controller.cutoff_hz * spec.control_step_s)),
         delay=delay.delay_s / spec.control_step_s if delay.enabled else 0.0,
         jitter=delay.jitter_s / spec.control_step_s if delay.enabled else 0.0,

@@ -271,18 +271,19 @@ class Markers:
 
 @dataclass(frozen=True)
 class Controller:
-    """The controller inside the robot, which runs at the control rate and carries the arm's weight. Not an effect.
+    """The controller inside the robot, which runs at the control rate. Not an effect.
 
     Attributes:
-        kind: `impedance` follows positions, and velocities if they are written; `torque` adds commanded torques to
-            the weight; `servo` turns the error of the position into the voltage of a DC motor, and knows no weight: the
-            `motor` is that of the robot's description.
+        kind: `impedance` follows positions, and velocities if they are written, and carries the arm's weight; `torque`
+            adds commanded torques to the weight; `servo` turns the error of the position into the voltage of a DC motor, and knows no weight: the
+            `motor` is that of the robot's description; `pd` turns the errors of position and velocity into torque and
+            knows no weight either.
         stiffness: of the impedance [Nm/rad], or gain of the servo [V/rad]; those that come with libfranka.
         damping: likewise [Nm s/rad; V s/rad].
         cutoff_hz: low-pass of positions that come without velocities; libfranka's is 100 Hz.
     """
 
-    kind: Literal["impedance", "torque", "servo"] = "impedance"
+    kind: Literal["impedance", "torque", "servo", "pd"] = "impedance"
     stiffness: PerJoint = (3000.0, 3000.0, 3000.0, 2500.0, 2500.0, 2000.0, 2000.0)
     damping: PerJoint = (60.0, 60.0, 50.0, 50.0, 30.0, 25.0, 20.0)
     cutoff_hz: float = 100.0
@@ -307,7 +308,7 @@ class LabSpec:
         mounting: where the parts sit on one another.
         markers: bodies that a motion capture follows.
         controller: inside the robot.
-        payload_site: site of the model that a payload hangs on.
+        payload_site: site of the model that a payload hangs on; several, such as both hands, each hold one.
         payload_offset_m: from the site to the payload's center of mass, along the site's z axis [m].
         payload_radius_m: a payload is a ball of this radius [m].
         payload_limit_kg: heavier ones are refused.
@@ -332,7 +333,7 @@ class LabSpec:
     mounting: Mounting = field(default_factory=Mounting)
     markers: Markers = field(default_factory=Markers)
     controller: Controller = field(default_factory=Controller)
-    payload_site: str = "payload"
+    payload_site: str | tuple[str, ...] = "payload"
     payload_offset_m: float = 0.05
     payload_radius_m: float = 0.04
     payload_limit_kg: float = 3.0

@@ -370,7 +370,7 @@ def _three(values: Float64[np.ndarray, "3"]) -> tuple[float, float, float]:
 
 
 def loaded(truth: Truth, model: mujoco.MjModel, payload_kg: float) -> dict[str, BodyTruth]:
-    """The bodies with a payload at the site that the spec names.
+    """The bodies with a payload at each site that the spec names.
 
     Raises:
         ConfigError: more than the limit or less than nothing, or the model has no such site.
@@ -383,12 +383,13 @@ def loaded(truth: Truth, model: mujoco.MjModel, payload_kg: float) -> dict[str, 
     if payload_kg == 0:
         return bodies
     sites = {model.site(index).name: index for index in range(model.nsite)}
-    if spec.payload_site not in sites:
-        raise ConfigError(f"the model has no site {spec.payload_site!r} for a payload", available=sites)
-    index = sites[spec.payload_site]
-    axes = np.empty(9)
-    mujoco.mju_quat2Mat(axes, model.site_quat[index])
-    place = model.site_pos[index] + spec.payload_offset_m * axes.reshape(3, 3)[:, 2]
-    name = model.body(model.site_bodyid[index]).name
-    bodies[name] = with_ball(bodies[name], payload_kg, place, spec.payload_radius_m)
+    for site in (spec.payload_site,) if isinstance(spec.payload_site, str) else spec.payload_site:
+        if site not in sites:
+            raise ConfigError(f"the model has no site {site!r} for a payload", available=sites)
+        index = sites[site]
+        axes = np.empty(9)
+        mujoco.mju_quat2Mat(axes, model.site_quat[index])
+        place = model.site_pos[index] + spec.payload_offset_m * axes.reshape(3, 3)[:, 2]
+        name = model.body(model.site_bodyid[index]).name
+        bodies[name] = with_ball(bodies[name], payload_kg, place, spec.payload_radius_m)
     return bodies

@@ -195,6 +195,30 @@ class SimulationSpec:
 
 
 @dataclass(frozen=True)
+class PayloadSpec:
+    """What a robot carries when a log says that it carries something; how much is the log's `payload_kg`.
+
+    Attributes:
+        sites: of the model; at each hangs the whole payload.
+        offset_m: from a site to the payload's center of mass, along the site's z axis [m].
+        radius_m: it is a ball of this radius [m].
+    """
+
+    sites: tuple[str, ...]
+    offset_m: float = 0.05
+    radius_m: float = 0.04
+
+    def __post_init__(self) -> None:
+        """Refuse what hangs nowhere."""
+        if not self.sites or len(set(self.sites)) != len(self.sites):
+            raise ConfigError("payload: sites must be there and differ", got=list(self.sites))
+        if not (0 < self.radius_m < np.inf and np.isfinite(self.offset_m)):
+            raise ConfigError(
+                "payload: no ball", got=f"radius {self.radius_m} m, offset {self.offset_m} m", expected="radius > 0"
+            )
+
+
+@dataclass(frozen=True)
 class ReplaySpec:
     """How logs are replayed.
 
@@ -229,6 +253,7 @@ class RobotSpec:
         replay: how logs are replayed.
         friction: joint name -> friction law beyond the model's own `damping` and `frictionloss`.
         motor: of every joint, for the current and voltage in what is replayed; a `servo` needs it.
+        payload: where the payload of a log hangs; if not given, simulations leave it out.
         description: for people.
         folder: where the YAML was read from.
     """
@@ -244,6 +269,7 @@ class RobotSpec:
     replay: ReplaySpec = field(default_factory=ReplaySpec)
     friction: Mapping[str, JointFriction] = field(default_factory=dict)
     motor: MotorSpec | None = None
+    payload: PayloadSpec | None = None
     description: str = ""
     folder: Path | None = None
 
@@ -311,6 +337,8 @@ class RobotSpec:
         """The resolved configuration, JSON types only."""
         tree = asdict(self)
         del tree["folder"]
+        if self.payload is None:
+            del tree["payload"]  # runs of robots that carry nothing were made before there was one
         return tree
 
 

@@ -20,6 +20,7 @@ from trueup.sim.controllers import Channel
 from trueup.sim.dart_friction import DartFriction, laws_of
 from trueup.sim.dart_model import JointNumbers, gravity_of, load_dart, refuse_unmatched, skeleton_of
 from trueup.sim.dry_friction import friction_impulse
+from trueup.sim.payload import attach_payload
 
 
 class DartSimulator(CompiledRobot):
@@ -56,14 +57,16 @@ class DartSimulator(CompiledRobot):
         self._copies: _Copies | None = None
 
     @staticmethod
-    def from_robot(robot: RobotSpec, model_path: Path) -> DartSimulator:
-        """The simulator of a robot description.
+    def from_robot(robot: RobotSpec, model_path: Path, *, payload_kg: float = 0.0) -> DartSimulator:
+        """The simulator of a robot description, with a payload [kg] where the robot holds one.
 
         Raises:
-            ConfigError: the model does not load, lacks an actuator, or cannot be matched.
+            ConfigError: the model does not load, lacks an actuator, holds no payload, or cannot be matched.
             NameMismatch: a joint is not in the model.
         """
-        return DartSimulator.from_spec(load_spec(model_path), robot, origin=model_path)
+        spec = load_spec(model_path)
+        attach_payload(spec, robot, payload_kg)
+        return DartSimulator.from_spec(spec, robot, origin=model_path)
 
     @staticmethod
     def from_spec(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path) -> DartSimulator:

@@ -14,14 +14,16 @@ Engine = Literal["mujoco", "dart"]
 ENGINES: tuple[str, ...] = get_args(Engine)
 
 
-def make_simulator(engine: str, robot: RobotSpec, model_path: Path) -> MujocoSimulator | DartSimulator:
-    """The simulator of a robot in the engine of this name.
+def make_simulator(
+    engine: str, robot: RobotSpec, model_path: Path, *, payload_kg: float = 0.0
+) -> MujocoSimulator | DartSimulator:
+    """The simulator of a robot in the engine of this name, with a payload [kg] where the robot holds one.
 
     Raises:
-        ConfigError: no such engine; it is not installed; the model does not load or cannot be matched.
+        ConfigError: no such engine; it is not installed; the model does not load, holds no payload or cannot be matched.
         NameMismatch: a joint is not in the model.
     """
     if engine not in ENGINES:
         raise ConfigError(f"there is no engine {engine!r}", available=ENGINES)
     kind = MujocoSimulator if engine == "mujoco" else DartSimulator
-    return kind.from_robot(robot, model_path)
+    return kind.from_robot(robot, model_path, payload_kg=payload_kg)

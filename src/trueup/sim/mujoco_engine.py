@@ -21,6 +21,7 @@ from trueup.sim.body_sensors import BodySensors
 from trueup.sim.compiled_robot import ABSURD, CompiledRobot, compile_robot, load_sensor, torque_sensor
 from trueup.sim.controllers import Channel
 from trueup.sim.friction import has_friction, install
+from trueup.sim.payload import attach_payload
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
@@ -66,14 +67,18 @@ class MujocoSimulator(CompiledRobot):
         self._batch: batch.Batch | None = None
 
     @staticmethod
-    def from_robot(robot: RobotSpec, model_path: Path, *, threads: int = 1) -> MujocoSimulator:
-        """The simulator of a robot description.
+    def from_robot(
+        robot: RobotSpec, model_path: Path, *, payload_kg: float = 0.0, threads: int = 1
+    ) -> MujocoSimulator:
+        """The simulator of a robot description, with a payload [kg] where the robot holds one.
 
         Raises:
-            ConfigError: the model does not load or lacks an actuator.
+            ConfigError: the model does not load, lacks an actuator, or holds no payload.
             NameMismatch: a joint is not in the model.
         """
-        return MujocoSimulator.from_spec(load_spec(model_path), robot, origin=model_path, threads=threads)
+        spec = load_spec(model_path)
+        attach_payload(spec, robot, payload_kg)
+        return MujocoSimulator.from_spec(spec, robot, origin=model_path, threads=threads)
 
     @staticmethod
     def from_spec(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path, threads: int = 1) -> MujocoSimulator:

@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -122,12 +123,15 @@ def replay(
         if keeping:
             writer = stack.enter_context(RunWriter(dataset.path, label, run_info=info, resume=True))
         missing = [name for name in wanted if writer is None or name not in writer.ids]
-        results = replay_episodes(
-            _readable(dataset, missing, joint_map, failed),
-            simulator.clone,
-            settings,
-            jobs=jobs or os.cpu_count() or 1,
-            processes=engine == "dart",
+        results = chain.from_iterable(
+            replay_episodes(
+                _readable(dataset, names, joint_map, failed),
+                (make_simulator(engine, robot, path, payload_kg=payload_kg) if payload_kg else simulator).clone,
+                settings,
+                jobs=jobs or os.cpu_count() or 1,
+                processes=engine == "dart",
+            )
+            for payload_kg, names in _by_payload(dataset, robot, missing)
         )
         for name, result in track(results, "replay", len(missing)):
             if isinstance(result, TrueupError):
@@ -161,6 +165,16 @@ def replay_unless_same(
         return replay(dataset, robot, model=model, label=label, jobs=jobs, resume=True, track=track)
     except OutputExists:
         return replay(dataset, robot, model=model, label=label, jobs=jobs, overwrite=True, track=track)
+
+
+def _by_payload(dataset: Dataset, robot: RobotSpec, ids: Sequence[str]) -> Iterator[tuple[float, list[str]]]:
+    """Payload [kg] -> the episodes with it; of a robot that does not say where one hangs, all as without."""
+    if robot.payload is None:
+        yield 0.0, list(ids)
+        return
+    carried = dict(zip(dataset.ids, dataset.index.column("payload_kg").to_pylist(), strict=True))
+    for payload_kg in sorted({carried[name] or 0.0 for name in ids}):
+        yield payload_kg, [name for name in ids if (carried[name] or 0.0) == payload_kg]
 
 
 def _readable(
