@@ -44,7 +44,7 @@ def run() -> list[Row]:
     """Record, train, evaluate, write the result file."""
     for name in MODELS:
         train(name)
-    errors = {test: _errors(data_of(test)) for test in TESTS}
+    errors = {test: errors_of(data_of(test), {name: folder_of(name) for name in MODELS}) for test in TESTS}
     result = {
         "schema": "trueup.sat/1",
         "lab": LAB,
@@ -52,7 +52,7 @@ def run() -> list[Row]:
         "about": dict(ABOUT),
         "errors": errors,
         "cuts": {
-            test: {name: _cuts(own[SIMULATOR], own[name]) for name in own if name != SIMULATOR}
+            test: {name: cuts_of(own[SIMULATOR], own[name]) for name in own if name != SIMULATOR}
             for test, own in errors.items()
         },
         "modular": {test: _pair(own[SAT], own[WHOLE]) for test, own in errors.items() if WHOLE in own},
@@ -69,10 +69,10 @@ def run() -> list[Row]:
     return _rows(result)
 
 
-def _errors(data: Dataset) -> dict[str, Errors]:
-    """Model -> errors of each motion; the simulator's own first."""
+def errors_of(data: Dataset, models: Mapping[str, Path]) -> dict[str, Errors]:
+    """Model -> errors of each motion, the simulator's first; a network of a whole robot serves no other joints."""
     found: dict[str, Errors] = {SIMULATOR: {}}
-    trained = {name: Trained.load(folder_of(name)) for name in MODELS}
+    trained = {name: Trained.load(folder) for name, folder in models.items()}
     for episode in data.episodes(runs=[RUN]):
         simulated = episode.run(RUN)
         _count(found[SIMULATOR], episode.measured, simulated, tuple(UNITS))
@@ -112,7 +112,7 @@ def apart(
     return there - own, there, own
 
 
-def _cuts(base: Errors, own: Errors) -> dict[str, Any]:
+def cuts_of(base: Errors, own: Errors) -> dict[str, Any]:
     """Signal -> metric -> share of the simulator's error that is gone, with the paired interval over motions."""
     found: dict[str, Any] = {}
     for signal, metric in itertools.product(own, ("mae", "max")):

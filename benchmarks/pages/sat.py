@@ -92,11 +92,12 @@ def _cell(result: Mapping[str, Any], test: str, name: str) -> str:
     if name == "simulator":
         return f"{mae:.2f}, {most:.2f}"
     cuts = result["cuts"][test][name]["position"]
-    return f"{mae:.2f} {_share(cuts['mae'])}, {most:.2f} {_share(cuts['max'])}"
+    return f"{mae:.2f} ({share(cuts['mae'])}), {most:.2f} ({share(cuts['max'])})"
 
 
-def _share(cut: Mapping[str, float]) -> str:
-    return f"({cut['value']:.0%} [{cut['low']:.0%}, {cut['high']:.0%}])".replace("%", " %")
+def share(cut: Mapping[str, float]) -> str:
+    """What is gone of an error, with its interval."""
+    return f"{cut['value']:.0%} [{cut['low']:.0%}, {cut['high']:.0%}]".replace("%", " %")
 
 
 def _bars(result: Mapping[str, Any]) -> str:
