@@ -299,13 +299,14 @@ def _card(
     intervals = intervals_of(corrector, pairs, config.coverage)
     far = far_off(corrector, pairs, summary.simulator_rms)
     base, gate = corrector.base.cpu().numpy(), corrector.gate.cpu().numpy()
+    unread, relative = np.isinf(corrector.scale.cpu().numpy()), counterparts(pairs.inputs)
+    # Where a joint stands is then not read, nor is where its command is: only how far the two are apart.
+    anywhere = unread | (unread[relative] & (relative >= 0))
     inputs = tuple(
         Input(channel.signal, channel.joint, channel.unit, channel.series)
-        if np.isinf(scale)
+        if free
         else Input(channel.signal, channel.joint, channel.unit, channel.series, low=float(low), high=float(high))
-        for channel, low, high, scale in zip(
-            pairs.inputs, summary.low, summary.high, corrector.scale.cpu().numpy(), strict=True
-        )
+        for channel, low, high, free in zip(pairs.inputs, summary.low, summary.high, anywhere, strict=True)
     )
     outputs = tuple(
         Output(
