@@ -16,7 +16,7 @@ from trueup.augment.pairs import any_joint, channels_of, write_pairs
 from trueup.augment.scaling import Scaling
 from trueup.augment.trained import Trained
 from trueup.core.model_card import ANY_JOINT, STEP_NAME, ModelCard
-from trueup.deploy import Network, Status, Stream
+from trueup.deploy import Network, Status, Stream, Why
 from trueup.errors import ConfigError, MissingSignal, NameMismatch, UnitError
 from trueup.stages import augment, evaluate
 
@@ -203,7 +203,13 @@ def test_who_does_not_read_a_position_corrects_it_the_same_elsewhere(upright):
 def test_a_stream_trusts_it_wherever_a_joint_stands(upright):
     """How far the command is from the joint is read, not where both are."""
     folder, data, models = upright
-    assert [np.isinf(channel.high) for channel in models["told"].card.inputs] == [True, False, True]
+    told = models["told"].card.inputs
+    assert [(np.isinf(channel.high), channel.relative) for channel in told] == [
+        (True, False),
+        (False, False),
+        (False, True),
+    ]
+    assert told[2].high == -told[2].low < 0.2  # the simulator is off by 20 ms
     run, command = data.episode("test0", runs=[RUN]).run(RUN), data.episode("test0").commanded()
     answers = []
     for by in (0.0, 40.0):
@@ -217,6 +223,17 @@ def test_a_stream_trusts_it_wherever_a_joint_stands(upright):
         answers.append(rows)
     assert np.abs(answers[0]).max() > 0.01
     np.testing.assert_allclose(answers[1], answers[0], atol=2e-5)  # at 40 rad, float32 has 4e-6 rad
+    away = {"position": simulated["position"] - [0.0, 1.0]}
+    step = stream.step(simulated, away)
+    assert (step.status, step.why, step.channels()) == (
+        Status.FALLBACK,
+        Why.OUT_OF_RANGE,
+        ("command.position.lift",),
+    )
+    np.testing.assert_array_equal(step["position"], simulated["position"])
+    assert stream._cell.x.reshape(2, -1)[1, 2] - simulated["position"][1] == pytest.approx(
+        stream._span.low[5], rel=1e-4
+    )
 
 
 def test_what_was_learned_the_other_way_around_prefers_no_direction(upright):
