@@ -25,7 +25,8 @@ TEXT = """## Servos of robots that it never saw
 Virtual hardware ([lab](virtual-robot.md) `{lab}`) of three robots with twelve servos each. One network for a servo is
 trained on {motions} random B-splines of KickBotA; it is tested on animations, 16 motions of each robot: kicks, waves,
 marching, knee bends, dance steps. What a network reads was chosen on KickBotA: on its val motions, and in fourfold
-gravity.
+gravity. All three robots are driven by the same twelve servos: friction, windings and springs are drawn once, and never
+seen are the robots around them. The 16 motions are four animations, each at four speeds and sizes.
 
 ```sh
 python -m benchmarks sat

@@ -227,6 +227,8 @@ def test_the_profile_adds_up_to_one():
         ({"hidden": (30,)}, "multiple of 4 heads"),
         ({"attention": False, "backbone": "dense"}, "no memory"),
         ({"dropout": 1.0}, "dropout"),
+        ({"input_dropout": 0.1}, "input_dropout of a sat"),
+        ({"recurrent_dropout": 0.1}, "recurrent_dropout of a sat"),
         ({"bidirectional": True}, "one direction"),
         ({"output_activation": "tanh"}, "output_activation"),
     ],

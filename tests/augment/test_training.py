@@ -522,6 +522,25 @@ def test_an_overlap_is_found_in_a_log_that_holds_its_samples(tmp_path, samples):
         refuse_overlap(train, again)
 
 
+def test_an_overlap_is_found_where_bodies_alone_were_measured(tmp_path):
+    def pairs(name, seeds):
+        episodes = []
+        for seed in seeds:
+            place = np.random.default_rng(seed).normal(size=(100, 2, 3))
+            units = {"body.position": ("m",) * 2}
+            series = TimeSeries(np.arange(100) / 100, (), {"body.position": place}, units, ("hand", "foot"))
+            episodes.append(Episode(EpisodeMeta(f"{name}{seed}"), series, simulated={"s": series}))
+        channels = tuple(Channel(f"body.position.{axis}", "foot", "m") for axis in "xyz")
+        return write_pairs(
+            episodes, tmp_path / f"{name}.f32", run="s", inputs=channels, outputs=channels, rate_hz=100.0
+        )
+
+    train = pairs("train", (1, 2, 3))
+    refuse_overlap(train, pairs("val", (4, 5)))
+    with pytest.raises(DataError, match="val motion 'again3' holds samples of train motion 'train3'"):
+        refuse_overlap(train, pairs("again", (6, 3)))
+
+
 def test_a_run_at_another_time_than_its_measurement_is_refused(tmp_path):
     series, later = (
         TimeSeries(np.arange(50) / 100 + start, ("pan",), {"position": np.ones((50, 1))}, {"position": ("rad",)})

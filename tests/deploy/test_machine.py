@@ -10,8 +10,8 @@ from benchmarks.networks import Made, by_signal, card_of, motion, written
 from trueup.augment.corrector import Corrector
 from trueup.augment.networks import build_network
 from trueup.augment.networks.sat import SatConfig
-from trueup.augment.scaling import Scaling, Stops, counterparts
-from trueup.core.model_card import ANY_JOINT, STEP_NAME, Input, Output
+from trueup.augment.scaling import Scaling, Stops
+from trueup.core.model_card import ANY_JOINT, STEP_NAME, Input, Output, counterparts
 from trueup.deploy import Network, Stream, StreamSettings
 from trueup.deploy.cell import GraphCell, MachineCell
 from trueup.deploy.sat_weights import SatWeights, padded

@@ -193,7 +193,7 @@ class LossConfig:
             drowns another; `normalized` in normalized units, as the papers do.
         weights: signal -> weight; 1 where nothing is said.
         kind: of an error: its square, its absolute value, or how far quantiles are off; these need a network that says
-            them (`network: quantiles`).
+            them (`network: says`, of a `sat`).
         consistency: weight of the physics-informed term of SAT, eq. 3: how far the added velocity is from the slope of
             the added position.
     """
@@ -294,7 +294,8 @@ class AugmentConfig:
         if (self.loss.kind == "quantile") != bool(self.network.quantiles):
             raise ConfigError(
                 "loss: quantile needs a network that says quantiles, and the other way around",
-                got=f"loss: kind: {self.loss.kind}, network: quantiles: {self.network.quantiles}",
+                got=f"loss: kind: {self.loss.kind}, network: says: {list(self.network.quantiles)}",
+                hint="Of a sat, e.g. network: {says: [0.1, 0.5, 0.9]}.",
             )
         if not self.network.trained and (
             self.data.normalization != "limits" or self.data.stops or self.loss.target != "residual"

@@ -86,10 +86,13 @@ class Input(Channel):
     Attributes:
         low: smallest value of the train split.
         high: largest value of the train split.
+        relative: whether both are of how far it is from the simulated channel of its signal and joint, which is itself
+            not read.
     """
 
     low: float = -math.inf
     high: float = math.inf
+    relative: bool = False
 
 
 @dataclass(frozen=True)
@@ -218,6 +221,9 @@ class ModelCard:
         for output in self.outputs:
             if not 0 <= output.base < len(self.inputs):
                 raise ConfigError(f"model {self.name!r}: {output.name} corrects no input", got=output.base)
+        for channel, other in zip(self.inputs, counterparts(self.inputs), strict=True):
+            if channel.relative and other < 0:
+                raise ConfigError(f"model {self.name!r}: {channel.name} is relative to an input that is not there")
 
     @property
     def base(self) -> Int[np.ndarray, "K"]:
@@ -331,6 +337,12 @@ class ModelCard:
                 hint="It is truncated or was replaced: export the model again, or fetch it again.",
             )
         return data
+
+
+def counterparts(inputs: Sequence[Channel]) -> Int[np.ndarray, "I"]:
+    """For each commanded or measured input the simulated one of its signal and joint, (I,); -1 where there is none."""
+    simulated = {(c.signal, c.joint): number for number, c in enumerate(inputs) if c.series == "simulated"}
+    return np.array([simulated.get((c.signal, c.joint), -1) if c.series != "simulated" else -1 for c in inputs])
 
 
 def _with_open_ends(item: Mapping[str, Any]) -> dict[str, Any]:

@@ -117,6 +117,9 @@ class Sat(Network):
     @classmethod
     def check(cls, config: NetworkConfig) -> None:
         """See `Network.check`."""
+        for name in ("input_dropout", "recurrent_dropout"):
+            if getattr(config, name):
+                raise ConfigError(f"network: {name} of a sat", got=getattr(config, name), expected="dropout instead")
         super().check(config)
         if not isinstance(config, SatConfig):
             raise ConfigError("network: sat", got=type(config).__name__, expected="its own options")
