@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from benchmarks.sat_models import ABOUT, LAB, MODELS, RUN, TESTS, TRAIN_MOTIONS, data_of, folder_of, train
+from benchmarks.sat_models import ABOUT, ANIMATIONS, LAB, MODELS, RUN, TESTS, TRAIN_MOTIONS, data_of, folder_of, train
 from benchmarks.table import Row, at_least, rounded, shown
 from trueup.augment.trained import Trained
 from trueup.core.atomic import make_folder, write_json
@@ -113,7 +113,7 @@ def apart(
 
 
 def cuts_of(base: Errors, own: Errors) -> dict[str, Any]:
-    """Signal -> metric -> share of the simulator's error that is gone, with the paired interval over motions."""
+    """Signal -> metric -> share of the simulator's error that is gone, with its paired interval."""
     found: dict[str, Any] = {}
     for signal, metric in itertools.product(own, ("mae", "max")):
         value, low, high = (float(end[0]) for end in ratio_interval(*_columns(own, base, signal, metric)))
@@ -122,16 +122,21 @@ def cuts_of(base: Errors, own: Errors) -> dict[str, Any]:
 
 
 def _columns(own: Errors, base: Errors, signal: str, metric: str) -> tuple[np.ndarray, np.ndarray]:
-    one, other = (np.array(errors[signal][metric], np.float64)[:, None] for errors in (own, base))
+    one, other = (by_animation(errors[signal][metric])[:, None] for errors in (own, base))
     return one, other
 
 
+def by_animation(values: Sequence[float]) -> np.ndarray:
+    """Means over the motions that play the same animation: faster, slower and larger ones are no draws of their own."""
+    return np.array([np.mean(values[number::ANIMATIONS]) for number in range(ANIMATIONS)], np.float64)
+
+
 def _pair(own: Errors, base: Errors) -> dict[str, Any]:
-    """The modular network against that of the whole robot, motion by motion."""
+    """The modular network against that of the whole robot, animation by animation."""
     return {
         metric: paired_difference(
-            np.array(own["position"][metric]),
-            np.array(base["position"][metric]),
+            by_animation(own["position"][metric]),
+            by_animation(base["position"][metric]),
             run=SAT,
             baseline=WHOLE,
             split="test",

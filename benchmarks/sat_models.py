@@ -30,6 +30,10 @@ DATA: Mapping[str, tuple[str, str]] = {
     **{name: (name, f"{name}-animations") for name in (TRAINED_ON, "kickbot_b", "dancebot")},
 }
 TESTS = tuple(name for name in DATA if name != "train")
+# Which individual: the KickBots are the same one, held elsewhere; DanceBot's servos are others.
+UNITS = {"dancebot": 2}
+# Of each test, played in turn.
+ANIMATIONS = 4
 # All animations of a robot that is not trained on, one after the other, in as many orders: half a minute and more each.
 LONG, LONG_OF, ORDERS = "long", "kickbot_b", 12
 # Servos hold softly, and 250 commands per second are what their bus takes (SAT, VI).
@@ -42,7 +46,7 @@ def data_of(name: str, *, jobs: int = 1) -> Dataset:
     """A recording of virtual hardware with its replay, made if it is not there."""
     robot, plans = _planned(name)
     folder = FOLDER / name
-    rig = LabRig(load_lab(LAB, robot=robot.name), 1, plans.seed)
+    rig = LabRig(load_lab(LAB, robot=robot.name), UNITS.get(name, 1), plans.seed)
     record(folder, robot, rig, plans, settings=SETTINGS, jobs=jobs, resume=True)
     data = Dataset(folder)
     if RUN not in data.runs:

@@ -19,7 +19,7 @@ ABOUT = {
 TEXT = """## What training decides
 
 The network `sat` above, trained with other seeds; share of the simulator's position error that is gone, mean and
-largest, with the paired 95 % interval over the 16 animations of each robot:
+largest, with the paired 95 % interval over the four animations of each robot:
 
 ```sh
 python -m benchmarks sat_training
@@ -28,8 +28,8 @@ python -m benchmarks sat_training
 {seeds}
 
 **Losses** (Fig. 12). The same network on {loss_motions} motions, taught with quantiles (0.1, 0.5, 0.9), with absolute
-errors (L1), and with L1 and the term that keeps added velocities the slopes of added positions (PL1, eq. 3). Mean errors
-on animations of KickBotA that nobody trained on, after each epoch, in degrees and, in brackets, rad/s:
+errors (L1), and with L1 and the term that keeps added velocities the slopes of added positions (PL1, eq. 3). Mean
+errors on animations of KickBotA that nobody trained on, after each epoch, in degrees and, in brackets, rad/s:
 
 {losses}
 
