@@ -150,26 +150,12 @@ def _pair(own: Errors, base: Errors) -> dict[str, Any]:
 
 def _profile(name: str) -> list[float]:
     """Mean share of attention on each past sample, the present one first (Fig. 11)."""
-    import torch
-
     from trueup.augment import Augmentation
-    from trueup.augment.channels import gather
-    from trueup.augment.networks.sat import Sat
+    from trueup.augment.attention import attention_profile
 
-    made = Augmentation.load(folder_of(name))
-    network = made.corrector.network
-    assert isinstance(network, Sat)
-    shares = []
-    for episode in _first(data_of("kickbot_a"), 4):
-        series = episode.run(RUN)
-        card = made.card.of_joints(series.joints)
-        x = torch.from_numpy(gather(episode, RUN, card.inputs, series.time_s)).reshape(
-            len(series), len(card.joints), -1
-        )
-        read = made.corrector.read(x)
-        with torch.no_grad():
-            shares.append(network.profile(read, read.new_zeros(*read.shape[:2], network.outputs)).numpy())
-    return [float(share) for share in np.mean(shares, axis=0)[::-1]]
+    found = attention_profile(Augmentation.load(folder_of(name)), _first(data_of("kickbot_a"), 4), RUN)
+    assert found is not None
+    return list(found.mean)
 
 
 def _first(data: Dataset, count: int) -> Iterator[Any]:

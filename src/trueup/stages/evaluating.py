@@ -16,6 +16,7 @@ from trueup.core.results import Ladder
 from trueup.core.step_times import LATENCY_NAME, StepTimes
 from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError, MissingSignal, OutputExists, TrueupError
+from trueup.stages.attending import with_attention
 from trueup.stages.comparing import comparison_of, frame_of
 from trueup.stages.correcting import CorrectionSummary, correct_unless_same, corrected_label
 from trueup.stages.folder import forget_explanation, refuse_other_fit
@@ -151,6 +152,9 @@ def evaluate(
         provenance=provenance(config=config, seed=seed, data_hash=dataset.hash),
     )
     result, unknown = with_gaps(result, dataset, measured, draws=draws, seed=seed, track=track)
+    notes += unknown
+    folders = {card.name: Path(folder) for card, folder in zip(cards, models, strict=True)}
+    result, unknown = with_attention(result, dataset, folders, measured, draws=draws, seed=seed, track=track)
     notes += unknown
     ladder = _ladder(dataset, measurement, run, corrections)
     forget_explanation(out, unless_of=None if overwrite else dataset.hash)
