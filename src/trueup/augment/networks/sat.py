@@ -120,7 +120,9 @@ class Sat(Network):
         super().check(config)
         if not isinstance(config, SatConfig):
             raise ConfigError("network: sat", got=type(config).__name__, expected="its own options")
-        if len(config.hidden) != 1 or config.heads < 1 or config.hidden[0] % config.heads:
+        if config.heads < 1:
+            raise ConfigError("network: heads of a sat", got=config.heads, expected="at least 1")
+        if len(config.hidden) != 1 or config.hidden[0] % config.heads:
             raise ConfigError(
                 "network: hidden of a sat", got=config.hidden, expected=f"one width, a multiple of {config.heads} heads"
             )
