@@ -133,6 +133,20 @@ def test_what_no_sensor_measured_is_said(run, tmp_path):
     assert "the measurement of episode 'train0' has no torque: available: position, velocity" in err
 
 
+@pytest.mark.parametrize(
+    ("method", "history", "said"),
+    [("sat", 300, True), ("sat", 20, False), ("mlp", 300, True), ("mlp", 20, False), ("gru", 300, False)],
+)
+def test_a_history_that_no_motion_has_is_said(run, data, tmp_path, method, history, said):
+    """Motions have 60 to 119 samples. A network with a state has no history, whatever stands there."""
+    network = {"hidden": [4], "history": history}
+    network |= {"heads": 2, "feedback": "zero"} if method == "sat" else {}
+    config = small(tmp_path, method=method, network=network, epochs=1)
+    code, _, err = run("augment", "train", data, "--out", tmp_path / "m", "--config", config, "--jobs", 1)
+    assert code == 0
+    assert ("longer than every motion of train" in err) == said
+
+
 def test_method_and_file_exclude_one_another(run, data, tmp_path):
     code, _, err = run(
         "augment", "train", data, "--out", tmp_path / "m", "--method", "gru", "--config", small(tmp_path)

@@ -199,7 +199,12 @@ def augment(
         augmentation.save(out)
     # Only here is nothing left that an interruption could cost.
     folder.clean()
-    notes = (*_unmeasured(first, run, config), *_unknown_limits(limits, inputs, config), *_notes(augmentation))
+    notes = (
+        *_unmeasured(first, run, config),
+        *_unreached(augmentation, max(motion.rows for motion in pairs["train"].motions)),
+        *_unknown_limits(limits, inputs, config),
+        *_notes(augmentation),
+    )
     return Augmented(augmentation, out, notes)
 
 
@@ -282,6 +287,16 @@ def _unmeasured(episode: Episode, run: str, config: AugmentConfig) -> Iterator[s
         left = [name for name in SIGNALS if name in episode.run(run) and name not in episode.measured]
         if left:
             yield f"the robot did not measure {', '.join(left)}, which stays as simulated"
+
+
+def _unreached(augmentation: Augmentation, longest: int) -> Iterator[str]:
+    """Where a history is longer than any motion: what lies beyond was never seen."""
+    reach = augmentation.corrector.network.reach
+    if reach >= longest and augmentation.config.network.trained:
+        yield (
+            f"the history of {reach} samples is longer than every motion of train, the longest has {longest}: "
+            "what is further back than that taught nothing"
+        )
 
 
 def _unknown_limits(limits: Limits, inputs: Sequence[Channel], config: AugmentConfig) -> Iterator[str]:

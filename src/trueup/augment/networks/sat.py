@@ -155,6 +155,11 @@ class Sat(Network):
             found += [State("keys", (1, heads, rows, inner), 0), State("values", (1, rows, inner), 0)]
         return tuple(found)
 
+    @property
+    def reach(self) -> int:
+        """See `Network.reach`."""
+        return self.history if self.attention is not None else 0
+
     def begin(self, epoch: int, epochs: int) -> None:
         """See `Network.begin`."""
         self.own_share = min(1.0, (epoch - 1) / (self.forced * epochs)) if self.forced else 1.0
