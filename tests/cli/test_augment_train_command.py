@@ -101,7 +101,10 @@ def test_what_cannot_be_is_said_in_one_line(run, data, tmp_path, arguments, mess
         ({"loss": {"weights": {"torque": -1}}}, "loss: weight of torque"),
         ({"network": {"kind": "mlp", "bidirectional": True}}, "mlp has one direction only"),
         ({"batch": 0}, "got (0, 2, 15); expected batch >= 1"),
-        ({"network": {"kind": "sat", "hidden": [16], "heads": 0}}, "network: heads of a sat: got 0; expected at least 1"),
+        (
+            {"network": {"kind": "sat", "hidden": [16], "heads": 0}},
+            "network: heads of a sat: got 0; expected at least 1",
+        ),
         ({"network": {"kind": "sat", "hidden": [30]}}, "got (30,); expected one width, a multiple of 4 heads"),
         ({"method": "sat", "network": {"hidden": [16]}, "data": {"signals": ["torque"]}}, "`blind: []` for none"),
     ],
