@@ -225,6 +225,9 @@ def test_what_is_wrong_with_the_question_is_said(data, make, tmp_path):
     evaluate(data, [make()], tmp_path / "out", draws=50)
     with pytest.raises(OutputExists):
         evaluate(data, [make()], tmp_path / "out")
+    with pytest.raises(ConfigError, match="--project is for networks that correct bodies"):
+        evaluate(data, [make()], tmp_path / "projected", project=True)
+    assert not (tmp_path / "projected" / "gap.json").exists()
 
 
 def test_a_motion_that_cannot_be_corrected_is_left_out_of_all_tables(data, make, tmp_path, monkeypatch):

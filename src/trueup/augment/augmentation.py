@@ -24,7 +24,7 @@ from trueup.augment.gating import Errors, errors_of, gates_of
 from trueup.augment.networks import build_network
 from trueup.augment.pairs import Pairs
 from trueup.augment.scaling import Scaling, Stops, Summary, scaling_of, summarize
-from trueup.augment.training import OnProgress, Outcome, train
+from trueup.augment.training import OnProgress, Outcome, Progress, train
 from trueup.core.atomic import json_hash, make_folder, remove, write_bytes
 from trueup.core.config import build
 from trueup.core.episode import Episode
@@ -120,7 +120,7 @@ class Augmentation:
             resume: go on from the checkpoint.
             device: `cpu` or `cuda`.
             threads: of torch; its own choice if None.
-            on_progress: called after every batch and epoch.
+            on_progress: called after every batch and epoch, and once training is over.
 
         Raises:
             TrueupError: see `training.train`.
@@ -165,6 +165,8 @@ class Augmentation:
             device=device,
             on_progress=on_progress,
         )
+        if on_progress:
+            on_progress(Progress(config.epochs, len(trained.history), 0, 0, None, None, judging=True))
         errors = errors_of(corrector, task.val)
         blocks = list(dict.fromkeys((channel.quantity, channel.joint) for channel in task.val.outputs))
         groups = [blocks.index((channel.quantity, channel.joint)) for channel in task.val.outputs]

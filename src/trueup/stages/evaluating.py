@@ -87,7 +87,7 @@ def evaluate(
 
     Raises:
         OutputExists: `out` holds results and `overwrite` is not given.
-        ConfigError: no network, two of one name, or it is not clear which run they correct.
+        ConfigError: no network, two of one name, none of bodies to project, or it is not clear which run they correct.
         MissingSignal: the run or split is not there.
         NameMismatch: a network is for other joints; both lists are printed.
         DataError: the run has too few samples per second for a network, or no motion is left.
@@ -104,6 +104,8 @@ def evaluate(
     cards = [predictor.card for predictor in predictors]
     timed = [_timed(Path(folder), card) for folder, card in zip(models, cards, strict=True)]
     _refuse_same_names(cards, models)
+    if project and not any(corrects_bodies(card) for card in cards):
+        raise ConfigError("--project is for networks that correct bodies", got=[card.name for card in cards])
     run = _run_of(dataset, cards) if run is None else run
     ids = _motions(dataset, run, split, drop_flagged=drop_flagged)
     # From here on, modular networks are for the joints, or bodies, of this robot.
