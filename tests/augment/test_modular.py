@@ -276,6 +276,17 @@ def test_hinges_and_slides_are_two_kinds():
         any_joint([Channel("position", "a", "rad"), Channel("position", "b", "m")])
 
 
+def test_what_slides_is_left_alone(trained):
+    card = ModelCard.load(trained[1]["lstm"][0])
+    episode = next(make_dataset(trained[0] / "mixed", counts=(1, 1, 1)).episodes(runs=[RUN]))
+    run = episode.run(RUN)
+    _, *others = run.joints
+    units = {name: ("m" if name == "position" else "m/s", *own[1:]) for name, own in run.units.items()}
+    assert card.blocks_of(replace(run, units=units)) == tuple(others)
+    sliding = replace(run, units={name: ("m",) * len(run.joints) for name in run.units})
+    assert card.blocks_of(sliding) == run.joints  # none fits; the error of what reads them names the units
+
+
 def test_a_modular_network_knows_no_limits():
     with pytest.raises(ConfigError, match="knows no limits"):
         DataConfig(modular=True)

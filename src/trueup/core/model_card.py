@@ -254,11 +254,18 @@ class ModelCard:
     def blocks_of(self, series: TimeSeries) -> tuple[str, ...]:
         """The joints of a simulated run, or its bodies if this is a network for bodies.
 
+        A network for the joints that turn leaves those that slide alone, and the other way around.
+
         Raises:
             MissingSignal: the run has no bodies.
         """
-        if not self.outputs[0].of_body:
-            return series.joints
+        first = self.outputs[0]
+        if not first.of_body:
+            if not self.modular or first.signal not in series:
+                return series.joints
+            fitting = zip(series.joints, series.units[first.signal], strict=True)
+            # Where none fits, all are named, and the error says which unit the network has.
+            return tuple(joint for joint, unit in fitting if unit == first.unit) or series.joints
         if not series.bodies:
             raise MissingSignal(
                 f"the network {self.name!r} corrects bodies, and the run has none",
