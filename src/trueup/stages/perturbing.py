@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from queue import SimpleQueue
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,7 +31,6 @@ from trueup.core.robustness_result import (
     RobustnessResult,
     RobustnessRow,
 )
-from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError, MissingSignal, OutputExists, TrueupError
 from trueup.robots import RobotSpec, find_model
@@ -41,6 +43,8 @@ if TYPE_CHECKING:
     from trueup.sim.perturbation import Perturbation
 
 _TEST = "test"
+# Mean and largest error of a motion, then the same after correction.
+_Errors = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -76,33 +80,43 @@ class _Judge:
 
     def cell(self, motions: _Motions, simulator: MujocoSimulator, what: str) -> Cell:
         """Errors of these motions in this simulator, before and after correction; no run is stored."""
-        from trueup.sim import replay
-
-        errors: dict[str, tuple[float, float, float, float]] = {}
+        errors: dict[str, _Errors] = {}
         failed: dict[str, str] = {}
-        waiting: dict[str, Episode] = {}
+        waiting: deque[tuple[str, Future[_Errors]]] = deque()
+        free: SimpleQueue[MujocoSimulator] = SimpleQueue()
+        workers = min(self.jobs, len(motions.ids))
+        for _ in range(workers):
+            free.put(simulator.clone())
 
-        def read() -> Iterator[Episode]:
-            for name in motions.ids:
+        def take() -> None:
+            name, found = waiting.popleft()
+            try:
+                errors[name] = found.result()
+            except TrueupError as error:  # one bad motion must not hide the others
+                failed[name] = error.summary
+
+        with ThreadPoolExecutor(workers) as pool:
+            for name in self.track(motions.ids, what, len(motions.ids)):
                 try:
-                    waiting[name] = self.joint_map.of_episode(motions.data.episode(name))
+                    episode = self.joint_map.of_episode(motions.data.episode(name))
                 except TrueupError as error:
                     failed[name] = error.summary
-                else:
-                    yield waiting[name]
-
-        results = replay(read(), simulator.clone, self.settings, jobs=self.jobs)
-        for name, series in self.track(results, what, len(motions.ids)):
-            episode = waiting.pop(name)
-            try:
-                if isinstance(series, TrueupError):
-                    raise series
-                errors[name] = self._errors(episode, series)
-            except TrueupError as error:
-                failed[name] = error.summary
+                    continue
+                waiting.append((name, pool.submit(self._errors, episode, free)))
+                if len(waiting) > workers:
+                    take()
+            while waiting:
+                take()
         return Cell(errors, failed)
 
-    def _errors(self, episode: Episode, series: TimeSeries) -> tuple[float, float, float, float]:
+    def _errors(self, episode: Episode, free: SimpleQueue[MujocoSimulator]) -> _Errors:
+        from trueup.sim import replay_episode
+
+        simulator = free.get()
+        try:
+            series = replay_episode(episode, simulator, self.settings)
+        finally:
+            free.put(simulator)
         run = self.trained.card.run
         corrected = self.trained.predict(replace(episode, simulated={run: series}), run)
         before, after = (
@@ -147,7 +161,7 @@ def robustness(
         split: motions to look at; `all` for every motion.
         motions: at most so many of each dataset, the first ones; all if None.
         drop_flagged: leave out motions with warnings.
-        jobs: threads that simulate; the number of cores if None.
+        jobs: threads; the number of cores if None.
         bootstrap_draws: resamples of the intervals.
         seed: of the first draw, and of the intervals.
         overwrite: replace the results that are in `out`.
