@@ -152,7 +152,7 @@ def improvements(
     found: dict[ErrorKind, Improvement] = {}
     for at, kind in enumerate(ERROR_KINDS):
         value, low, high = (float(end[at]) for end in left)
-        gone = estimate(1.0 - value, "1", 1.0 - high, 1.0 - low)
+        gone = estimate(1.0 - value, "1", 1.0 - high, 1.0 - low, bounds=(-np.inf, 1.0))
         found[kind] = Improvement(_error(before, at, unit), _error(after, at, unit), gone, _verdict(gone))
     return found
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from trueup.cli import options
 from trueup.cli.console import note, out, track
@@ -124,14 +125,15 @@ def show(result: RobustnessResult) -> None:
     out.print(_table(f"{result.network}, the simulator as it is", "dataset", result.datasets))
     if result.perturbed:
         rows = [row for own in result.perturbed.values() for row in own]
-        out.print(_table(f"{result.network} on {rows[0].dataset}, simulators that are off", "off", rows))
+        out.print(_table(f"{result.network} on {rows[0].dataset}, simulators that are off", "off in", rows))
 
 
 def _table(title: str, first: str, rows: Sequence[RobustnessRow]) -> Table:
     from trueup.report.robustness_words import gone_words, size_words
 
     unit = rows[0].errors["mae"].simulated.unit
-    table = Table(title=f"{title}: position error [{unit}] and what is gone (95 % interval)", title_justify="left")
+    head = f"{title}: position error [{unit}], and what is gone of it (95 % interval)"
+    table = Table(title=Text(head), title_justify="left")
     table.add_column(first)
     for column in ("motions", "mean", "corrected", "gone", "largest", "corrected", "gone"):
         table.add_column(column, justify="right")
@@ -139,5 +141,5 @@ def _table(title: str, first: str, rows: Sequence[RobustnessRow]) -> Table:
         cells = [str(row.motions)]
         for item in row.errors.values():
             cells += [f"{item.simulated.value:.3g}", f"{item.corrected.value:.3g}", gone_words(item.gone)]
-        table.add_row(size_words(row.size) if row.perturbation else row.dataset, *cells)
+        table.add_row(Text(size_words(row.size) if row.perturbation else row.dataset), *cells)
     return table

@@ -44,7 +44,7 @@ def sizes_figure(
         )
     layout = {
         "height": 400,
-        "xaxis": {"title": {"text": "share of the largest size [%]"}, "zeroline": False},
+        "xaxis": {"title": {"text": "share of the size [%]"}, "zeroline": False},
         "yaxis": _percent_axis([as_it_is, *(item for points in lines.values() for item in points.values())]),
         "shapes": [_no_help()],
     }

@@ -55,20 +55,28 @@ def sentences(result: RobustnessResult) -> list[str]:
     """Until where it helps: over datasets, and over simulators that are off."""
     lines = []
     if len(result.datasets) > 1:
-        lines.append(_until(result.datasets, "On every dataset it helps", "on", lambda row: row.dataset))
+        unsure = [row.dataset for row in result.datasets if not _helps(row)]
+        if unsure:
+            lines.append(f"It does not help for sure on {', '.join(unsure)}.")
+        else:
+            lines.append(f"On every dataset it helps: least on {_least(result.datasets, lambda row: row.dataset)}.")
     if result.perturbed:
+        # Of each perturbation the smallest size at which nothing is certain.
+        first = [next((row for row in own if not _helps(row)), None) for own in result.perturbed.values()]
+        limits = [size_words(row.size) for row in first if row is not None]
         rows = [row for own in result.perturbed.values() for row in own]
-        lines.append(_until(rows, "With every simulator that is off it helps", "where it is off in", _size_of))
+        if limits:
+            lines.append(f"It does not help for sure where the simulator is off in {'; in '.join(limits)}, or more.")
+        else:
+            least = _least(rows, lambda row: size_words(row.size))
+            lines.append(f"It helps with every simulator that is off: least with one off in {least}.")
     return lines
 
 
-def _size_of(row: RobustnessRow) -> str:
-    return size_words(row.size)
+def _helps(row: RobustnessRow) -> bool:
+    return row.errors["mae"].verdict == "better"
 
 
-def _until(rows: Sequence[RobustnessRow], every: str, where: str, name: Callable[[RobustnessRow], str]) -> str:
-    unsure = [row for row in rows if row.errors["mae"].verdict != "better"]
-    if unsure:
-        return f"It does not help for sure {where} {'; '.join(name(row) for row in unsure)}."
-    least = min(rows, key=lambda row: row.errors["mae"].gone.value)
-    return f"{every}: least {where} {name(least)}: {gone_words(least.errors['mae'].gone)}."
+def _least(rows: Sequence[RobustnessRow], name: Callable[[RobustnessRow], str]) -> str:
+    row = min(rows, key=lambda item: item.errors["mae"].gone.value)
+    return f"{name(row)}, {gone_words(row.errors['mae'].gone)}"

@@ -19,7 +19,7 @@ from jaxtyping import Float64
 from trueup.align import JointMap
 from trueup.augment.correction import refuse_other_joints
 from trueup.augment.robustness import improvements, judged_parts, judged_signal, position_errors, unit_of
-from trueup.core.atomic import json_hash, make_folder, remove
+from trueup.core.atomic import json_hash, make_folder
 from trueup.core.episode import Episode
 from trueup.core.model_card import ModelCard
 from trueup.core.provenance import provenance
@@ -272,7 +272,6 @@ class _Store:
                     f"{self._path} was made from other datasets, motions, robots, or another network",
                     hint="Give --overwrite to replace it, or another --out.",
                 )
-        remove(out / ROBUSTNESS_NAME)
         self._used: dict[str, Cell] = {}
 
     def get(self, name: str, make: Callable[[], Cell]) -> Cell:

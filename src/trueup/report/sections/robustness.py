@@ -70,7 +70,7 @@ def sizes_chooser(result: RobustnessResult) -> Chooser | None:
         rows = [TableRow("as it is", [Cell(NOTHING), *_cells(first.errors[kind]), Cell(NOTHING)])]
         for name, own in result.perturbed.items():
             rows += [TableRow(name, _off_cells(row, kind), note=size_words(row.size)) for row in own]
-        columns = ["Simulator", "Share of the largest size", *_HEADS, "Least"]
+        columns = ["Simulator", "Share of the size", *_HEADS, "Least"]
         draws = max(row.draws for own in result.perturbed.values() for row in own)
         caption = (
             f"{ERROR_KINDS[kind].capitalize()} on {first.dataset} ({plural(first.motions, 'motion')}); each motion "
