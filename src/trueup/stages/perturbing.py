@@ -19,7 +19,7 @@ from jaxtyping import Float64
 from trueup.align import JointMap
 from trueup.augment.correction import refuse_other_joints
 from trueup.augment.robustness import improvements, judged_parts, judged_signal, position_errors, unit_of
-from trueup.core.atomic import json_hash, make_folder
+from trueup.core.atomic import as_read_back, json_hash, make_folder
 from trueup.core.episode import Episode
 from trueup.core.model_card import ModelCard
 from trueup.core.provenance import provenance
@@ -236,17 +236,19 @@ def robustness(
         rows=tuple(rows),
         notes=(*_foreign(trained, first, simulators[first.model]), *cells.notes()),
         settings={"shares": list(shares), "draws": draws, "seed": seed, "bootstrap_draws": bootstrap_draws},
-        provenance=provenance(
-            config={
-                "datasets": {item.name: {"path": str(item.data.path), "hash": item.data.hash} for item in named},
-                "network": trained.card.to_json()["sha256"],
-                "robot": robot.to_dict(),
-                "perturbations": {name: asdict(size) for name, size in perturbations.items()},
-                "motions": motions,
-                "drop_flagged": drop_flagged,
-            },
-            seed=seed,
-            data_hash=first.data.hash,
+        provenance=as_read_back(
+            provenance(
+                config={
+                    "datasets": {item.name: {"path": str(item.data.path), "hash": item.data.hash} for item in named},
+                    "network": trained.card.to_json()["sha256"],
+                    "robot": robot.to_dict(),
+                    "perturbations": {name: asdict(size) for name, size in perturbations.items()},
+                    "motions": motions,
+                    "drop_flagged": drop_flagged,
+                },
+                seed=seed,
+                data_hash=first.data.hash,
+            )
         ),
     )
     result.save(out / ROBUSTNESS_NAME)
