@@ -349,5 +349,25 @@ def test_the_command(world, tmp_path, capsys, monkeypatch):
         assert words in capsys.readouterr().err
 
 
+def test_what_the_training_has_switched_off_is_said(world, tmp_path):
+    joint = ROBOT.joint_names[2]
+    net = network(tmp_path / "net", outputs={("position", joint): {"gate": 0.0, "reason": "no better on val"}})
+    result = robustness([world[1][0]], ROBOT, net, tmp_path / "out", motions=1, jobs=1, bootstrap_draws=50)
+    assert result.notes == (f"net leaves the position of {joint} as simulated",)
+
+
+def test_a_robot_that_is_not_the_one_of_the_training_is_said(world, tmp_path):
+    own = recorded(tmp_path / "own", motions=1)
+    replay(own, ROBOT, jobs=1)
+    own, net = Dataset(own.path), world[2]
+    other = replace(ROBOT, simulation=replace(ROBOT.simulation, timestep_s=0.002))
+    same, foreign = (
+        robustness([own], robot, net, tmp_path / name, jobs=1, bootstrap_draws=50).notes
+        for name, robot in (("same", ROBOT), ("other", other))
+    )
+    assert same == ()
+    assert "with another simulator" in foreign[0]
+
+
 def test_one_motion_has_no_interval(world):
     assert gone_words(replace(world[3].rows[0].errors["mae"].gone, low=None, high=None)).endswith("%")

@@ -194,7 +194,8 @@ def robustness(
     ]
     first, joint_map = named[0], JointMap.from_dict(robot.joint_rules())
     measured = joint_map.of_episode(first.data.episode(first.ids[0])).measured
-    parts = judged_parts(_card_of(trained.card, robot), measured, robot.scored_joints)
+    card = _card_of(trained.card, robot)
+    parts = judged_parts(card, measured, robot.scored_joints)
     unit = unit_of(measured, signal, parts)
     settings = ReplaySettings.of(robot)
     judge = _Judge(trained, robot, joint_map, settings, signal, parts, jobs or os.cpu_count() or 1, track)
@@ -234,7 +235,7 @@ def robustness(
         parts=parts,
         split=split,
         rows=tuple(rows),
-        notes=(*_foreign(trained, first, simulators[first.model]), *cells.notes()),
+        notes=(*_off(card, signal, parts), *_foreign(card, first, simulators[first.model]), *cells.notes()),
         settings={"shares": list(shares), "draws": draws, "seed": seed, "bootstrap_draws": bootstrap_draws},
         provenance=as_read_back(
             provenance(
@@ -368,9 +369,15 @@ def _mean(errors: Sequence[Sequence[float]]) -> Float64[np.ndarray, "4"]:
     return np.asarray(np.mean(errors, axis=0))
 
 
-def _foreign(trained: Trained, motions: _Motions, simulator: MujocoSimulator) -> list[str]:
+def _off(card: ModelCard, signal: str, parts: Sequence[str]) -> list[str]:
+    """What the training of the network has switched off, so that nothing is gone of its error."""
+    of = [output for output in card.outputs if output.quantity == signal]
+    off = dict.fromkeys(output.joint for output in of if output.joint in parts and output.gate == 0.0)
+    return [f"{card.name} leaves the {signal} of {', '.join(off)} as simulated"] if off else []
+
+
+def _foreign(card: ModelCard, motions: _Motions, simulator: MujocoSimulator) -> list[str]:
     """Whether the robot is the one whose simulator the network was trained to correct, as far as the dataset tells."""
-    card = trained.card
     if card.run not in motions.data.runs:
         return []
     made = motions.data.run_info(card.run)
