@@ -34,7 +34,7 @@ def recorded(folder, *, speed=1.0, motions=3, position=True, spoil=None, robot=R
     """Motions of a robot whose motors are weaker than its model's, and that reads all positions by an offset."""
     own, spec = perturbed(robot, find_model(robot), Perturbation(resistance=0.3), seed=50)
     simulator = MujocoSimulator.from_spec(spec, own, origin=find_model(robot))
-    time_s, rng = np.arange(0, 0.8, 0.01), np.random.default_rng(0)
+    time_s, rng = np.arange(0, 0.5, 0.01), np.random.default_rng(0)
     units = same_units({"position": "rad"}, robot.joint_names)
     with DatasetWriter.create(folder, DatasetInfo(robot=robot.name)) as writer:
         for number in range(motions):
