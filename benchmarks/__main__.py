@@ -36,6 +36,7 @@ NAMES = (
     "sat_speed",
     "sat_bodies",
     "sat_robustness",
+    "sat_training",
 )
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from benchmarks.sat_models import ABOUT, LAB, MODELS, RUN, TESTS, TRAIN_MOTIONS, data_of, folder_of, train
+from benchmarks.sat_models import ABOUT, ANIMATIONS, LAB, MODELS, RUN, TESTS, TRAIN_MOTIONS, data_of, folder_of, train
 from benchmarks.table import Row, at_least, rounded, shown
 from trueup.augment.trained import Trained
 from trueup.core.atomic import make_folder, write_json
@@ -44,7 +44,7 @@ def run() -> list[Row]:
     """Record, train, evaluate, write the result file."""
     for name in MODELS:
         train(name)
-    errors = {test: _errors(data_of(test)) for test in TESTS}
+    errors = {test: errors_of(data_of(test), {name: folder_of(name) for name in MODELS}) for test in TESTS}
     result = {
         "schema": "trueup.sat/1",
         "lab": LAB,
@@ -52,7 +52,7 @@ def run() -> list[Row]:
         "about": dict(ABOUT),
         "errors": errors,
         "cuts": {
-            test: {name: _cuts(own[SIMULATOR], own[name]) for name in own if name != SIMULATOR}
+            test: {name: cuts_of(own[SIMULATOR], own[name]) for name in own if name != SIMULATOR}
             for test, own in errors.items()
         },
         "modular": {test: _pair(own[SAT], own[WHOLE]) for test, own in errors.items() if WHOLE in own},
@@ -69,10 +69,10 @@ def run() -> list[Row]:
     return _rows(result)
 
 
-def _errors(data: Dataset) -> dict[str, Errors]:
-    """Model -> errors of each motion; the simulator's own first."""
+def errors_of(data: Dataset, models: Mapping[str, Path]) -> dict[str, Errors]:
+    """Model -> errors of each motion, the simulator's first; a network of a whole robot serves no other joints."""
     found: dict[str, Errors] = {SIMULATOR: {}}
-    trained = {name: Trained.load(folder_of(name)) for name in MODELS}
+    trained = {name: Trained.load(folder) for name, folder in models.items()}
     for episode in data.episodes(runs=[RUN]):
         simulated = episode.run(RUN)
         _count(found[SIMULATOR], episode.measured, simulated, tuple(UNITS))
@@ -112,8 +112,8 @@ def apart(
     return there - own, there, own
 
 
-def _cuts(base: Errors, own: Errors) -> dict[str, Any]:
-    """Signal -> metric -> share of the simulator's error that is gone, with the paired interval over motions."""
+def cuts_of(base: Errors, own: Errors) -> dict[str, Any]:
+    """Signal -> metric -> share of the simulator's error that is gone, with its paired interval."""
     found: dict[str, Any] = {}
     for signal, metric in itertools.product(own, ("mae", "max")):
         value, low, high = (float(end[0]) for end in ratio_interval(*_columns(own, base, signal, metric)))
@@ -122,16 +122,21 @@ def _cuts(base: Errors, own: Errors) -> dict[str, Any]:
 
 
 def _columns(own: Errors, base: Errors, signal: str, metric: str) -> tuple[np.ndarray, np.ndarray]:
-    one, other = (np.array(errors[signal][metric], np.float64)[:, None] for errors in (own, base))
+    one, other = (by_animation(errors[signal][metric])[:, None] for errors in (own, base))
     return one, other
 
 
+def by_animation(values: Sequence[float]) -> np.ndarray:
+    """Means over the motions that play the same animation: faster, slower and larger ones are no draws of their own."""
+    return np.array([np.mean(values[number::ANIMATIONS]) for number in range(ANIMATIONS)], np.float64)
+
+
 def _pair(own: Errors, base: Errors) -> dict[str, Any]:
-    """The modular network against that of the whole robot, motion by motion."""
+    """The modular network against that of the whole robot, animation by animation."""
     return {
         metric: paired_difference(
-            np.array(own["position"][metric]),
-            np.array(base["position"][metric]),
+            by_animation(own["position"][metric]),
+            by_animation(base["position"][metric]),
             run=SAT,
             baseline=WHOLE,
             split="test",
@@ -145,26 +150,12 @@ def _pair(own: Errors, base: Errors) -> dict[str, Any]:
 
 def _profile(name: str) -> list[float]:
     """Mean share of attention on each past sample, the present one first (Fig. 11)."""
-    import torch
-
     from trueup.augment import Augmentation
-    from trueup.augment.channels import gather
-    from trueup.augment.networks.sat import Sat
+    from trueup.augment.attention import attention_profile
 
-    made = Augmentation.load(folder_of(name))
-    network = made.corrector.network
-    assert isinstance(network, Sat)
-    shares = []
-    for episode in _first(data_of("kickbot_a"), 4):
-        series = episode.run(RUN)
-        card = made.card.of_joints(series.joints)
-        x = torch.from_numpy(gather(episode, RUN, card.inputs, series.time_s)).reshape(
-            len(series), len(card.joints), -1
-        )
-        read = made.corrector.read(x)
-        with torch.no_grad():
-            shares.append(network.profile(read, read.new_zeros(*read.shape[:2], network.outputs)).numpy())
-    return [float(share) for share in np.mean(shares, axis=0)[::-1]]
+    found = attention_profile(Augmentation.load(folder_of(name)), _first(data_of("kickbot_a"), 4), RUN)
+    assert found is not None
+    return list(found.mean)
 
 
 def _first(data: Dataset, count: int) -> Iterator[Any]:

@@ -155,12 +155,12 @@ def configs() -> Mapping[str, AugmentConfig]:
     )
     sat = AugmentConfig(
         "sat-bodies",
-        SatConfig(hidden=(32,), heads=4, history=64),
+        SatConfig(hidden=(32,), heads=4, history=64, feedback="zero", dropout=0.0),
         data=replace(bodies, rate_hz=RATE_HZ / 4),
         window=WindowConfig("fixed", samples=128, draws=1),
         loss=LossConfig(kind="absolute"),
         optimizer=OptimizerConfig(rate=3e-3),
-        epochs=6,
+        epochs=20,
     )
     return {"lstm-whole": whole, "lstm-bodies": lstm, "sat-bodies": sat}
 

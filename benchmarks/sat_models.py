@@ -5,7 +5,8 @@ Everything is kept under runs/sat and made once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,8 +15,9 @@ from trueup.augment.config import DataConfig, LossConfig, NetworkConfig, Optimiz
 from trueup.augment.networks.sat import SatConfig
 from trueup.dataset import Dataset
 from trueup.lab import load_lab
-from trueup.record import RecordSettings, load_plans
-from trueup.robots import load_robot
+from trueup.record import PlanSetSpec, RecordSettings, load_plans
+from trueup.record.keyframes import Animation
+from trueup.robots import RobotSpec, load_robot
 from trueup.stages import LabRig, augment, record, replay
 
 FOLDER = Path("runs") / "sat"
@@ -28,6 +30,12 @@ DATA: Mapping[str, tuple[str, str]] = {
     **{name: (name, f"{name}-animations") for name in (TRAINED_ON, "kickbot_b", "dancebot")},
 }
 TESTS = tuple(name for name in DATA if name != "train")
+# Which individual: the KickBots are the same one, held elsewhere; DanceBot's servos are others.
+UNITS = {"dancebot": 2}
+# Of each test, played in turn.
+ANIMATIONS = 4
+# All animations of a robot that is not trained on, one after the other, in as many orders: half a minute and more each.
+LONG, LONG_OF, ORDERS = "long", "kickbot_b", 12
 # Servos hold softly, and 250 commands per second are what their bus takes (SAT, VI).
 SETTINGS = RecordSettings(control_hz=250.0, record_hz=250.0, tolerance_rad=0.15, path_tolerance_rad=0.5)
 # Of the train motions: a network then takes minutes on one core.
@@ -36,14 +44,35 @@ TRAIN_MOTIONS = 40
 
 def data_of(name: str, *, jobs: int = 1) -> Dataset:
     """A recording of virtual hardware with its replay, made if it is not there."""
-    robot, plans = (make(item) for make, item in zip((load_robot, load_plans), DATA[name], strict=True))
+    robot, plans = _planned(name)
     folder = FOLDER / name
-    rig = LabRig(load_lab(LAB, robot=robot.name), 1, plans.seed)
+    rig = LabRig(load_lab(LAB, robot=robot.name), UNITS.get(name, 1), plans.seed)
     record(folder, robot, rig, plans, settings=SETTINGS, jobs=jobs, resume=True)
     data = Dataset(folder)
     if RUN not in data.runs:
         replay(data, robot, jobs=jobs)
     return Dataset(folder)
+
+
+def _planned(name: str) -> tuple[RobotSpec, PlanSetSpec]:
+    if name != LONG:
+        robot, plans = DATA[name]
+        return load_robot(robot), load_plans(plans)
+    plans = load_plans(DATA[LONG_OF][1])
+    orders = [*itertools.permutations(plans.animations.values())][::2][:ORDERS]
+    chained = {f"order{number}": _chained(order) for number, order in enumerate(orders)}
+    groups = tuple(replace(group, count=ORDERS, speed=(1.0, 1.0)) for group in plans.groups)
+    return load_robot(LONG_OF), replace(plans, name=LONG, groups=groups, animations=chained)
+
+
+def _chained(parts: Sequence[Animation]) -> Animation:
+    joints: dict[str, list[tuple[float, float]]] = {}
+    start_s = 0.0
+    for part in parts:
+        for name, frames in part.joints.items():
+            joints.setdefault(name, []).extend((start_s + time_s, value) for time_s, value in frames)
+        start_s += part.duration_s
+    return Animation(start_s, {name: tuple(frames) for name, frames in joints.items()})
 
 
 def _sat(**options: object) -> SatConfig:
@@ -71,7 +100,7 @@ MODELS: Mapping[str, AugmentConfig] = {
     "lstm": replace(_BASE, network=_sat(attention=False)),
     "attention": replace(_BASE, network=_sat(backbone="none")),
     "attention-dense": replace(_BASE, network=_sat(backbone="dense")),
-    "whole": replace(_BASE, data=replace(_DATA, modular=False, blind=(), mirrored=False), epochs=4),
+    "whole": replace(_BASE, data=replace(_DATA, modular=False, blind=(), mirrored=False), epochs=24),
     "recurrent": replace(_BASE, network=NetworkConfig("lstm", (32,)), optimizer=OptimizerConfig(rate=5e-3), epochs=4),
     "sat-current": replace(
         _BASE,
@@ -90,14 +119,14 @@ ABOUT: Mapping[str, str] = {
 }
 
 
-def folder_of(name: str) -> Path:
+def folder_of(name: str, seed: int = 0) -> Path:
     """Where a trained network is kept."""
-    return FOLDER / "models" / name
+    return FOLDER / "models" / (f"{name}-{seed}" if seed else name)
 
 
-def train(name: str, *, jobs: int = 1) -> Path:
+def train(name: str, *, seed: int = 0, jobs: int = 1) -> Path:
     """Train a network, or find it trained, or go on where it was interrupted; returns its folder."""
-    folder = folder_of(name)
+    folder = folder_of(name, seed)
     augment(
         [data_of("train")],
         folder,
@@ -105,6 +134,7 @@ def train(name: str, *, jobs: int = 1) -> Path:
         config=MODELS[name],
         name=name,
         train_motions=TRAIN_MOTIONS,
+        seed=seed,
         jobs=jobs,
         resume=True,
     )

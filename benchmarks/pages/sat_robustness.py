@@ -34,6 +34,9 @@ python -m benchmarks sat_robustness
 
 {perturbed}
 
+The same of networks, robots and recordings of yours, with figures, says
+[`trueup augment robustness`](augmentation.md#how-far-a-correction-carries).
+
 Asked were 50 % of the mean error at half of the largest spread and 25 % at the largest. {verdict}
 """
 

@@ -66,7 +66,7 @@ All of this was measured on one core of a CPU. The paper's set, 600 motions of 3
 54 million samples, an epoch of {hours:.0f} hours on that core; it is one for a GPU:
 
 ```sh
-trueup augment train data/kickbot-a --method sat --config mixed.yaml --device cuda --out models/sat
+trueup augment train data/kickbot --method sat --config mixed.yaml --device cuda --out models/sat
 ```
 
 with `precision: mixed` in `mixed.yaml`. No GPU was at hand: its times and memory were

@@ -30,6 +30,7 @@ from report.run_folders import (
 )
 from report.test_report_augment import evaluation
 from report.test_report_engines import PLANE, TREND
+from report.test_report_robustness import RESULT
 from trueup.core.analysis import Analysis
 from trueup.core.atomic import file_hash
 from trueup.core.attribution import Attribution
@@ -39,6 +40,7 @@ from trueup.core.fit_result import FitResult
 from trueup.core.graybox_result import BlockFit, Coefficient, GrayboxResult, JointFit, Score
 from trueup.core.quality import Quality
 from trueup.core.results import Estimate, GapResult, Ladder
+from trueup.core.robustness_result import CELLS_NAME, ROBUSTNESS_NAME, Cell, Cells, RobustnessResult
 from trueup.core.step_times import StepTimes
 from trueup.core.traces import TraceSet
 from trueup.identify.experiments.findings import ExperimentResult, Finding, Rejection
@@ -101,6 +103,12 @@ def make_augment(folder: Path) -> None:
     replace(found, models=tuple(replace(item, latency=TIMES) for item in found.models)).save(folder / "augment.json")
 
 
+def make_robustness(folder: Path) -> None:
+    """Two datasets and a perturbation, and a cell that they could be made of."""
+    RESULT.save(folder / ROBUSTNESS_NAME)
+    Cells("abc", {"walk: as it is": Cell({"a": (0.1, 0.2, 0.05, 0.1)}, {"b": "it diverged"})}).save(folder / CELLS_NAME)
+
+
 def make_engines(folder: Path) -> None:
     """Trends and a plane."""
     world = _world()
@@ -115,6 +123,7 @@ def make_report(folder: Path) -> None:
     make_ladder_file(folder)
     make_identification(folder)
     make_augment(folder)
+    make_robustness(folder)
     make_engines(folder)
     make_analysis(_world()).save(folder / "analysis.json")
     make_quality(_world()).save(folder / "quality.json")
@@ -387,6 +396,12 @@ PARSERS = [
     ),
     Parser("engines.json", make_engines, reader(EngineComparison, "engines.json")),
     Parser("augment.json", make_augment, reader(AugmentResult, "augment.json")),
+    Parser(
+        ROBUSTNESS_NAME,
+        lambda folder: _only(make_robustness, folder, ROBUSTNESS_NAME),
+        reader(RobustnessResult, ROBUSTNESS_NAME),
+    ),
+    Parser(CELLS_NAME, lambda folder: _only(make_robustness, folder, CELLS_NAME), reader(Cells, CELLS_NAME)),
     Parser("latency.json", make_latency, reader(StepTimes, "latency.json")),
     Parser("traces", lambda folder: make_traces(_world()).save(folder), read_traces, change_traces),
     Parser("report", make_report, read_report, rename),

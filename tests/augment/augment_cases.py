@@ -42,7 +42,9 @@ def motion(rng, samples, *, noise=0.0, perfect=("velocity",), joints=JOINTS):
     return tuple(TimeSeries(time_s, joints, kind, same_units(UNITS, joints)) for kind in (simulated, measured))
 
 
-def make_dataset(folder, *, counts=(8, 4, 3), samples=(60, 120), noise=0.0, perfect=("velocity",), seed=0, **kwargs):
+def make_dataset(
+    folder, *, counts=(8, 4, 3), samples=(60, 120), noise=0.0, perfect=("velocity",), unmeasured=(), seed=0, **kwargs
+):
     """Motions of the splits train, val and test, of the conditions fast and slow, with the run `mujoco/stock`."""
     rng = np.random.default_rng(seed)
     arm = robot(kwargs.get("joints", JOINTS))
@@ -51,6 +53,9 @@ def make_dataset(folder, *, counts=(8, 4, 3), samples=(60, 120), noise=0.0, perf
         for split, count in zip(("train", "val", "test"), counts, strict=True):
             for number in range(count):
                 simulated, measured = motion(rng, int(rng.integers(*samples)), noise=noise, perfect=perfect, **kwargs)
+                known = {name: values for name, values in measured.signals.items() if name not in unmeasured}
+                units = {name: measured.units[name] for name in known}
+                measured = TimeSeries(measured.time_s, measured.joints, known, units)
                 meta = EpisodeMeta(f"{split}{number}", split=split, condition=("fast", "slow")[number % 2])
                 command = TimeSeries(
                     measured.time_s,

@@ -8,6 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+from trueup.augment.components import components
 from trueup.augment.config import AugmentConfig, LossConfig, NetworkConfig
 from trueup.augment.corrector import Corrector
 from trueup.augment.loss import Loss
@@ -22,6 +23,12 @@ OUTPUTS = tuple(
     Channel(signal, joint, unit)
     for signal, unit in (("position", "rad"), ("velocity", "rad/s"))
     for joint in ("a", "b")
+)
+
+BODY_OUTPUTS = tuple(
+    (component, unit)
+    for name, unit in (("body.position", "m"), ("body.rotation", "1"))
+    for component in components(name)
 )
 
 
@@ -115,6 +122,33 @@ def test_other_pairs_cost_how_far_they_are_from_one_another():
     off = np.abs(slope - 0.5 * (added[1:, :, 2:] + added[:-1, :, 2:])) / model.loss_scale.numpy()[2:]
     expected = np.concatenate([off[: length - 1, place] for place, length in enumerate(data.lengths)]).mean()
     assert _with_consistency(out, data) == pytest.approx(expected, rel=1e-3)
+
+
+def test_of_quantiles_the_median_must_be_consistent():
+    """In training a network says quantiles, (T, B, Q, K): what is added is the one in the middle."""
+    shares = (0.1, 0.5, 0.9)
+    data, out = batch(lengths=(9, 9, 9)), np.random.default_rng(5).normal(size=(9, 3, 3, 4))
+    plain, both = (
+        float(
+            Loss(LossConfig(kind="quantile", consistency=weight), OUTPUTS, RATE_HZ, shares)
+            .of(corrector(out).train(), data)
+            .detach()
+        )
+        for weight in (0.0, 1.0)
+    )
+    assert both - plain == pytest.approx(_with_consistency(out[:, :, 1], data), rel=1e-3)
+
+
+def test_the_components_of_a_body_share_the_weight_of_one_number():
+    """A position is three numbers and a rotation six, and each counts as much as the other."""
+    channels = [Channel(name, "", unit) for name, unit in BODY_OUTPUTS]
+    out, data = np.random.default_rng(6).normal(size=(5, 2, 9)), np.zeros((5, 2, 9), np.float32)
+    one = np.ones(9)
+    said = torch.tensor(out, dtype=torch.float32)
+    model = Corrector(Said(said), Scaling(0 * one, one, 0 * one, one, one), np.arange(9), target="residual").eval()
+    found = Loss(LossConfig(kind="absolute"), channels, RATE_HZ).of(model, Batch(data, data, np.array([5, 5])))
+    expected = 0.5 * np.abs(out[..., :3]).mean() + 0.5 * np.abs(out[..., 3:]).mean()
+    assert float(found) == pytest.approx(expected, rel=1e-5)
 
 
 def test_what_cannot_be_minimized_is_refused():

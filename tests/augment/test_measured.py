@@ -44,6 +44,16 @@ def test_a_reading_is_that_of_the_sample_before(sensed):
     assert read[0] == np.float32(run["torque"][0, 1])
 
 
+def test_of_slow_sensors_it_knows_the_latest_reading_and_not_the_next(sensed):
+    _, data = sensed
+    episode = data.episode("test0", runs=[RUN])
+    run, every = episode.run(RUN), 5
+    slow = replace(episode, measured=episode.measured.rows(np.arange(0, len(episode.measured), every)))
+    read = gather(slow, RUN, [Channel("torque", "lift", "Nm", "measured")], run.time_s)[:, 0]
+    latest = np.arange(len(run) - 1) // every * every
+    np.testing.assert_array_equal(read[1:], episode.measured["torque"][latest, 1].astype(np.float32))
+
+
 def test_it_does_not_see_what_it_must_say(sensed):
     """Other measurements from a sample on change nothing of what is said up to this sample."""
     folder, data = sensed

@@ -16,7 +16,7 @@ from trueup.augment.pairs import any_joint, channels_of, write_pairs
 from trueup.augment.scaling import Scaling
 from trueup.augment.trained import Trained
 from trueup.core.model_card import ANY_JOINT, STEP_NAME, ModelCard
-from trueup.deploy import Network, Stream
+from trueup.deploy import Network, Status, Stream, Why
 from trueup.errors import ConfigError, MissingSignal, NameMismatch, UnitError
 from trueup.stages import augment, evaluate
 
@@ -173,7 +173,8 @@ def upright(tmp_path_factory):
     data = make_dataset(folder / "data", counts=(16, 4, 3))
     shown = DataConfig(signals=("position",), reads=("velocity",), stops=False, modular=True)
     models = {}
-    for name, config in {"plain": shown, "odd": replace(shown, blind=("position",), mirrored=True)}.items():
+    odd = replace(shown, blind=("position",), mirrored=True)
+    for name, config in {"plain": shown, "odd": odd, "told": replace(odd, command=("position",))}.items():
         made = augment([data], folder / name, run=RUN, config=replace(LSTM, data=config, epochs=20), name=name, jobs=1)
         models[name] = made.augmentation
     return folder, data, models
@@ -199,10 +200,46 @@ def test_who_does_not_read_a_position_corrects_it_the_same_elsewhere(upright):
     assert np.abs(added(models["plain"], 40.0) - added(models["plain"], 0.0)).max() > 0.01
 
 
+def test_a_stream_trusts_it_wherever_a_joint_stands(upright):
+    """How far the command is from the joint is read, not where both are."""
+    folder, data, models = upright
+    told = models["told"].card.inputs
+    assert [(np.isinf(channel.high), channel.relative) for channel in told] == [
+        (True, False),
+        (False, False),
+        (False, True),
+    ]
+    assert told[2].high == -told[2].low < 0.2  # the simulator is off by 20 ms
+    run, command = data.episode("test0", runs=[RUN]).run(RUN), data.episode("test0").commanded()
+    answers = []
+    for by in (0.0, 40.0):
+        stream = Stream.load(folder / "told", rate_hz=RATE_HZ, joints=run.joints)
+        rows = []
+        for row in range(len(run)):
+            simulated = {"position": run["position"][row] + by, "velocity": run["velocity"][row]}
+            step = stream.step(simulated, {"position": command["position"][row] + by})
+            rows.append(step["position"] - simulated["position"])
+        assert (step.status, step.flags) == (Status.OK, 0)
+        answers.append(rows)
+    assert np.abs(answers[0]).max() > 0.01
+    np.testing.assert_allclose(answers[1], answers[0], atol=2e-5)  # at 40 rad, float32 has 4e-6 rad
+    away = {"position": simulated["position"] - [0.0, 1.0]}
+    step = stream.step(simulated, away)
+    assert (step.status, step.why, step.channels()) == (
+        Status.FALLBACK,
+        Why.OUT_OF_RANGE,
+        ("command.position.lift",),
+    )
+    np.testing.assert_array_equal(step["position"], simulated["position"])
+    assert stream._cell.x.reshape(2, -1)[1, 2] - simulated["position"][1] == pytest.approx(
+        stream._span.low[5], rel=1e-4
+    )
+
+
 def test_what_was_learned_the_other_way_around_prefers_no_direction(upright):
     _, data, models = upright
     apart = {}
-    for name, model in models.items():
+    for name, model in ((name, models[name]) for name in ("plain", "odd")):
         there, back = moved(data), moved(data, turned=-1.0)
         added = [model.predict(item)["position"] - item.run(RUN)["position"] for item in (there, back)]
         apart[name] = np.abs(added[0] + added[1]).mean() / np.abs(added[0]).mean()
@@ -237,6 +274,17 @@ def test_hinges_and_slides_are_two_kinds():
 
     with pytest.raises(UnitError, match="different kinds"):
         any_joint([Channel("position", "a", "rad"), Channel("position", "b", "m")])
+
+
+def test_what_slides_is_left_alone(trained):
+    card = ModelCard.load(trained[1]["lstm"][0])
+    episode = next(make_dataset(trained[0] / "mixed", counts=(1, 1, 1)).episodes(runs=[RUN]))
+    run = episode.run(RUN)
+    _, *others = run.joints
+    units = {name: ("m" if name == "position" else "m/s", *own[1:]) for name, own in run.units.items()}
+    assert card.blocks_of(replace(run, units=units)) == tuple(others)
+    sliding = replace(run, units={name: ("m",) * len(run.joints) for name in run.units})
+    assert card.blocks_of(sliding) == run.joints  # none fits; the error of what reads them names the units
 
 
 def test_a_modular_network_knows_no_limits():

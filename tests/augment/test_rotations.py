@@ -38,6 +38,14 @@ def test_six_numbers_that_say_nothing_are_one_too(six):
     is_rotation(rotation_of(np.array(six, np.float64)))
 
 
+def test_two_columns_that_are_nearly_parallel_lose_no_digits():
+    """Of the second column nothing but a billionth lies across the first: most digits of it are rounding."""
+    rng = np.random.default_rng(2)
+    first = rng.normal(size=(50, 3))
+    for matrix in rotation_of(np.concatenate([first, first + 1e-8 * rng.normal(size=(50, 3))], axis=1)):
+        is_rotation(matrix, 1e-12)
+
+
 def test_a_rotation_comes_back():
     rotations = Rotation.random(200, rng=3).as_matrix()
     six = six_of(rotations)

@@ -20,6 +20,7 @@ ABLATIONS = {
     "attention + dense": replace(SMALL, backbone="dense"),
     "lstm": replace(SMALL, attention=False),
 }
+QUANTILES = replace(SMALL, says=(0.1, 0.5, 0.9))
 
 
 def made(config, seed=0):
@@ -154,6 +155,42 @@ def test_mixed_precision_says_and_learns_about_the_same(config):
     assert full[-1] < 0.8 * full[0]
 
 
+def test_the_encoder_is_told_true_errors_first_then_its_own():
+    """SAT, V: teacher forcing, less of it from epoch to epoch, and none after the share that is forced."""
+    network, (x, wanted) = made(replace(SMALL, dropout=0.0, forced=0.5)).train(), data()
+    with torch.no_grad():
+        told = network.taught(x, wanted)
+        for epoch, fed in ((1, wanted), (5, network.taught(x, told)), (8, network.taught(x, told))):
+            network.begin(epoch, 8)
+            torch.testing.assert_close(network.learn(x, wanted, None), network.taught(x, fed))
+        network.begin(3, 8)  # halfway
+        torch.manual_seed(3)
+        found = network.learn(x, wanted, None)
+        torch.manual_seed(3)
+        own = torch.rand(T, B, 1) < 0.5
+        assert own.any()
+        assert not own.all()
+        torch.testing.assert_close(found, network.taught(x, torch.where(own, told, wanted)))
+
+
+def test_without_feedback_the_encoder_is_told_nothing():
+    network, (x, wanted) = made(replace(SMALL, dropout=0.0, feedback="zero")).train(), data()
+    network.begin(1, 4)
+    nothing = network.taught(x, torch.zeros_like(wanted))
+    torch.testing.assert_close(network.learn(x, wanted, None), nothing)
+
+
+def test_of_quantiles_the_one_in_the_middle_is_added_and_told():
+    network, (x, wanted) = made(replace(QUANTILES, dropout=0.0)).train(), data()
+    network.begin(1, 4)
+    said = network.learn(x, wanted, None)
+    assert said.shape == (T, B, 3, K)
+    torch.testing.assert_close(network.taught(x, wanted), said[:, :, 1])
+    network.begin(4, 4)
+    told = network.taught(x, network.taught(x, wanted))
+    torch.testing.assert_close(network.learn(x, wanted, None)[:, :, 1], network.taught(x, told))
+
+
 def test_attention_is_that_of_the_formula():
     """TFT, eq. 13 to 16, head by head and sample by sample."""
     torch.manual_seed(2)
@@ -175,7 +212,7 @@ def test_attention_is_that_of_the_formula():
 
 
 @pytest.mark.parametrize("feedback", ["own", "zero"])
-@pytest.mark.parametrize("config", ABLATIONS.values(), ids=ABLATIONS.keys())
+@pytest.mark.parametrize("config", [*ABLATIONS.values(), QUANTILES], ids=[*ABLATIONS.keys(), "quantiles"])
 def test_the_graph_takes_the_same_steps(config, feedback):
     network, (x, _) = made(replace(config, feedback=feedback)).float(), data()
     graph = Graph()
@@ -227,6 +264,8 @@ def test_the_profile_adds_up_to_one():
         ({"hidden": (30,)}, "multiple of 4 heads"),
         ({"attention": False, "backbone": "dense"}, "no memory"),
         ({"dropout": 1.0}, "dropout"),
+        ({"input_dropout": 0.1}, "input_dropout of a sat"),
+        ({"recurrent_dropout": 0.1}, "recurrent_dropout of a sat"),
         ({"bidirectional": True}, "one direction"),
         ({"output_activation": "tanh"}, "output_activation"),
     ],

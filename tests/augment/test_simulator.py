@@ -5,6 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+import torch
 
 from augment.evaluation_cases import RUN, card_of, shift_folder
 from augment.test_networks import corrector_of
@@ -12,9 +13,10 @@ from sim.arms import episode, series, two_links
 from trueup.augment.config import NetworkConfig
 from trueup.augment.correction import corrected
 from trueup.augment.graph import Graph
+from trueup.augment.networks.sat import SatConfig
 from trueup.augment.simulator import ResidualSimulator
 from trueup.augment.trained import Trained
-from trueup.core.model_card import ONNX_NAME, Input, Output
+from trueup.core.model_card import ANY_JOINT, ONNX_NAME, Input, Output
 from trueup.core.protocols import RolloutRequest, RolloutResult, Simulator
 from trueup.deploy import Network, Predictor
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, UnitError
@@ -87,6 +89,24 @@ def random_network(folder, config, **changes):
     corrector = corrector_of(config, np.random.default_rng(2), base=card.base)
     (folder / ONNX_NAME).write_bytes(corrector.exported({}))
     replace(card, states=corrector.states if card.causal else ()).save(folder)
+    return Network.load(folder)
+
+
+def modular_network(folder, config):
+    channels = [(signal, ANY_JOINT, UNITS[signal]) for signal in SIGNALS]
+    card = replace(
+        card_of(),
+        joints=(ANY_JOINT,),
+        modular=True,
+        inputs=tuple(Input(*channel) for channel in channels),
+        outputs=tuple(Output(*channel, base=number) for number, channel in enumerate(channels)),
+    )
+    corrector = corrector_of(config, np.random.default_rng(2), inputs=len(channels), base=card.base)
+    with torch.no_grad():
+        for values in corrector.network.parameters():  # what is not trained corrects nothing
+            values.add_(0.1 * torch.randn_like(values))
+    (folder / ONNX_NAME).write_bytes(corrector.exported({}))
+    replace(card, states=corrector.states).save(folder)
     return Network.load(folder)
 
 
@@ -348,3 +368,34 @@ def test_an_output_that_is_not_finite_is_refused(tmp_path, rng):
     simulator = ResidualSimulator(Masses(), shifting(tmp_path, [0, 0, 0, np.inf]))
     with pytest.raises(DataError, match=r"not finite: got simulated.torque.b at 0.000 s of motion 0"):
         simulator.rollout(request_of(rng))
+
+
+@pytest.mark.parametrize("config", [LSTM, SatConfig(hidden=(8,), heads=2, history=5)], ids=["lstm", "sat"])
+def test_a_network_for_any_joint_steps_all_joints_of_all_copies(tmp_path, rng, config):
+    network = modular_network(tmp_path, config)
+    simulator = ResidualSimulator(Masses(), network)
+    request = request_of(rng, copies=3)
+    rolled, steps = simulator.rollout(request), stepped(simulator, request)
+    plain = Masses().rollout(request)
+    for name in SIGNALS:
+        rows = slice(None, -1) if name == "torque" else slice(1, None)
+        np.testing.assert_allclose(getattr(rolled, name)[:, rows], steps[name], atol=1e-5)
+        assert np.ptp(getattr(rolled, name) - getattr(plain, name), axis=(0, 1)).min() > 1e-3
+
+
+def test_what_it_does_not_correct_is_still_said(tmp_path, rng):
+    class Loaded(Masses):
+        def rollout(self, request):
+            plain = super().rollout(request)
+            return replace(
+                plain,
+                further={"load": 2.0 * plain.torque},
+                bodies={"body.position": np.ones((2, 61, 1, 3))},
+                body_names=("hand",),
+            )
+
+    request = request_of(rng)
+    said = ResidualSimulator(Loaded(), shifting(tmp_path, [1.0, 1.0, 3.0, 3.0])).rollout(request)
+    np.testing.assert_array_equal(said.further["load"], 2.0 * Masses().rollout(request).torque)
+    assert said.body_names == ("hand",)
+    assert set(said.bodies) == {"body.position"}

@@ -18,6 +18,7 @@ from trueup.augment.pairs import refuse_overlap, write_pairs
 from trueup.augment.scaling import summarize
 from trueup.augment.trained import Trained
 from trueup.augment.windows import Windows, whole_motions
+from trueup.cli.augment_train import _line
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.model_card import Channel, ModelCard
 from trueup.core.step_times import LATENCY_NAME
@@ -131,6 +132,33 @@ def test_interrupted_and_resumed_is_as_if_nothing_had_happened(data, tmp_path, c
     assert sorted(path.name for path in folder.iterdir()) == ["model.json", "model.onnx", "weights.safetensors"]
 
 
+def test_what_is_refused_costs_no_training_that_was_interrupted(data, tmp_path):
+    """What depends on words alone is refused before anything of what is there goes."""
+
+    def stop(progress):
+        if progress.epoch:
+            raise Stop
+
+    with pytest.raises(Stop):
+        augment([data], tmp_path, run=RUN, config=SMALL, on_progress=stop)
+    before = contents(tmp_path)
+    assert CHECKPOINT_NAME in before
+    heavy = replace(SMALL.loss, weights={"current": 1.0})
+    for wrong in (replace(SMALL, precision="mixed"), replace(SMALL, loss=heavy)):
+        with pytest.raises(ConfigError):
+            augment([data], tmp_path, run=RUN, config=wrong, overwrite=True)
+        assert contents(tmp_path) == before
+
+
+def test_it_is_said_that_training_is_over_and_val_is_looked_at(data, tmp_path):
+    """With a recurrent network that takes as long as an epoch, or longer."""
+    seen = []
+    augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=2), on_progress=seen.append)
+    assert [progress.judging for progress in seen] == [False] * (len(seen) - 1) + [True]
+    assert seen[-1].number == 2
+    assert "val" in _line(seen[-1])
+
+
 def test_a_finished_model_is_not_trained_again(data, tmp_path):
     augment([data], tmp_path, run=RUN, config=SMALL)
     before = (tmp_path / "model.json").read_bytes()
@@ -172,8 +200,9 @@ WILD = OptimizerConfig("rmsprop", 1e30, "plateau", clip=0.0)
         replace(SMALL, optimizer=WILD),
         replace(SMALL, epochs=0),
         replace(SMALL, data=DataConfig(command=("torque",))),
+        replace(SMALL, precision="mixed"),
     ],
-    ids=["rate", "diverges", "no epoch", "no such command"],
+    ids=["rate", "diverges", "no epoch", "no such command", "mixed precision without a GPU"],
 )
 def test_what_is_refused_costs_no_model(data, tmp_path, config):
     augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=1))
@@ -520,6 +549,25 @@ def test_an_overlap_is_found_in_a_log_that_holds_its_samples(tmp_path, samples):
     refuse_overlap(train, fresh)
     with pytest.raises(DataError, match="val motion 'again3' holds samples of train motion 'train3'"):
         refuse_overlap(train, again)
+
+
+def test_an_overlap_is_found_where_bodies_alone_were_measured(tmp_path):
+    def pairs(name, seeds):
+        episodes = []
+        for seed in seeds:
+            place = np.random.default_rng(seed).normal(size=(100, 2, 3))
+            units = {"body.position": ("m",) * 2}
+            series = TimeSeries(np.arange(100) / 100, (), {"body.position": place}, units, ("hand", "foot"))
+            episodes.append(Episode(EpisodeMeta(f"{name}{seed}"), series, simulated={"s": series}))
+        channels = tuple(Channel(f"body.position.{axis}", "foot", "m") for axis in "xyz")
+        return write_pairs(
+            episodes, tmp_path / f"{name}.f32", run="s", inputs=channels, outputs=channels, rate_hz=100.0
+        )
+
+    train = pairs("train", (1, 2, 3))
+    refuse_overlap(train, pairs("val", (4, 5)))
+    with pytest.raises(DataError, match="val motion 'again3' holds samples of train motion 'train3'"):
+        refuse_overlap(train, pairs("again", (6, 3)))
 
 
 def test_a_run_at_another_time_than_its_measurement_is_refused(tmp_path):

@@ -10,6 +10,7 @@ import time
 import pytest
 
 from augment.augment_cases import make_dataset
+from trueup.cli.augment_train import _configured
 from trueup.cli.main import main
 
 
@@ -55,6 +56,7 @@ def test_it_says_how_good_it_is_on_val_and_what_to_do_next(run, data, tmp_path):
     assert f"trueup augment eval {data} --model {tmp_path / 'm'}" in out
     assert "switched off" in err
     assert "velocity of pan" in err
+    assert "did not measure" not in err
     assert {path.name for path in (tmp_path / "m").iterdir()} == {"model.json", "model.onnx", "weights.safetensors"}
     assert list((tmp_path / "curves").glob("events.out.tfevents*"))
 
@@ -98,12 +100,54 @@ def test_what_cannot_be_is_said_in_one_line(run, data, tmp_path, arguments, mess
         ({"optimizer": {"patience": 0}}, "optimizer: patience"),
         ({"loss": {"weights": {"torque": -1}}}, "loss: weight of torque"),
         ({"network": {"kind": "mlp", "bidirectional": True}}, "mlp has one direction only"),
+        ({"batch": 0}, "got (0, 2, 15); expected batch >= 1"),
+        (
+            {"network": {"kind": "sat", "hidden": [16], "heads": 0}},
+            "network: heads of a sat: got 0; expected at least 1",
+        ),
+        ({"network": {"kind": "sat", "hidden": [30]}}, "got (30,); expected one width, a multiple of 4 heads"),
+        ({"method": "sat", "network": {"hidden": [16]}, "data": {"signals": ["torque"]}}, "`blind: []` for none"),
     ],
 )
 def test_a_wrong_file_is_said_with_the_place(run, data, tmp_path, over, message):
     code, _, err = run("augment", "train", data, "--out", tmp_path / "m", "--config", small(tmp_path, **over))
     assert code == 2
     assert message in err
+
+
+def test_a_signal_that_is_chosen_need_not_be_the_one_that_its_method_is_blind_to():
+    """The SAT does not read the position that it corrects; where it corrects the torque alone, that says nothing."""
+    assert _configured("sat", None, ["torque"], None, None).data.blind == ()
+    assert _configured("sat", None, ["torque", "position"], None, None).data.blind == ("position",)
+    assert _configured("sat", None, None, None, None).data.blind == ("position",)
+
+
+def test_what_no_sensor_measured_is_said(run, tmp_path):
+    """A servo without a current sensor: its current stays as simulated, and nobody need guess so."""
+    path = make_dataset(tmp_path / "arm", unmeasured=("torque",)).path
+    code, out, err = run(
+        *("augment", "train", path, "--out", tmp_path / "m", "--config", small(tmp_path), "--jobs", 1),
+    )
+    assert code == 0
+    assert "torque" not in out
+    assert "note: the robot did not measure torque, which stays as simulated" in err
+    code, _, err = run(*("augment", "train", path, "--out", tmp_path / "n", "--method", "sat", "--signal", "torque"))
+    assert code == 2
+    assert "the measurement of episode 'train0' has no torque: available: position, velocity" in err
+
+
+@pytest.mark.parametrize(
+    ("method", "history", "said"),
+    [("sat", 300, True), ("sat", 20, False), ("mlp", 300, True), ("mlp", 20, False), ("gru", 300, False)],
+)
+def test_a_history_that_no_motion_has_is_said(run, data, tmp_path, method, history, said):
+    """Motions have 60 to 119 samples. A network with a state has no history, whatever stands there."""
+    network = {"hidden": [4], "history": history}
+    network |= {"heads": 2, "feedback": "zero"} if method == "sat" else {}
+    config = small(tmp_path, method=method, network=network, epochs=1)
+    code, _, err = run("augment", "train", data, "--out", tmp_path / "m", "--config", config, "--jobs", 1)
+    assert code == 0
+    assert ("longer than every motion of train" in err) == said
 
 
 def test_method_and_file_exclude_one_another(run, data, tmp_path):

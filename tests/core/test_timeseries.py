@@ -68,6 +68,17 @@ def test_body_signals_have_a_width_of_their_own():
     assert moving.rows(slice(1, None))["body.rotation"].shape == (1, 1, 3, 3)
 
 
+def test_bodies_are_selected_by_name():
+    signals = {"position": np.zeros((1, 1)), "body.position": np.arange(9.0).reshape(1, 3, 3)}
+    units = {"position": ("rad",), "body.position": ("m",) * 3}
+    whole = TimeSeries(np.zeros(1), ("hip",), signals, units, bodies=("thigh", "shank", "foot"))
+    some = whole.select_bodies(("foot", "thigh"))
+    assert (some.joints, some.bodies) == (("hip",), ("foot", "thigh"))
+    np.testing.assert_array_equal(some["body.position"], [[[6, 7, 8], [0, 1, 2]]])
+    with pytest.raises(NameMismatch, match="hand"):
+        whole.select_bodies(("hand",))
+
+
 def test_rate_and_duration():
     ticks = series([0.0, 0.1, 0.2, 0.5], position=np.zeros((4, 2)))
     assert ticks.rate_hz == pytest.approx(10.0)

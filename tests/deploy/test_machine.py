@@ -1,5 +1,7 @@
 """Machine code takes the steps of the graph."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +12,8 @@ from benchmarks.networks import Made, by_signal, card_of, motion, written
 from trueup.augment.corrector import Corrector
 from trueup.augment.networks import build_network
 from trueup.augment.networks.sat import SatConfig
-from trueup.augment.scaling import Scaling, Stops, counterparts
-from trueup.core.model_card import ANY_JOINT, STEP_NAME, Input, Output
+from trueup.augment.scaling import Scaling, Stops
+from trueup.core.model_card import ANY_JOINT, STEP_NAME, Input, Output, counterparts
 from trueup.deploy import Network, Stream, StreamSettings
 from trueup.deploy.cell import GraphCell, MachineCell
 from trueup.deploy.sat_weights import SatWeights, padded
@@ -206,3 +208,15 @@ def test_a_damaged_file_is_refused(tmp_path):
 
 def test_padding_fills_up():
     assert [padded(count) for count in (1, 16, 17, 128)] == [16, 16, 32, 128]
+
+
+def test_it_is_loaded_where_nothing_can_be_kept(tmp_path):
+    # As on a robot's read-only image: numba finds no place for its cache and says so when a function is made.
+    code = (
+        "from numba.core.caching import CacheImpl\n"
+        "CacheImpl._locator_classes = []\n"
+        "from trueup.deploy import sat_machine\n"
+        "print(callable(sat_machine.advance))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert done.stdout.strip() == "True", done.stderr

@@ -87,7 +87,7 @@ def test_a_chain_that_would_have_to_open_is_refused():
         ({}, "needs joints or sites"),
         ({"joints": {"left_knee": ((1.0, 0.1), (0.5, 0.2))}}, "not in order"),
         ({"joints": {"left_knee": ((3.0, 0.1),)}}, "not in order"),
-        ({"joints": {"left_knee": ((1.0, float("nan")),)}}, "not in order"),
+        ({"joints": {"left_knee": ((1.0, float("nan")),)}}, "not finite"),
     ],
 )
 def test_keyframes_that_make_no_motion_are_refused(tracks, message):

@@ -12,18 +12,26 @@ import pytest
 from augment.evaluation_cases import card_of
 from report.run_folders import World, simulate
 from trueup.augment.evaluation import Candidate, EvaluationBuilder
+from trueup.core.attention import AttentionProfile
 from trueup.core.augment_result import ALL_JOINTS, ANY_CONDITION, AugmentResult, Cut, ModelPair, Pooled, Reliability
 from trueup.core.episode import EpisodeMeta
 from trueup.core.results import Estimate
 from trueup.core.step_times import StepTimes
 from trueup.core.traces import TraceSet
-from trueup.errors import DataError
+from trueup.errors import ConfigError, DataError, FormatError
 from trueup.measure import Comparison
 from trueup.report import build_report
-from trueup.report.augment_figures import factor_figure, latency_figure, motion_figure, reliability_figure
+from trueup.report.augment_figures import (
+    attention_figure,
+    factor_figure,
+    latency_figure,
+    motion_figure,
+    reliability_figure,
+)
 from trueup.report.augment_words import against, factor_interval, lead, off_sentences, sentences
 from trueup.report.folder import RunFolder
 from trueup.report.palette import run_styles
+from trueup.report.sections.attention import attention_sentences
 from trueup.report.sections.augmentation import augmentation_section, shown_traces, typical_motion
 
 FAR = {"far": 0.02, "far_correction": (0.0, 0.05), "far_probability": (0.0, 1.0)}
@@ -311,3 +319,86 @@ def test_pooled_errors_survive_the_file(folder, result):
     again = AugmentResult.load(folder / "augment.json")
     assert again.simulated["cartesian"]["torque"]["gripper"] == result.simulated["cartesian"]["torque"]["gripper"]
     assert isinstance(again.simulated["cartesian"]["torque"]["gripper"], Pooled)
+
+
+def looking(shares=(0.4, 0.1, 0.1, 0.1, 0.3), oldest=(0.3, 0.29, 0.31), **changes):
+    """A profile of 4 samples at 250 Hz."""
+    return AttentionProfile(
+        **{
+            "rate_hz": 250.0,
+            "mean": shares,
+            "low": tuple(0.9 * share for share in shares),
+            "high": tuple(1.1 * share for share in shares),
+            "motions": 5,
+            "half_s": Estimate(0.004, "s", 0.003, 0.005),
+            "oldest": Estimate(oldest[0], "1", *oldest[1:]),
+            **changes,
+        }
+    )
+
+
+def test_where_a_network_looks_is_shown_in_time(folder, result, tmp_path):
+    path = shutil.copytree(folder, tmp_path / "run")
+    with_profile = replace(result, models=(replace(result.models[0], attention=looking()),))
+    with_profile.save(path / "augment.json")
+    assert AugmentResult.load(path / "augment.json").models[0].attention == looking()
+    page = build_report(path)
+    assert "Where it looks in the past" in page
+    assert "Where it looks in the past" not in build_report(folder)
+    shown = chooser_data(page, "attention-chooser")["variants"]
+    band, curve, alike = shown["figures"]["attention"]["data"]
+    assert curve["x"] == [0.0, -4.0, -8.0, -12.0, -16.0]
+    assert curve["y"] == pytest.approx([40.0, 10.0, 10.0, 10.0, 30.0])
+    assert band["y"] == pytest.approx([44.0, 11.0, 11.0, 11.0, 33.0, 27.0, 9.0, 9.0, 9.0, 36.0])
+    assert alike["y"] == [20.0, 20.0]
+    (row,) = shown["tables"]["attention"]["rows"]
+    texts = [cell["text"].replace("\N{NO-BREAK SPACE}", " ") for cell in row["cells"]]
+    assert texts == ["16.0 ms", "4.00 ms", "40 %", "30 %", "5"]
+
+
+def test_networks_with_other_histories_have_no_common_line():
+    profiles = {"one": looking(), "two": looking((0.5, 0.0, 0.5), rate_hz=100.0)}
+    figure = attention_figure(profiles, run_styles(["one", "two"]))
+    assert [curve.get("name") for curve in figure["data"]] == [None, "one", None, "two"]
+    assert all(value > 0 for curve in figure["data"] for value in curve["y"])  # on a log axis
+    assert figure["layout"]["xaxis"]["title"]["text"] == "time before the present sample [ms]"
+
+
+@pytest.mark.parametrize(
+    ("oldest", "words"),
+    [
+        ((0.3, 0.29, 0.45), ""),
+        ((0.4, 0.36, 0.45), "a longer history is worth a try"),
+        ((0.4, None, None), "a longer history is worth a try"),
+        ((0.02, 0.01, 0.04), "a shorter history may do"),
+        ((0.04, 0.01, 0.06), ""),
+    ],
+)
+def test_what_a_profile_says_of_the_history_holds_over_the_interval(result, oldest, words):
+    models = (replace(result.models[0], attention=looking(oldest=oldest)), result.models[0])
+    (line,) = attention_sentences(replace(result, models=models))
+    start, _, rest = line.replace("\N{NO-BREAK SPACE}", " ").partition("oldest quarter.")
+    assert start.startswith(
+        "good-net sees 16.0 ms back (4 samples); half of its attention lies on the last 4.00 ms (1 sample)"
+    )
+    assert words in rest
+    assert bool(words) == bool(rest)
+
+
+def test_files_from_before_profiles_are_read_and_broken_profiles_are_not(result):
+    content = result.to_json()
+    del content["models"][0]["attention"]
+    assert AugmentResult.from_json(content).models[0].attention is None
+    for change in (
+        {"mean": [0.4, 0.1]},
+        {"mean": [0.4, 0.1, 0.1, 0.1, 0.1]},
+        {"low": [-0.1, 0.1, 0.1, 0.1, 0.3]},
+        {"mean": ["0.4", 0.1, 0.1, 0.1, 0.3]},
+        {"motions": 0},
+        {"rate_hz": 0.0},
+        {"more": 1},
+    ):
+        content = replace(result, models=(replace(result.models[0], attention=looking()),)).to_json()
+        content["models"][0]["attention"] |= change
+        with pytest.raises((ConfigError, DataError, FormatError)):
+            AugmentResult.from_json(content)

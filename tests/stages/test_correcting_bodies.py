@@ -137,3 +137,32 @@ def test_without_its_model_the_gaps_are_not_known(evaluated, tmp_path, monkeypat
     found = evaluate(data, [folder / "model"], tmp_path / "out", draws=100)
     assert found.result.gaps == {}
     assert any("at their joints is not known" in line for line in found.notes)
+
+
+def some_measured(data, folder):
+    """The same recording with fewer bodies seen, in another order, and one lost for a while."""
+    bodies = ("left_foot", "left_thigh", "left_shank")
+    with DatasetWriter.create(folder, DatasetInfo(robot="kickbot_a")) as writer:
+        for episode in data.episodes():
+            measured = episode.measured.select_bodies(bodies)
+            signals = {name: np.array(values) for name, values in measured.signals.items()}
+            for name in ("body.position", "body.rotation"):
+                signals[name][10:30, 1] = np.nan
+            writer.append(replace(episode, measured=replace(measured, signals=signals)))
+    return Dataset(folder)
+
+
+def test_fewer_bodies_may_be_measured_than_simulated(evaluated, tmp_path):
+    folder, data, whole = evaluated
+    fewer = some_measured(data, tmp_path / "data")
+    description = load_robot("kickbot_a")
+    replay(fewer, replace(description, simulation=replace(description.simulation, bodies=BODIES)), jobs=1)
+    found = evaluate(fewer, [folder / "model"], tmp_path / "out", draws=200)
+    assert found.result.joints_of("", "body.position") == ["left_foot", "left_thigh", "left_shank", ""]
+    own, all_of_it = (item.result.simulated[""]["body.position"]["left_foot"].rmse.value for item in (found, whole))
+    assert own == pytest.approx(all_of_it)
+    assert list(found.result.gaps) == list(whole.result.gaps)
+    assert list(found.result.measured_gaps) == ["left_knee", "left_ankle", ""]
+    knee, before = (item.result.measured_gaps["left_knee"].apart.value for item in (found, whole))
+    assert knee == pytest.approx(before, rel=0.05)
+    assert found.result.models[0].gaps == whole.result.models[0].gaps

@@ -8,6 +8,7 @@ import pytest
 
 from augment.augment_cases import JOINTS, RATE_HZ, make_dataset
 from augment.evaluation_cases import card_of, shift_folder
+from augment.sat_cases import HEADS, SAMPLES, sat_of
 from trueup.cli.main import main
 from trueup.core.augment_result import ALL_JOINTS, ANY_CONDITION, AugmentResult
 from trueup.core.model_card import ModelCard
@@ -15,6 +16,7 @@ from trueup.core.results import GapResult, Ladder
 from trueup.core.step_times import StepTimes
 from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, OutputExists
+from trueup.report import build_report
 from trueup.robots import load_robot
 from trueup.stages import evaluate, gap, replay
 from trueup.stages.correcting import correct_unless_same
@@ -88,6 +90,37 @@ def test_the_tables_are_the_errors_of_the_runs(data, make, tmp_path):
     assert [(item.model, item.baseline, item.verdict) for item in found.result.pairs if item.signal == "position"] == [
         ("other", "shift", "worse")
     ]
+
+
+@pytest.fixture
+def looker(tmp_path, recorded):
+    """The folder of a SAT that looks at its oldest sample only."""
+    rate_hz = float(round(Dataset(recorded)[0].measured.rate_hz))
+    lags = np.full((HEADS, SAMPLES + 1), -40.0)
+    lags[:, 0] = 0.0
+    sat_of(ARM, lags=lags, rate_hz=rate_hz).save(tmp_path / "models" / "looker")
+    return tmp_path / "models" / "looker"
+
+
+def test_where_a_network_looks_is_in_the_file_and_in_the_report(data, make, looker, tmp_path):
+    found = evaluate(data, [looker, make()], tmp_path / "out", draws=50)
+    profile, nothing = (model.attention for model in AugmentResult.load(tmp_path / "out" / "augment.json").models)
+    assert (profile, nothing) == (found.result.models[0].attention, None)
+    assert profile.motions == len(data.select(split="test"))
+    assert (profile.mean[-1], profile.oldest.value) == (pytest.approx(1.0), pytest.approx(1.0))
+    assert not any("looks in the past" in line for line in found.notes)
+    page = build_report(tmp_path / "out")
+    assert "Where it looks in the past" in page
+    assert "a longer history is worth a try" in page
+
+
+def test_where_it_looks_is_left_out_without_its_weights(data, looker, tmp_path):
+    (looker / "weights.safetensors").unlink()
+    found = evaluate(data, [looker], tmp_path / "out", draws=50)
+    assert found.result.models[0].attention is None
+    (note,) = (line for line in found.notes if "looks in the past" in line)
+    assert note.startswith("where looker looks in the past is not shown: ")
+    assert "Where it looks in the past" not in build_report(tmp_path / "out")
 
 
 def test_a_correction_is_kept_until_something_that_made_it_changes(data, make, tmp_path):
@@ -192,6 +225,9 @@ def test_what_is_wrong_with_the_question_is_said(data, make, tmp_path):
     evaluate(data, [make()], tmp_path / "out", draws=50)
     with pytest.raises(OutputExists):
         evaluate(data, [make()], tmp_path / "out")
+    with pytest.raises(ConfigError, match="--project is for networks that correct bodies"):
+        evaluate(data, [make()], tmp_path / "projected", project=True)
+    assert not (tmp_path / "projected" / "gap.json").exists()
 
 
 def test_a_motion_that_cannot_be_corrected_is_left_out_of_all_tables(data, make, tmp_path, monkeypatch):

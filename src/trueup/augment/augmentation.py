@@ -23,12 +23,22 @@ from trueup.augment.corrector import Corrector
 from trueup.augment.gating import Errors, errors_of, gates_of
 from trueup.augment.networks import build_network
 from trueup.augment.pairs import Pairs
-from trueup.augment.scaling import Scaling, Stops, Summary, counterparts, scaling_of, summarize
-from trueup.augment.training import OnProgress, Outcome, train
+from trueup.augment.scaling import Scaling, Stops, Summary, scaling_of, summarize
+from trueup.augment.training import OnProgress, Outcome, Progress, train
 from trueup.core.atomic import json_hash, make_folder, remove, write_bytes
 from trueup.core.config import build
 from trueup.core.episode import Episode
-from trueup.core.model_card import CARD_NAME, ONNX_NAME, STEP_NAME, WEIGHTS_NAME, Channel, Input, ModelCard, Output
+from trueup.core.model_card import (
+    CARD_NAME,
+    ONNX_NAME,
+    STEP_NAME,
+    WEIGHTS_NAME,
+    Channel,
+    Input,
+    ModelCard,
+    Output,
+    counterparts,
+)
 from trueup.core.provenance import provenance
 from trueup.core.step_times import LATENCY_NAME
 from trueup.core.timeseries import TimeSeries
@@ -110,7 +120,7 @@ class Augmentation:
             resume: go on from the checkpoint.
             device: `cpu` or `cuda`.
             threads: of torch; its own choice if None.
-            on_progress: called after every batch and epoch.
+            on_progress: called after every batch and epoch, and once training is over.
 
         Raises:
             TrueupError: see `training.train`.
@@ -155,6 +165,8 @@ class Augmentation:
             device=device,
             on_progress=on_progress,
         )
+        if on_progress:
+            on_progress(Progress(config.epochs, len(trained.history), 0, 0, None, None, judging=True))
         errors = errors_of(corrector, task.val)
         blocks = list(dict.fromkeys((channel.quantity, channel.joint) for channel in task.val.outputs))
         groups = [blocks.index((channel.quantity, channel.joint)) for channel in task.val.outputs]
@@ -299,13 +311,23 @@ def _card(
     intervals = intervals_of(corrector, pairs, config.coverage)
     far = far_off(corrector, pairs, summary.simulator_rms)
     base, gate = corrector.base.cpu().numpy(), corrector.gate.cpu().numpy()
+    unread, relative = np.isinf(corrector.scale.cpu().numpy()), counterparts(pairs.inputs)
+    # Where a joint stands is then not read, nor is where its command is: only how far the two are apart.
+    apart = unread[relative] & (relative >= 0)
+    low, high = np.where(apart, [summary.read_low, summary.read_high], [summary.low, summary.high])
     inputs = tuple(
         Input(channel.signal, channel.joint, channel.unit, channel.series)
-        if np.isinf(scale)
-        else Input(channel.signal, channel.joint, channel.unit, channel.series, low=float(low), high=float(high))
-        for channel, low, high, scale in zip(
-            pairs.inputs, summary.low, summary.high, corrector.scale.cpu().numpy(), strict=True
+        if unread[row]
+        else Input(
+            channel.signal,
+            channel.joint,
+            channel.unit,
+            channel.series,
+            low=float(low[row]),
+            high=float(high[row]),
+            relative=bool(apart[row]),
         )
+        for row, channel in enumerate(pairs.inputs)
     )
     outputs = tuple(
         Output(

@@ -12,6 +12,7 @@ from scipy.optimize import isotonic_regression
 from trueup.augment.corrector import Corrector
 from trueup.augment.pairs import Pairs
 from trueup.augment.training import predictions
+from trueup.augment.windows import whole_motions
 
 # Ratios of an error to what is expected are counted in bins of 2 %.
 _RATIO_EDGES = np.geomspace(1e-3, 1e3, 700)
@@ -21,6 +22,7 @@ _FAR_BINS = 40
 _FEWEST_IN_A_BIN = 30
 _LONGEST_WARMUP_S = 1.0
 _WARM = 1.1
+_SIDE_BY_SIDE = 32
 
 
 @dataclass(frozen=True)
@@ -162,13 +164,21 @@ def warmup_steps(corrector: Corrector, pairs: Pairs, rate_hz: float) -> int:
         return 0
     corrector.eval()
     with torch.no_grad():
-        for _, x, y in pairs:
-            start = len(x) // 3
-            rows = min(longest, len(x) - start)
-            seen = torch.from_numpy(x[: start + rows, None].copy()).to(place)  # of a causal network, no more counts
-            whole, cold = (corrector(part)[-rows:, 0].cpu().numpy() for part in (seen, seen[start:]))
-            for sums, values in ((late, cold), (early, whole)):
-                error = (values - y[start : start + rows]) / scale
-                sums[:rows] += (error[:, used] ** 2).sum(axis=1)
+        for _, batch in whole_motions(pairs, _SIDE_BY_SIDE):
+            starts = batch.lengths // 3
+            many = np.minimum(longest, batch.lengths - starts)
+            ends = starts + many
+            seen = batch.x[: ends.max()]  # of a causal network, no more counts
+            rest = np.zeros((many.max(), *seen.shape[1:]), np.float32)
+            for motion, (start, end) in enumerate(zip(starts, ends, strict=True)):
+                rest[: end - start, motion] = seen[start:end, motion]
+            whole, cold = (
+                corrector(torch.from_numpy(x).to(place), torch.from_numpy(lengths).to(place)).cpu().numpy()
+                for x, lengths in ((seen, ends), (rest, many))
+            )
+            for motion, (start, end) in enumerate(zip(starts, ends, strict=True)):
+                for sums, values in ((late, cold[: end - start]), (early, whole[start:end])):
+                    error = (values[:, motion] - batch.y[start:end, motion]) / scale
+                    sums[: end - start] += (error[:, used] ** 2).sum(axis=1)
     behind = late > _WARM * early + 1e-12
     return int(np.flatnonzero(behind)[-1]) + 1 if behind.any() else 0

@@ -69,8 +69,8 @@ def gather(
     """The channels of one run of an episode at given times, in SI.
 
     Simulated signals are interpolated linearly, commands are held between their stamps; before its first stamp a
-    command counts as its first value. Measured signals are those of the row before, as a control loop knows them;
-    in the first row, the simulated ones.
+    command counts as its first value. Measured signals are the latest readings at the row before, as a control loop
+    knows them; in the first row, the simulated ones.
 
     Raises:
         MissingSignal: the episode lacks the run, the command or a signal.
@@ -97,13 +97,14 @@ def gather(
 
 
 def _sensed(episode: Episode, run: str, channel: Channel, time_s: Float64[np.ndarray, "N"]) -> Float32[np.ndarray, "N"]:
-    series = (episode.run(run), episode.measured)
-    names = (f"episode {episode.id!r}, {run}", f"episode {episode.id!r}, measured")
     simulated, measured = (
-        _linear(item.time_s, column(item, channel, name)[:, None], time_s)[:, 0]
-        for item, name in zip(series, names, strict=True)
+        column(series, channel, f"episode {episode.id!r}, {name}")
+        for series, name in ((episode.run(run), run), (episode.measured, "measured"))
     )
-    return np.concatenate([simulated[:1], measured[:-1]])
+    start = np.interp(time_s[:1], episode.run(run).time_s, simulated)
+    # Held, not interpolated: a control loop does not know the reading that comes next.
+    latest = np.maximum(held_rows(episode.measured.time_s, time_s[:-1]), 0)
+    return np.concatenate([start, measured[latest]]).astype(np.float32)
 
 
 def column(series: TimeSeries, channel: Channel, where: str) -> Float32[np.ndarray, "T"] | Float64[np.ndarray, "T"]:

@@ -141,7 +141,10 @@ class DataConfig:
         for name in self.blind:
             if name not in SIGNALS or (self.signals is not None and name not in self.signals):
                 raise ConfigError(
-                    "data: blind to a signal that is not corrected", got=name, available=self.signals or SIGNALS
+                    "data: blind to a signal that is not corrected",
+                    got=name,
+                    available=self.signals or SIGNALS,
+                    hint="Say beside `signals` which of them are not read: `blind: []` for none.",
                 )
         if self.mirrored and any("." in name for name in self.signals or ()):
             raise ConfigError("data: mirrored is for joints", got=self.signals, hint="A body knows up from down.")
@@ -193,7 +196,7 @@ class LossConfig:
             drowns another; `normalized` in normalized units, as the papers do.
         weights: signal -> weight; 1 where nothing is said.
         kind: of an error: its square, its absolute value, or how far quantiles are off; these need a network that says
-            them (`network: quantiles`).
+            them (`network: says`, of a `sat`).
         consistency: weight of the physics-informed term of SAT, eq. 3: how far the added velocity is from the slope of
             the added position.
     """
@@ -290,11 +293,16 @@ class AugmentConfig:
     def __post_init__(self) -> None:
         """Refuse numbers that make no training."""
         if self.batch < 1 or self.epochs < 0 or self.stop_after < 0:
-            raise ConfigError("batch, epochs, stop_after", got=(self.batch, self.epochs, self.stop_after))
+            raise ConfigError(
+                "batch, epochs, stop_after",
+                got=(self.batch, self.epochs, self.stop_after),
+                expected="batch >= 1, epochs >= 0, stop_after >= 0",
+            )
         if (self.loss.kind == "quantile") != bool(self.network.quantiles):
             raise ConfigError(
                 "loss: quantile needs a network that says quantiles, and the other way around",
-                got=f"loss: kind: {self.loss.kind}, network: quantiles: {self.network.quantiles}",
+                got=f"loss: kind: {self.loss.kind}, network: says: {list(self.network.quantiles)}",
+                hint="Of a sat, e.g. network: {says: [0.1, 0.5, 0.9]}.",
             )
         if not self.network.trained and (
             self.data.normalization != "limits" or self.data.stops or self.loss.target != "residual"

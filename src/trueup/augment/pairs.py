@@ -236,7 +236,8 @@ def refuse_overlap(train: Pairs, val: Pairs) -> None:
     """Refuse a val split that holds a piece of a train motion: nothing could be chosen by it.
 
     Runs of 32 measured samples that differ from the one before, and how long each of them stood, are looked for bit by
-    bit, in all joint signals, as they were logged. Motions with fewer changes are compared as a whole.
+    bit, in all joint signals, or those of bodies where there are no others, as they were logged. Motions with fewer
+    changes are compared as a whole.
 
     Raises:
         DataError: a val motion, or a piece of it, is in train too.
@@ -272,6 +273,8 @@ def _marks(pairs: Pairs) -> Iterator[UInt64[np.ndarray, "N"]]:
 def _runs(series: TimeSeries) -> UInt64[np.ndarray, "N"]:
     """A number for each run of changes; one for all of them if there are few, none if hardly anything changes."""
     signals = [values for name, values in series.signals.items() if not name.startswith(BODY_PREFIX)]
+    # Bodies count only where nothing else was measured.
+    signals = signals or [values.reshape(len(series), -1) for values in series.signals.values()]
     if not signals:
         return np.empty(0, np.uint64)
     bits = np.concatenate(signals, axis=1).astype(np.float64).view(np.uint64)

@@ -11,7 +11,7 @@ from jaxtyping import Float64, Int
 
 from trueup.augment.components import POSITION
 from trueup.augment.pairs import Pairs
-from trueup.core.model_card import Channel
+from trueup.core.model_card import Channel, counterparts
 
 # An input that never changes in training must not be blown up when it does.
 _STILL = 1e-6
@@ -28,6 +28,8 @@ class Summary:
         deviation: their standard deviation, (I,).
         low: smallest inputs as they are, (I,).
         high: largest inputs, (I,).
+        read_low: smallest inputs, commands relative to their counterparts, (I,).
+        read_high: largest of these, (I,).
         simulator_rms: error of the simulator, RMS, (K,).
         measured_mean: of the measured outputs, (K,).
         measured_deviation: their standard deviation, (K,).
@@ -37,6 +39,8 @@ class Summary:
     deviation: Float64[np.ndarray, "I"]
     low: Float64[np.ndarray, "I"]
     high: Float64[np.ndarray, "I"]
+    read_low: Float64[np.ndarray, "I"]
+    read_high: Float64[np.ndarray, "I"]
     simulator_rms: Float64[np.ndarray, "K"]
     measured_mean: Float64[np.ndarray, "K"]
     measured_deviation: Float64[np.ndarray, "K"]
@@ -50,34 +54,29 @@ def summarize(pairs: Pairs, base: Int[np.ndarray, "K"]) -> Summary:
         base: for each output the input that it corrects, (K,).
     """
     count, rms = 0, np.zeros(base.size)
+    # A servo's error is small beside the range of its joint: read as a number of its own it would drown.
     relative = counterparts(pairs.inputs)
-    low, high = np.full(len(pairs.inputs), np.inf), np.full(len(pairs.inputs), -np.inf)
+    low, high = np.full((2, len(pairs.inputs)), np.inf), np.full((2, len(pairs.inputs)), -np.inf)
     moments = [_Moments(len(pairs.inputs)), _Moments(base.size)]
     for _, x, y in pairs:
-        low, high = np.minimum(low, x.min(axis=0)), np.maximum(high, x.max(axis=0))
         rms += ((y.astype(float) - x[:, base]) ** 2).sum(axis=0)
         count += len(x)
         read = x - np.where(relative >= 0, x[:, relative], 0)
+        low = np.minimum(low, [x.min(axis=0), read.min(axis=0)])
+        high = np.maximum(high, [x.max(axis=0), read.max(axis=0)])
         for moment, values in zip(moments, (read, y), strict=True):
             moment.add(values)
     return Summary(
         mean=moments[0].mean,
         deviation=moments[0].deviation,
-        low=low,
-        high=high,
+        low=low[0],
+        high=high[0],
+        read_low=low[1],
+        read_high=high[1],
         simulator_rms=np.sqrt(rms / count),
         measured_mean=moments[1].mean,
         measured_deviation=moments[1].deviation,
     )
-
-
-def counterparts(inputs: Sequence[Channel]) -> Int[np.ndarray, "I"]:
-    """For each commanded or measured input the simulated one of its signal and joint, (I,); -1 where there is none.
-
-    A servo's error is small beside the range of its joint: read as a number of its own it would drown.
-    """
-    simulated = {(c.signal, c.joint): number for number, c in enumerate(inputs) if c.series == "simulated"}
-    return np.array([simulated.get((c.signal, c.joint), -1) if c.series != "simulated" else -1 for c in inputs])
 
 
 class _Moments:

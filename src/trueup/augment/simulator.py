@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int
@@ -119,7 +119,7 @@ class ResidualSimulator:
         self._refuse_not_finite(correction)
         correction[: self._withheld] = 0.0
         self._add(signals, self._at_rows(np.swapaxes(correction, 0, 1), row, steps))
-        return RolloutResult(**signals)
+        return replace(result, **signals)
 
     def reset(self, position: Float[np.ndarray, "B J"], velocity: Float[np.ndarray, "B J"]) -> None:
         """Put B independent copies of the robot into these states, at time 0; each has a network state of its own.
@@ -166,13 +166,15 @@ class ResidualSimulator:
     def _run(self, copies: _Copies, x: Float32[np.ndarray, "B I"]) -> None:
         """The network over one sample of each copy."""
         card = self.card
+        # The joints of a modular network stand side by side, like copies.
+        own = x.reshape(len(x) * card.copies, -1)
         if copies.samples == 0:
-            copies.memory = {state.name: state.initial(x) for state in card.states}
+            copies.memory = {state.name: state.initial(own) for state in card.states}
         names = ["y", *(f"{state.name}_out" for state in card.states)]
-        y, *memory = self._network.session.run(names, {"x": x[None], **copies.memory})
+        y, *memory = self._network.session.run(names, {"x": own[None], **copies.memory})
         copies.memory = {state.name: values for state, values in zip(card.states, memory, strict=True)}
         if copies.samples >= self._withheld:
-            copies.correction = y[0] - x[:, card.base]
+            copies.correction = y.reshape(len(x), -1) - x[:, card.base]
         copies.samples += 1
         copies.due = self._place(copies.samples)
 

@@ -39,6 +39,7 @@ class Progress:
         batches: batches in an epoch.
         epoch: the epoch that has just ended, or None within one.
         left_s: time left if all epochs are run [s]; None before anything is known.
+        judging: whether training is over, and val says which outputs help and how far to trust them.
     """
 
     epochs: int
@@ -47,6 +48,7 @@ class Progress:
     batches: int
     epoch: Epoch | None
     left_s: float | None
+    judging: bool = False
 
 
 @dataclass(frozen=True)
@@ -100,10 +102,7 @@ def train(
         ConfigError: no such device, mixed precision without a GPU, or training diverges before the end of an epoch.
         OutputExists: the checkpoint is of another training.
     """
-    place = find_device(device)
-    if config.precision == "mixed" and place.type != "cuda":
-        # Torch has no such LSTM for many CPUs, and what it has is slower.
-        raise ConfigError("precision: mixed is for GPUs", got=f"--device {device}", expected="--device cuda")
+    place = find_device(device, config.precision)
     corrector.to(place)
     parameters = [item for item in corrector.parameters() if item.requires_grad]
     if not parameters or config.epochs == 0:
@@ -151,12 +150,16 @@ def train(
     return Outcome(tuple(history), best_number, status, sum(epoch.seconds for epoch in history))
 
 
-def find_device(name: str) -> torch.device:
-    """The device of this name.
+def find_device(name: str, precision: str = "full") -> torch.device:
+    """The device of this name, for matrices of this precision.
 
     Raises:
-        ConfigError: it is not there.
+        ConfigError: there is no such device, or it is none for mixed precision.
+        MissingDependency: torch finds no GPU.
     """
+    if precision == "mixed" and name == "cpu":
+        # Torch has no such LSTM for many CPUs, and what it has is slower.
+        raise ConfigError("precision: mixed is for GPUs", got=f"--device {name}", expected="--device cuda")
     if name == "cpu":
         return torch.device("cpu")
     if name != "cuda":

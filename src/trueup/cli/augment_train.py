@@ -122,6 +122,8 @@ def _configured(
     data = replace(
         chosen.data,
         signals=tuple(signals) if signals else chosen.data.signals,
+        # What is not corrected is not read either, unless the file says so.
+        blind=tuple(name for name in chosen.data.blind if not signals or name in signals),
         command=tuple(command) if command else chosen.data.command,
     )
     return replace(chosen, data=data, epochs=chosen.epochs if epochs is None else epochs)
@@ -154,6 +156,8 @@ def _board(folder: Path) -> Iterator[Any]:
 
 
 def _line(progress: Progress) -> str:
+    if progress.judging:
+        return "train: done; val motions tell which outputs help, and how far to trust them"
     where = f"epoch {progress.number}/{progress.epochs}"
     left = "" if progress.left_s is None else f", {_duration(progress.left_s)} left at most"
     if progress.epoch is None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from trueup.core.atomic import as_read_back, read_json, without_nan, write_json
+from trueup.core.attention import AttentionProfile
 from trueup.core.config import build_versioned
 from trueup.core.results import Estimate, Verdict
 from trueup.core.step_times import StepTimes
@@ -166,6 +167,7 @@ class ModelEvaluation:
         reliability: condition -> signal -> of the probability that the simulator is far off.
         latency: of one step; None where it was not timed.
         gaps: joint -> how far corrected bodies are apart there, where bodies are corrected.
+        attention: where it looks in the past; None of a network without attention, or where that is not known.
     """
 
     name: str
@@ -183,6 +185,7 @@ class ModelEvaluation:
     reliability: Mapping[str, Mapping[str, Reliability]] = field(default_factory=dict)
     latency: StepTimes | None = None
     gaps: Mapping[str, JointGap] = field(default_factory=dict)
+    attention: AttentionProfile | None = None
 
     @property
     def off_reasons(self) -> list[str]:

@@ -86,10 +86,13 @@ class Input(Channel):
     Attributes:
         low: smallest value of the train split.
         high: largest value of the train split.
+        relative: whether both are of how far it is from the simulated channel of its signal and joint, which is itself
+            not read.
     """
 
     low: float = -math.inf
     high: float = math.inf
+    relative: bool = False
 
 
 @dataclass(frozen=True)
@@ -218,6 +221,9 @@ class ModelCard:
         for output in self.outputs:
             if not 0 <= output.base < len(self.inputs):
                 raise ConfigError(f"model {self.name!r}: {output.name} corrects no input", got=output.base)
+        for channel, other in zip(self.inputs, counterparts(self.inputs), strict=True):
+            if channel.relative and other < 0:
+                raise ConfigError(f"model {self.name!r}: {channel.name} is relative to an input that is not there")
 
     @property
     def base(self) -> Int[np.ndarray, "K"]:
@@ -248,11 +254,18 @@ class ModelCard:
     def blocks_of(self, series: TimeSeries) -> tuple[str, ...]:
         """The joints of a simulated run, or its bodies if this is a network for bodies.
 
+        A network for the joints that turn leaves those that slide alone, and the other way around.
+
         Raises:
             MissingSignal: the run has no bodies.
         """
-        if not self.outputs[0].of_body:
-            return series.joints
+        first = self.outputs[0]
+        if not first.of_body:
+            if not self.modular or first.signal not in series:
+                return series.joints
+            fitting = zip(series.joints, series.units[first.signal], strict=True)
+            # Where none fits, all are named, and the error says which unit the network has.
+            return tuple(joint for joint, unit in fitting if unit == first.unit) or series.joints
         if not series.bodies:
             raise MissingSignal(
                 f"the network {self.name!r} corrects bodies, and the run has none",
@@ -331,6 +344,12 @@ class ModelCard:
                 hint="It is truncated or was replaced: export the model again, or fetch it again.",
             )
         return data
+
+
+def counterparts(inputs: Sequence[Channel]) -> Int[np.ndarray, "I"]:
+    """For each commanded or measured input the simulated one of its signal and joint, (I,); -1 where there is none."""
+    simulated = {(c.signal, c.joint): number for number, c in enumerate(inputs) if c.series == "simulated"}
+    return np.array([simulated.get((c.signal, c.joint), -1) if c.series != "simulated" else -1 for c in inputs])
 
 
 def _with_open_ends(item: Mapping[str, Any]) -> dict[str, Any]:

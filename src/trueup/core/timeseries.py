@@ -136,6 +136,27 @@ class TimeSeries:
         }
         return replace(self, joints=tuple(joints), signals={**joint, **body}, units=units)
 
+    def select_bodies(self, bodies: Sequence[str]) -> TimeSeries:
+        """The same series with these bodies, in this order.
+
+        Raises:
+            NameMismatch: a body is not there; both lists are printed.
+        """
+        missing = [name for name in bodies if name not in self.bodies]
+        if missing:
+            raise NameMismatch(
+                f"bodies {missing} are not in the series",
+                left=bodies,
+                right=self.bodies,
+                left_name="asked for",
+                right_name="series has",
+            )
+        columns = [self.bodies.index(name) for name in bodies]
+        own = [name for name in self.signals if name.startswith(BODY_PREFIX)]
+        signals = {name: self.signals[name][:, columns] for name in own}
+        units = {name: tuple(self.units[name][column] for column in columns) for name in own}
+        return replace(self, bodies=tuple(bodies), signals={**self.signals, **signals}, units={**self.units, **units})
+
 
 def same_units(signals: Mapping[str, str], joints: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Units for a series in which all joints share one unit per signal: {"position": "rad"} -> (J,) tuples."""

@@ -31,7 +31,15 @@ _FUSED = ("contract",)  # a product and a sum may be one operation
 
 def _machine(function: Callable[..., Any]) -> Any:
     """Compiled; the function itself, where a type checker of the tests has wrapped it."""
-    return numba.njit(cache=True, **_RULES)(inspect.unwrap(function))
+    return _compiled(function, **_RULES)
+
+
+def _compiled(function: Callable[..., Any], **rules: Any) -> Any:
+    plain = inspect.unwrap(function)
+    try:
+        return numba.njit(cache=True, **rules)(plain)
+    except RuntimeError:  # there is no folder that can be written: each process then compiles anew
+        return numba.njit(**rules)(plain)
 
 
 def _tile(rows: int, registers: int) -> Any:
@@ -93,7 +101,7 @@ _tile_6x16, _tile_2x32, _tile_1x64, _tile_1x16 = _tile(6, 2), _tile(2, 4), _tile
 
 def _ordered(function: Callable[..., Any]) -> Any:
     """Compiled for numbers none of which is NaN, so that the largest of many is found eight at a time."""
-    return numba.njit(cache=True, fastmath=True, nogil=True)(inspect.unwrap(function))
+    return _compiled(function, fastmath=True, nogil=True)
 
 
 @_ordered

@@ -49,8 +49,11 @@ class Animation:
         if not self.joints and not self.sites:
             raise ConfigError("an animation needs joints or sites that move")
         for name, frames in {**self.joints, **self.sites}.items():
+            wrong = [frame for frame in frames if not np.isfinite(frame).all()]
+            if wrong:
+                raise ConfigError(f"a keyframe of {name!r} is not finite", got=list(wrong[0]), expected="numbers")
             times = [0.0, *(frame[0] for frame in frames), self.duration_s]
-            if not np.isfinite([value for frame in frames for value in frame]).all() or not (np.diff(times) > 0).all():
+            if not (np.diff(times) > 0).all():
                 raise ConfigError(
                     f"keyframes of {name!r} are not in order",
                     got=[frame[0] for frame in frames],

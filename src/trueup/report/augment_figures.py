@@ -7,13 +7,14 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from trueup.core.attention import AttentionProfile
 from trueup.core.augment_result import Cut, Reliability, joint_title
 from trueup.core.results import Estimate
 from trueup.core.step_times import StepTimes
 from trueup.core.traces import MEASURED, Trace
 from trueup.report.augment_words import factor_interval, factor_words
 from trueup.report.chooser import Figure
-from trueup.report.figures import reference_line, rounded, whiskers
+from trueup.report.figures import reference_line, rounded, transparent, whiskers
 from trueup.report.labels import plot_text
 from trueup.report.numbers import interval, percent, pretty_unit, quantity
 from trueup.report.palette import Style
@@ -21,6 +22,8 @@ from trueup.report.palette import Style
 _GRAY = "#808080"
 # Round factors of a log axis.
 _TICKS = tuple(digit * 10.0**power for power in range(-4, 7) for digit in (1, 2, 5))
+# A share that a log axis still shows.
+_LEAST = 1e-6
 # Axes and whiskers end here, times the largest and the smallest value.
 _BEYOND = 4.0
 _COLUMNS = 2
@@ -211,6 +214,72 @@ def latency_figure(latencies: Mapping[str, StepTimes], styles: Mapping[str, Styl
         "shapes": shapes,
         "xaxis": {"type": "log", "title": {"text": "time of one step [µs]"}},
         "yaxis": {"type": "log", "title": {"text": "share of the steps [%]"}},
+    }
+    return {"data": data, "layout": layout}
+
+
+def attention_figure(profiles: Mapping[str, AttentionProfile], styles: Mapping[str, Style]) -> Figure:
+    """Share of attention over the time before the present sample, with the spread over motions (SAT, Fig. 11).
+
+    On a log axis: the present sample often has many times the share of any other.
+    """
+    data: list[dict[str, Any]] = []
+    for name, item in profiles.items():
+        style, lags = styles[name], range(len(item.mean))
+        time_ms = [rounded(-1e3 * lag / item.rate_hz) for lag in lags]
+        low, high = ([rounded(100.0 * max(share, _LEAST)) for share in shares] for shares in (item.low, item.high))
+        band = {
+            "type": "scatter",
+            "x": time_ms + time_ms[::-1],
+            "y": high + low[::-1],
+            "fill": "toself",
+            "fillcolor": transparent(style.color),
+            "line": {"width": 0},
+            "mode": "lines",
+            "hoverinfo": "skip",
+            "showlegend": False,
+            "legendgroup": plot_text(name),
+        }
+        curve = {
+            "type": "scatter",
+            "mode": "lines",
+            "name": plot_text(name),
+            "legendgroup": plot_text(name),
+            "x": time_ms,
+            "y": [rounded(100.0 * max(share, _LEAST)) for share in item.mean],
+            "customdata": [[lag, low[lag], high[lag]] for lag in lags],
+            "line": {"color": style.color, "dash": style.dash, "width": 2},
+            "hovertemplate": "%{x:.4g} ms, %{customdata[0]} samples ago: %{y:.3g} % "
+            "(%{customdata[1]:.3g} to %{customdata[2]:.3g})",
+        }
+        data += [band, curve]
+    lengths = {len(item.mean) for item in profiles.values()}
+    if len(lengths) == 1:
+        alike = rounded(100.0 / lengths.pop())
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "name": "all samples alike",
+                "x": [min(curve["x"][-1] for curve in data[1::2]), 0],
+                "y": [alike, alike],
+                "line": {"color": _GRAY, "dash": "dot", "width": 1.5},
+                "hoverinfo": "skip",
+            }
+        )
+    ends = [value for item in profiles.values() for values in (item.low, item.high) for value in values]
+    ticks = [tick for tick in _TICKS if min(ends) / 2 <= tick / 100 <= max(ends) * 2]
+    steps_ms = {f"{1e3 / item.rate_hz:.4g}" for item in profiles.values()}
+    step = f", {steps_ms.pop()} ms per sample" if len(steps_ms) == 1 else ""
+    layout = {
+        "height": 340,
+        "xaxis": {"title": {"text": f"time before the present sample [ms]{step}"}},
+        "yaxis": {
+            "type": "log",
+            "title": {"text": "share of the attention [%]"},
+            "tickvals": ticks,
+            "ticktext": [f"{tick:g}" for tick in ticks],
+        },
     }
     return {"data": data, "layout": layout}
 

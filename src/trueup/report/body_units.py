@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from trueup.core.augment_result import AugmentResult, Cut, JointGap, Pooled
 from trueup.core.results import Estimate, GapResult, Ladder, Metrics
+from trueup.core.robustness_result import Improvement, RobustnessResult
 
 # Signal -> unit of an error -> the unit that is shown.
 _SHOWN = {"body.position": {"m": "mm", "m^2": "mm^2"}, "body.rotation": {"rad": "deg", "rad^2": "deg^2"}}
@@ -78,6 +79,21 @@ def evaluation_for_people(result: AugmentResult) -> AugmentResult:
     )
 
 
+def robustness_for_people(result: RobustnessResult) -> RobustnessResult:
+    """How far a correction carries, in mm for bodies; and in degrees for joints, as the paper has it."""
+
+    def shown(item: Estimate) -> Estimate:
+        return _scaled_to("deg", item) if item.unit == "rad" else _shown(result.signal, item)
+
+    def improvement(item: Improvement) -> Improvement:
+        return replace(item, simulated=shown(item.simulated), corrected=shown(item.corrected))
+
+    rows = tuple(
+        replace(row, errors={kind: improvement(item) for kind, item in row.errors.items()}) for row in result.rows
+    )
+    return replace(result, rows=rows)
+
+
 def _joint_gaps(gaps: Mapping[str, JointGap]) -> Mapping[str, JointGap]:
     position, rotation = _OF_SIGNAL
     return {
@@ -107,8 +123,10 @@ def _metrics(metrics: Metrics) -> Metrics:
 
 def _shown(signal: str, estimate: Estimate) -> Estimate:
     unit = _SHOWN.get(signal, {}).get(estimate.unit)
-    if unit is None:
-        return estimate
+    return estimate if unit is None else _scaled_to(unit, estimate)
+
+
+def _scaled_to(unit: str, estimate: Estimate) -> Estimate:
     factor = _FACTORS[unit]
     low, high = (None if end is None else factor * end for end in (estimate.low, estimate.high))
     return Estimate(factor * estimate.value, unit, low, high)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import resources
 from pathlib import Path, PurePath
@@ -13,8 +13,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from trueup.core.atomic import write_text
-from trueup.report.folder import RunFolder
-from trueup.report.sections import SECTIONS
+from trueup.report.folder import GAP_NAME, RunFolder, robustness_of
+from trueup.report.sections import SECTIONS, Section
+from trueup.report.sections.provenance import provenance_of
+from trueup.report.sections.robustness import section_of
 
 REPORT_NAME = "report.html"
 
@@ -23,23 +25,37 @@ def build_report(folder: Path | str) -> str:
     """The report of a finished run as one self-contained HTML page.
 
     The folder holds gap.json and, if they were made, ladder.json, traces.json with traces.npz, quality.json and
-    analysis.json, and what an identification leaves: fit.json, explain.json, graybox.json. A section without its file
-    is left out. Equal inputs give equal bytes.
+    analysis.json, and what an identification leaves: fit.json, explain.json, graybox.json; or robustness.json, alone or
+    beside them. A section without its file is left out. Equal inputs give equal bytes.
 
     Raises:
-        DataError: there is no gap.json, or a file is broken.
+        DataError: there is neither gap.json nor robustness.json, or a file is broken.
         FormatError: a file holds something else, or was written by another version.
     """
-    run = RunFolder.load(Path(folder))
+    folder = Path(folder)
+    alone = None if (folder / GAP_NAME).is_file() else robustness_of(folder)
+    if alone is not None:
+        title = f"Robustness of {alone.network} on {alone.robot}"
+        return _page(title, _facts(alone.provenance), [section_of(alone), provenance_of(alone)])
+    run = RunFolder.load(folder)
     sections = [section for make in SECTIONS if (section := make(run)) is not None]
-    page = _environment().get_template("page.html.j2")
-    return page.render(
-        title=_title(run),
-        subtitle=_subtitle(run),
-        sections=sections,
-        style=_asset("style.css") + (_asset("identification.css") if run.identified else ""),
-        fitted=run.fit is not None,
-        scripts=[_plotly(), _asset("report.js"), _asset("traces.js")],
+    return _page(_title(run), _subtitle(run), sections, identified=run.identified, fitted=run.fit is not None)
+
+
+def _page(
+    title: str, subtitle: Sequence[str], sections: Sequence[Section], *, identified: bool = False, fitted: bool = False
+) -> str:
+    return (
+        _environment()
+        .get_template("page.html.j2")
+        .render(
+            title=title,
+            subtitle=subtitle,
+            sections=sections,
+            style=_asset("style.css") + (_asset("identification.css") if identified else ""),
+            fitted=fitted,
+            scripts=[_plotly(), _asset("report.js"), _asset("traces.js")],
+        )
     )
 
 
@@ -87,10 +103,14 @@ def _title(run: RunFolder) -> str:
 
 
 def _subtitle(run: RunFolder) -> list[str]:
-    stored = run.gap.provenance
-    dataset, created = _name_of(run, "dataset"), stored.get("created")
-    parts = [f"Data: {dataset}" if dataset else ""]
-    parts.append(f"compared on {created[:10]}" if isinstance(created, str) else "")
+    dataset = _name_of(run, "dataset")
+    return [*([f"Data: {dataset}"] if dataset else []), *_facts(run.gap.provenance)]
+
+
+def _facts(stored: Mapping[str, Any]) -> list[str]:
+    """When a result was made, and by which version."""
+    created = stored.get("created")
+    parts = [f"compared on {created[:10]}" if isinstance(created, str) else ""]
     parts.append(f"trueup {stored['trueup']}" if isinstance(stored.get("trueup"), str) else "")
     return [part for part in parts if part]
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from trueup.core.augment_result import ANY_CONDITION, AugmentResult
 from trueup.core.fit_result import FitResult
 from trueup.core.results import GapResult
+from trueup.core.robustness_result import ERROR_KINDS, RobustnessResult
 from trueup.errors import DataError
 
 
@@ -47,3 +48,16 @@ def check_augment(augment: AugmentResult, gap: GapResult, path: Path) -> None:
     tables = [augment.simulated, *(model.cuts for model in augment.models)]
     if any(table.keys() != augment.motions.keys() for table in tables) or ANY_CONDITION not in augment.motions:
         raise DataError(f"{path} is broken: tables and groups of motions differ", expected=list(augment.motions))
+
+
+def check_robustness(result: RobustnessResult, path: Path) -> None:
+    """Whether every row of robustness.json has all errors, and there is one with the simulator as it is.
+
+    Raises:
+        DataError: it has not, or there is none.
+    """
+    if not result.datasets:
+        raise DataError(f"{path} has no row with the simulator as it is")
+    for row in result.rows:
+        if row.errors.keys() != ERROR_KINDS.keys():
+            raise DataError(f"{path} is broken: errors on {row.dataset}", got=list(row.errors), expected=ERROR_KINDS)

@@ -103,7 +103,7 @@ def bins_figure(curves: Mapping[str, BinnedCurve], styles: Mapping[str, Style], 
                 "x": x + x[::-1],
                 "y": high + low[::-1],
                 "fill": "toself",
-                "fillcolor": _transparent(style.color),
+                "fillcolor": transparent(style.color),
                 "line": {"width": 0},
                 "mode": "lines",
                 "hoverinfo": "skip",
@@ -234,7 +234,8 @@ def reference_line(x: float) -> dict[str, Any]:
     }
 
 
-def _transparent(color: str) -> str:
+def transparent(color: str) -> str:
+    """A color of the palette for a band, behind curves."""
     red, green, blue = (int(color[start : start + 2], 16) for start in (1, 3, 5))
     return f"rgba({red},{green},{blue},0.16)"
 

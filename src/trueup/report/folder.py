@@ -16,14 +16,16 @@ from trueup.core.fit_result import FitResult
 from trueup.core.graybox_result import GrayboxResult
 from trueup.core.quality import Quality
 from trueup.core.results import GapResult, Ladder
+from trueup.core.robustness_result import ROBUSTNESS_NAME, RobustnessResult
 from trueup.core.traces import TraceSet
 from trueup.errors import DataError, TrueupError
 from trueup.report.body_units import evaluation_for_people, gap_for_people, ladder_for_people
-from trueup.report.checks import check_augment, check_fit, check_gap
+from trueup.report.checks import check_augment, check_fit, check_gap, check_robustness
 from trueup.report.labels import COMMAND, ordered_runs
 from trueup.report.palette import Style, run_styles
 
 Loaded = TypeVar("Loaded")
+GAP_NAME = "gap.json"
 # What an identification writes beside fit.json for other programs.
 FITTED_FILES = ("robot.fitted.yaml", "model.fitted.xml", "isaac.actuators.yaml", "fit.samples.npz")
 # Friction laws beyond MuJoCo's own stand in a model file as user data of a joint that begin with this mark.
@@ -42,6 +44,7 @@ class RunFolder:
         analysis: analysis.json.
         engines: engines.json.
         augment: augment.json.
+        robustness: robustness.json.
         fit: fit.json.
         attribution: explain.json.
         graybox: graybox.json.
@@ -56,6 +59,7 @@ class RunFolder:
     analysis: Analysis | None = None
     engines: EngineComparison | None = None
     augment: AugmentResult | None = None
+    robustness: RobustnessResult | None = None
     fit: FitResult | None = None
     attribution: Attribution | None = None
     graybox: GrayboxResult | None = None
@@ -95,14 +99,14 @@ class RunFolder:
             DataError: there is no gap.json, or a file is broken.
             FormatError: a file holds something else, or another version.
         """
-        if not (folder / "gap.json").is_file():
+        if not (folder / GAP_NAME).is_file():
             raise DataError(
-                f"{folder} holds no gap.json",
+                f"{folder} holds no {GAP_NAME}",
                 available=sorted(item.name for item in folder.iterdir()) if folder.is_dir() else None,
                 hint="Run `trueup gap` with this folder as --out, or point the report at the folder of a finished run.",
             )
-        gap = _loaded(folder / "gap.json", GapResult.load)
-        check_gap(gap, folder / "gap.json")
+        gap = _loaded(folder / GAP_NAME, GapResult.load)
+        check_gap(gap, folder / GAP_NAME)
         fit = _optional(folder / "fit.json", FitResult.load)
         if fit is not None:
             check_fit(fit, folder / "fit.json")
@@ -124,7 +128,22 @@ class RunFolder:
             analysis=_optional(folder / "analysis.json", Analysis.load),
             engines=_optional(folder / "engines.json", EngineComparison.load),
             augment=None if augment is None else evaluation_for_people(augment),
+            robustness=robustness_of(folder),
         )
+
+
+def robustness_of(folder: Path) -> RobustnessResult | None:
+    """robustness.json, which may stand alone; None if there is none.
+
+    Raises:
+        DataError: it is broken.
+        FormatError: it is something else, or of another version.
+    """
+    path = folder / ROBUSTNESS_NAME
+    result = _optional(path, RobustnessResult.load)
+    if result is not None:
+        check_robustness(result, path)
+    return result
 
 
 def _optional(path: Path, load: Callable[[Path], Loaded]) -> Loaded | None:

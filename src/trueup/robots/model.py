@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
+import numpy as np
+from jaxtyping import Float64
 
 from trueup.errors import ConfigError
 
@@ -65,6 +67,12 @@ def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
         return spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         raise ConfigError(f"{path} does not compile", got=error) from error
+
+
+def gravity_of(model: mujoco.MjModel) -> Float64[np.ndarray, "3"]:
+    """Gravity [m/s2]; zero where the model's options switch it off."""
+    off = int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    return np.zeros(3) if off else np.array(model.opt.gravity)
 
 
 def _root_tag(path: Path, *, folder: Path | None = None, copied: float = 1.0, within: tuple[Path, ...] = ()) -> str:

@@ -183,8 +183,8 @@ class SimulationSpec:
         gravity_compensation: whether the weight of every body is carried by something that the model leaves out,
             such as the robot's own controller (Franka's does so in torque control).
         load: also say what each joint gives on to the parts that it moves (SAT, IV-A): the torque of its actuators
-            without what friction and the motor's own inertia take; MuJoCo only.
-        bodies: those whose pose, velocity and wrench are also said, likewise.
+            without what friction and the motor's own inertia take.
+        bodies: those whose pose, velocity and wrench are also said.
     """
 
     timestep_s: float | None = None

@@ -8,6 +8,8 @@ from trueup.sim.friction import friction_of as friction_of
 from trueup.sim.friction import install as install_friction
 from trueup.sim.friction import set_friction as set_friction
 from trueup.sim.mujoco_engine import MujocoSimulator as MujocoSimulator
+from trueup.sim.perturbation import Perturbation as Perturbation
+from trueup.sim.perturbation import perturbed as perturbed
 from trueup.sim.replay import replay as replay
 from trueup.sim.replay import replay_episode as replay_episode
 from trueup.sim.replay_plan import ReplayPlan as ReplayPlan
@@ -17,12 +19,14 @@ __all__ = [
     "ENGINES",
     "DartSimulator",
     "MujocoSimulator",
+    "Perturbation",
     "ReplayPlan",
     "ReplaySettings",
     "blocks_of",
     "friction_of",
     "install_friction",
     "make_simulator",
+    "perturbed",
     "replay",
     "replay_episode",
     "set_friction",

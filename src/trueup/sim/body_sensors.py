@@ -13,6 +13,7 @@ from jaxtyping import Float64
 
 from trueup.core.timeseries import BODY_PREFIX
 from trueup.errors import NameMismatch
+from trueup.robots.model import gravity_of
 
 # Quantity -> kind of sensor, and the frame that it is of: that of the body, or that of its center of mass.
 _SENSORS = {
@@ -35,7 +36,7 @@ def add_body_sensors(spec: mujoco.MjSpec, bodies: Sequence[str]) -> None:
     Raises:
         NameMismatch: there is no such body; both lists are printed.
     """
-    known = [body.name for body in spec.bodies]
+    known = [body.name for body in spec.bodies if body is not spec.worldbody]
     missing = [name for name in bodies if name not in known]
     if missing:
         raise NameMismatch(
@@ -56,6 +57,8 @@ class BodySensors:
 
     def __init__(self, model: mujoco.MjModel, bodies: Sequence[str]) -> None:
         numbers = [model.body(name).id for name in bodies]
+        self._model = model
+        self._still = model.body_weldid[numbers] == 0
         self._mass = model.body_mass[numbers]
         self._inertia = model.body_inertia[numbers]
         self._columns = {}
@@ -71,28 +74,53 @@ class BodySensors:
         worked out from its motion: m (a - g), and I dw/dt + w x I w.
         """
         found = {quantity: sensors[..., columns] for quantity, columns in self._columns.items()}
-        spin, axes = found["angular_velocity"], _matrices(found["inertial"])
-        inertia = np.einsum("...ij,...j,...kj->...ik", axes, self._inertia, axes)
-        momentum = np.einsum("...ij,...j->...i", inertia, spin)
-        turning = np.einsum("...ij,...j->...i", inertia, found["angular_acceleration"])
-        # MuJoCo's linear acceleration has what holds a body against gravity in it.
-        values = (
-            found["position"],
-            _matrices(found["quaternion"]),
-            found["velocity"],
-            spin,
-            self._mass[:, None] * found["acceleration"],
-            turning + np.cross(spin, momentum),
+        # MuJoCo's linear acceleration has what holds a body against gravity in it, but not of bodies that cannot move.
+        felt = np.where(self._still[:, None], -gravity_of(self._model), found["acceleration"])
+        wrench = body_wrench(
+            self._mass,
+            self._inertia,
+            matrices_of(found["inertial"]),
+            felt=felt,
+            spin=found["angular_velocity"],
+            turning=found["angular_acceleration"],
         )
+        pose = found["position"], matrices_of(found["quaternion"])
+        values = (*pose, found["velocity"], found["angular_velocity"], *wrench)
         return dict(zip(BODY_SIGNALS, values, strict=True))
 
 
-def _name(body: str, quantity: str) -> str:
-    return f"trueup.body.{quantity}.{body}"
+def body_wrench(
+    mass: Float64[np.ndarray, "M"],
+    inertia: Float64[np.ndarray, "M 3"],
+    axes: Float64[np.ndarray, "*B M 3 3"],
+    *,
+    felt: Float64[np.ndarray, "*B M 3"],
+    spin: Float64[np.ndarray, "*B M 3"],
+    turning: Float64[np.ndarray, "*B M 3"],
+) -> tuple[Float64[np.ndarray, "*B M 3"], Float64[np.ndarray, "*B M 3"]]:
+    """Force and torque about the center of mass that move bodies as they move; gravity is not among them.
+
+    Args:
+        mass: (M,) [kg].
+        inertia: about the principal axes, (M, 3) [kg m2].
+        axes: the principal axes as columns, (..., M, 3, 3).
+        felt: acceleration of the center of mass minus gravity, (..., M, 3) [m/s2].
+        spin: angular velocity, (..., M, 3) [rad/s].
+        turning: angular acceleration, (..., M, 3) [rad/s2].
+    """
+    world = np.einsum("...ij,...j,...kj->...ik", axes, inertia, axes)
+    momentum = np.einsum("...ij,...j->...i", world, spin)
+    torque = np.einsum("...ij,...j->...i", world, turning) + np.cross(spin, momentum)
+    return mass[:, None] * felt, torque
 
 
-def _matrices(quaternion: Float64[np.ndarray, "*B 4"]) -> Float64[np.ndarray, "*B 3 3"]:
+def matrices_of(quaternion: Float64[np.ndarray, "*B 4"]) -> Float64[np.ndarray, "*B 3 3"]:
+    """Rotations of quaternions, the real part first."""
     from scipy.spatial.transform import Rotation  # takes 0.1 s that robots without such sensors do not need
 
     matrices = Rotation.from_quat(quaternion.reshape(-1, 4), scalar_first=True).as_matrix()
     return np.asarray(matrices).reshape(*quaternion.shape[:-1], 3, 3)
+
+
+def _name(body: str, quantity: str) -> str:
+    return f"trueup.body.{quantity}.{body}"

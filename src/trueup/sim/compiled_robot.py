@@ -140,6 +140,12 @@ def load_sensor(joint: str) -> str:
 
 def _add_load_sensor(spec: mujoco.MjSpec, name: str) -> None:
     joint = spec.joint(name)
+    last = joint.parent.joints[-1].name
+    if name != last:  # its axis would move in the body, in which the sensor stands still
+        raise ConfigError(
+            f"simulation: load: joint {name!r} shares its body with {last!r}, so that its load cannot be read",
+            hint="Give each joint a body of its own in the model; the first ones may weigh next to nothing.",
+        )
     joint.parent.add_site(name=load_sensor(name), pos=joint.pos)
     hinge = joint.type == mujoco.mjtJoint.mjJNT_HINGE
     spec.add_sensor(

@@ -13,12 +13,13 @@ from jaxtyping import Float, Float64
 from trueup.core.protocols import RolloutRequest, RolloutResult
 from trueup.errors import DataError
 from trueup.robots import RobotSpec
-from trueup.robots.model import load_spec
+from trueup.robots.model import gravity_of, load_spec
 from trueup.sim.actuators import Actuators
 from trueup.sim.compiled_robot import ABSURD, CompiledRobot, compile_robot
 from trueup.sim.controllers import Channel
+from trueup.sim.dart_blocks import DartBlocks
 from trueup.sim.dart_friction import DartFriction, laws_of
-from trueup.sim.dart_model import JointNumbers, gravity_of, load_dart, refuse_unmatched, skeleton_of
+from trueup.sim.dart_model import JointNumbers, load_dart, refuse_unmatched, skeleton_of
 from trueup.sim.dry_friction import friction_impulse
 from trueup.sim.payload import attach_payload
 
@@ -54,6 +55,8 @@ class DartSimulator(CompiledRobot):
         self._dofs = np.array([model.jnt_dofadr[model.joint(name).id] for name in robot.joint_names])
         # Semi-implicit Euler with a damping of armature / step that is taken off again as a force: (M + armature).
         self._rotor = self._numbers.armature / float(model.opt.timestep)
+        wanted = robot.simulation
+        self._blocks = DartBlocks(model, self._dofs, wanted) if wanted.load or wanted.bodies else None
         self._copies: _Copies | None = None
 
     @staticmethod
@@ -97,13 +100,12 @@ class DartSimulator(CompiledRobot):
         control = self.control_of(request.command)
         copies = self._start(request.position, request.velocity)
         count, steps = control.shape[:2]
-        position = np.empty((count, steps + 1, len(self._dofs)))
-        velocity, torque = np.empty_like(position), np.empty_like(position)
-        position[:, 0], velocity[:, 0] = request.position, request.velocity
+        q, v = np.empty((2, count, steps + 1, self.model.nv))
+        torque = np.empty((count, steps + 1, len(self._dofs)))
+        q[:, 0], v[:, 0] = copies.position, copies.velocity
         for row in range(steps):
             torque[:, row] = self._advance(copies, control[:, row])[:, self._dofs]
-            position[:, row + 1] = copies.position[:, self._dofs]
-            velocity[:, row + 1] = copies.velocity[:, self._dofs]
+            q[:, row + 1], v[:, row + 1] = copies.position, copies.velocity
             # DART is not asked to go on with what is not a number.
             if copies.lost():
                 raise DataError(
@@ -112,7 +114,10 @@ class DartSimulator(CompiledRobot):
                     hint="Take a smaller simulation.timestep_s in robot.yaml, or lower gains.",
                 )
         torque[:, -1] = torque[:, -2]
-        return RolloutResult(position, velocity, torque, self.electrics(torque, velocity))
+        position, velocity = q[..., self._dofs], v[..., self._dofs]
+        blocks, bodies = self._blocks.read(q, v) if self._blocks else ({}, {})
+        further = {**self.electrics(torque, velocity), **blocks}
+        return RolloutResult(position, velocity, torque, further, bodies, self.robot.simulation.bodies)
 
     def reset(self, position: Float[np.ndarray, "B J"], velocity: Float[np.ndarray, "B J"]) -> None:
         """Put B independent copies of the robot into these states, at time 0."""

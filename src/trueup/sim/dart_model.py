@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from trueup.errors import ConfigError
+from trueup.robots.model import gravity_of
 
 _OFF = mujoco.mjtDisableBit
 # DART warns of bodies without mass and inertia [kg, kg m2].
@@ -90,11 +91,6 @@ class JointNumbers:
         )
 
 
-def gravity_of(model: mujoco.MjModel) -> Float64[np.ndarray, "3"]:
-    """Gravity [m/s2]; zero where the model's options switch it off."""
-    return np.asarray(model.opt.gravity * _kept(model, _OFF.mjDSBL_GRAVITY))
-
-
 def skeleton_of(model: mujoco.MjModel, *, compensated: bool = True) -> Any:
     """A DART skeleton with the bodies and joints of a compiled model, in its pose of all zeros, at rest.
 
@@ -114,6 +110,11 @@ def skeleton_of(model: mujoco.MjModel, *, compensated: bool = True) -> Any:
         bodies[body] = _add_body(dart, skeleton, model, body, bodies[int(model.body_parentid[body])], compensated)
     skeleton.setGravity(gravity_of(model))
     return skeleton
+
+
+def node_number(model: mujoco.MjModel, body: int) -> int:
+    """Which body node of a skeleton that is not compensated is this body of the model: one node per joint before it."""
+    return int(np.maximum(model.body_jntnum[1 : body + 1], 1).sum()) - 1
 
 
 def _add_body(dart: Any, skeleton: Any, model: mujoco.MjModel, body: int, parent: Any, compensated: bool) -> Any:  # noqa: FBT001

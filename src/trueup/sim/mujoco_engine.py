@@ -18,6 +18,7 @@ from trueup.errors import DataError
 from trueup.robots import RobotSpec
 from trueup.robots.model import load_spec
 from trueup.sim.body_sensors import BodySensors
+from trueup.sim.closed_chains import ClosedChains
 from trueup.sim.compiled_robot import ABSURD, CompiledRobot, compile_robot, load_sensor, torque_sensor
 from trueup.sim.controllers import Channel
 from trueup.sim.friction import has_friction, install
@@ -61,6 +62,7 @@ class MujocoSimulator(CompiledRobot):
         self._layout = _layout(model, robot.joint_names, channels)
         bodies = robot.simulation.bodies
         self._bodies = BodySensors(model, bodies) if bodies else None
+        self._chains = ClosedChains(model, self._layout.qpos, self._layout.qvel) if model.neq else None
         if has_friction(model):
             install()
         self._data = [mujoco.MjData(model) for _ in range(threads)]
@@ -177,8 +179,12 @@ class MujocoSimulator(CompiledRobot):
         if self._batch is None or self._batch.nsim != count:
             self._batch = batch.Batch(self.model, nsim=count, nthread=self.threads)
         self._batch.reset()
-        self._batch.bind("qpos")[:, self._layout.qpos] = position
-        self._batch.bind("qvel")[:, self._layout.qvel] = velocity
+        if self._chains is None:
+            self._batch.bind("qpos")[:, self._layout.qpos] = position
+            self._batch.bind("qvel")[:, self._layout.qvel] = velocity
+        else:
+            for row, own in enumerate(zip(position, velocity, strict=True)):
+                self._batch.bind("qpos")[row], self._batch.bind("qvel")[row] = self._chains.close(*own)
         for activation, column in self._layout.integrators:
             self._batch.bind("act")[:, activation] = position[:, column]
 
@@ -209,8 +215,11 @@ class MujocoSimulator(CompiledRobot):
         template = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self._data[0], template, _STATE)
         states = np.tile(template, (request.position.shape[0], 1))
-        states[:, 1 + self._layout.qpos] = request.position
-        states[:, 1 + self.model.nq + self._layout.qvel] = request.velocity
+        qpos, qvel = states[:, 1 : 1 + self.model.nq], states[:, 1 + self.model.nq : 1 + self.model.nq + self.model.nv]
+        qpos[:, self._layout.qpos], qvel[:, self._layout.qvel] = request.position, request.velocity
+        if self._chains is not None:
+            for row, own in enumerate(zip(request.position, request.velocity, strict=True)):
+                qpos[row], qvel[row] = self._chains.close(*own)
         for activation, column in self._layout.integrators:
             states[:, 1 + self.model.nq + self.model.nv + activation] = request.position[:, column]
         return states

@@ -15,6 +15,7 @@ from jaxtyping import Float, Float64
 
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.errors import MissingSignal, NameMismatch
+from trueup.sim.closed_chains import equalities
 
 POSITION, ROTATION = (f"{BODY_PREFIX}{name}" for name in ("position", "rotation"))
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -198,7 +199,7 @@ class Projection:
             mujoco.mj_fwdPosition(model, data)
             jacobian, residual = self._residual(wanted, simulated)
             normal, pull = jacobian.T @ jacobian, jacobian.T @ residual
-            chains, open_by = self._chains()
+            chains, open_by = equalities(model, data)
             size, count = model.nv, len(open_by)
             # A passive joint that nothing asks for is held by its chain, or by next to nothing.
             system = np.zeros((size + count, size + count))
@@ -233,19 +234,6 @@ class Projection:
         rows.append(hold)
         left.append(_HOLD * self._weights[ROTATION] * (simulated - data.qpos[self._coordinates]))
         return np.concatenate(rows), np.concatenate(left)
-
-    def _chains(self) -> tuple[Float64[np.ndarray, "C V"], Float64[np.ndarray, "C"]]:
-        """Jacobian of the equality constraints and how far they are open."""
-        model, data = self._model, self._data
-        count = data.ne
-        if not count:
-            return np.zeros((0, model.nv)), np.zeros(0)
-        jacobian = np.zeros((data.nefc, model.nv))
-        if mujoco.mj_isSparse(model):
-            mujoco.mju_sparse2dense(jacobian, data.efc_J, data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
-        else:
-            jacobian = data.efc_J.reshape(data.nefc, model.nv).copy()
-        return jacobian[:count], data.efc_pos[:count].copy()
 
     def _poses(self) -> dict[str, Float64[np.ndarray, "M ..."]]:
         turned = self._data.xmat[self._bodies].reshape(-1, 3, 3)

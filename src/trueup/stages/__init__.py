@@ -10,6 +10,7 @@ from trueup.stages.exporting import export_dataset
 from trueup.stages.identifying import FITTED, Identified, explain, fit
 from trueup.stages.importing import ImportSummary, import_logs, plan_import
 from trueup.stages.measuring import Measurement, gap
+from trueup.stages.perturbing import robustness
 from trueup.stages.recording import RecordSummary, plans_named, record
 from trueup.stages.replaying import STOCK, ReplaySummary, replay
 from trueup.stages.rigs import EngineRig, LabRig, make_rig
@@ -47,5 +48,6 @@ __all__ = [
     "plans_named",
     "record",
     "replay",
+    "robustness",
     "time_steps",
 ]

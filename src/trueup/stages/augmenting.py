@@ -12,6 +12,7 @@ import numpy as np
 
 from trueup.augment.config import FEWEST_FOR_CHANCE, SIGNALS, AugmentConfig
 from trueup.core.atomic import json_hash, make_folder
+from trueup.core.episode import Episode
 from trueup.core.model_card import ANY_JOINT, CARD_NAME, Channel
 from trueup.dataset import Dataset
 from trueup.dataset.writer import is_label_part
@@ -100,10 +101,11 @@ def augment(
     config, out = config or AugmentConfig(), Path(out)
     with needing("training", "learn"):
         from trueup.augment import Augmentation, Task
+        from trueup.augment.loss import Loss
         from trueup.augment.pairs import any_joint, channels_of, refuse_overlap, write_pairs
         from trueup.augment.training import find_device
 
-    find_device(device)
+    find_device(device, config.precision)
     name = name or config.method
     _refuse_bad_name(name)
     _refuse_no_training(config)
@@ -143,6 +145,7 @@ def augment(
         measured=data.measured,
         known=SIGNALS,
     )
+    Loss(config.loss, outputs, 1.0, config.network.quantiles)  # refuses what cannot be minimized, before all is read
     joints, bodies = _joints(source, config), _bodies(outputs, config)
     outputs = tuple(channel for channel in outputs if channel.joint in (bodies if channel.of_body else joints))
     blocks = bodies if outputs[0].of_body else joints
@@ -196,7 +199,13 @@ def augment(
         augmentation.save(out)
     # Only here is nothing left that an interruption could cost.
     folder.clean()
-    return Augmented(augmentation, out, (*_unknown_limits(limits, inputs, config), *_notes(augmentation)))
+    notes = (
+        *_unmeasured(first, run, config),
+        *_unreached(augmentation, max(motion.rows for motion in pairs["train"].motions)),
+        *_unknown_limits(limits, inputs, config),
+        *_notes(augmentation),
+    )
+    return Augmented(augmentation, out, notes)
 
 
 def _refuse_bad_name(name: str) -> None:
@@ -270,6 +279,24 @@ def _limits(robot: RobotSpec | None, source: TrainingData, config: AugmentConfig
     if robot is not None and config.data.normalization == "limits":
         limits |= {("velocity", name): (-speed, speed) for name, speed in _speeds(robot, source.datasets[0]).items()}
     return limits
+
+
+def _unmeasured(episode: Episode, run: str, config: AugmentConfig) -> Iterator[str]:
+    """What the simulator says and no sensor does, where all that can be corrected was asked for."""
+    if config.data.signals is None:
+        left = [name for name in SIGNALS if name in episode.run(run) and name not in episode.measured]
+        if left:
+            yield f"the robot did not measure {', '.join(left)}, which stays as simulated"
+
+
+def _unreached(augmentation: Augmentation, longest: int) -> Iterator[str]:
+    """Where a history is longer than any motion: what lies beyond was never seen."""
+    reach = augmentation.corrector.network.reach
+    if reach >= longest and augmentation.config.network.trained:
+        yield (
+            f"the history of {reach} samples is longer than every motion of train, the longest has {longest}: "
+            "what is further back than that taught nothing"
+        )
 
 
 def _unknown_limits(limits: Limits, inputs: Sequence[Channel], config: AugmentConfig) -> Iterator[str]:

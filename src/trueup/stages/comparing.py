@@ -110,10 +110,16 @@ def comparison_of(episode: Episode, frame: Frame, *, align: bool) -> Comparison:
     return Comparison(
         meta=episode.meta,
         measured=measured,
-        simulated={label: simulated[label] for label in episode.simulated},
+        simulated={label: _measured_bodies(simulated[label], measured) for label in episode.simulated},
         command=None if command is None else resample(command, clock, hold=True),
         starts=window_starts(clock, frame.window_s),
     )
+
+
+def _measured_bodies(series: TimeSeries, measured: TimeSeries) -> TimeSeries:
+    """The run with the bodies that were measured; a simulator may say what others do."""
+    there = bool(measured.bodies) and set(measured.bodies) <= set(series.bodies)
+    return series.select_bodies(measured.bodies) if there else series
 
 
 def _at(series: TimeSeries, time_s: np.ndarray) -> TimeSeries:

@@ -16,6 +16,7 @@ from trueup.core.results import Ladder
 from trueup.core.step_times import LATENCY_NAME, StepTimes
 from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError, MissingSignal, OutputExists, TrueupError
+from trueup.stages.attending import with_attention
 from trueup.stages.comparing import comparison_of, frame_of
 from trueup.stages.correcting import CorrectionSummary, correct_unless_same, corrected_label
 from trueup.stages.folder import forget_explanation, refuse_other_fit
@@ -86,7 +87,7 @@ def evaluate(
 
     Raises:
         OutputExists: `out` holds results and `overwrite` is not given.
-        ConfigError: no network, two of one name, or it is not clear which run they correct.
+        ConfigError: no network, two of one name, none of bodies to project, or it is not clear which run they correct.
         MissingSignal: the run or split is not there.
         NameMismatch: a network is for other joints; both lists are printed.
         DataError: the run has too few samples per second for a network, or no motion is left.
@@ -103,6 +104,8 @@ def evaluate(
     cards = [predictor.card for predictor in predictors]
     timed = [_timed(Path(folder), card) for folder, card in zip(models, cards, strict=True)]
     _refuse_same_names(cards, models)
+    if project and not any(corrects_bodies(card) for card in cards):
+        raise ConfigError("--project is for networks that correct bodies", got=[card.name for card in cards])
     run = _run_of(dataset, cards) if run is None else run
     ids = _motions(dataset, run, split, drop_flagged=drop_flagged)
     # From here on, modular networks are for the joints, or bodies, of this robot.
@@ -151,6 +154,9 @@ def evaluate(
         provenance=provenance(config=config, seed=seed, data_hash=dataset.hash),
     )
     result, unknown = with_gaps(result, dataset, measured, draws=draws, seed=seed, track=track)
+    notes += unknown
+    folders = {card.name: Path(folder) for card, folder in zip(cards, models, strict=True)}
+    result, unknown = with_attention(result, dataset, folders, measured, draws=draws, seed=seed, track=track)
     notes += unknown
     ladder = _ladder(dataset, measurement, run, corrections)
     forget_explanation(out, unless_of=None if overwrite else dataset.hash)

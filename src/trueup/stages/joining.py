@@ -99,23 +99,28 @@ def project_unless_same(
 class GapTally:
     """Takes the runs of motions one by one, and keeps how far their bodies are apart at each joint.
 
+    Samples in which a body is not known do not count.
+
     Args:
         model: that the runs are of.
     """
 
     model: mujoco.MjModel
     _rows: dict[str, list[dict[str, np.ndarray]]] = field(default_factory=dict)
-    _joints: tuple[str, ...] = ()
+    _joints: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     def add(self, runs: Mapping[str, TimeSeries]) -> None:
         """One motion: run -> its series."""
         from trueup.sim.projection import JointGaps
 
         for label, series in runs.items():
-            found = JointGaps(self.model, series.bodies).of(series)
+            known = np.all([np.isfinite(series[name].reshape(len(series), -1)).all(axis=1) for name in _POSES], axis=0)
+            if not known.any():  # cameras may lose sight of a marker
+                continue
+            found = JointGaps(self.model, series.bodies).of(series.rows(np.flatnonzero(known)))
             if not found.joints:
                 continue
-            self._joints = found.joints
+            self._joints[label] = found.joints
             kinds = {"apart": found.apart_m, "turned": found.turned_rad}
             row = {name: values.mean(axis=0) for name, values in kinds.items()}
             row |= {f"{name}_max": values.max(axis=0) for name, values in kinds.items()}
@@ -126,7 +131,7 @@ class GapTally:
         rows = self._rows.get(label, [])
         if not rows:
             return {}
-        found: dict[str, dict[str, Estimate]] = {name: {} for name in (*self._joints, ALL_JOINTS)}
+        found: dict[str, dict[str, Estimate]] = {name: {} for name in (*self._joints[label], ALL_JOINTS)}
         for kind, unit in _UNITS.items():
             table = np.array([row[kind] for row in rows])
             whole = table.max(axis=1) if kind.endswith("_max") else table.mean(axis=1)

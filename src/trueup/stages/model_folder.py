@@ -9,7 +9,7 @@ from pathlib import Path
 
 from trueup.augment.config import CHECKPOINT_NAME
 from trueup.core.atomic import file_hash, make_folder, read_json, remove, write_json
-from trueup.core.model_card import CARD_NAME, ONNX_NAME, WEIGHTS_NAME, ModelCard
+from trueup.core.model_card import CARD_NAME, ONNX_NAME, STEP_NAME, WEIGHTS_NAME, ModelCard
 from trueup.errors import DataError, OutputExists, TrueupError
 
 # Names that nobody else gives: what is called so is deleted.
@@ -98,6 +98,6 @@ class ModelFolder:
         remove(self._replacing)
         remove(self._checkpoint)
         shutil.rmtree(self.path / SCRATCH_NAME, ignore_errors=True)
-        for name in (CHECKPOINT_NAME, CARD_NAME, ONNX_NAME, WEIGHTS_NAME, _REPLACING):
+        for name in (CHECKPOINT_NAME, CARD_NAME, ONNX_NAME, WEIGHTS_NAME, STEP_NAME, _REPLACING):
             for left in self.path.glob(f".{name}.*.tmp"):  # of a writer that was killed
                 left.unlink(missing_ok=True)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64
 
-from trueup.core.model_card import ONNX_NAME, ModelCard
+from trueup.core.model_card import ONNX_NAME, ModelCard, counterparts
 from trueup.core.step_times import StepTimes
 from trueup.deploy import LoopReport, Stream, run_loop
 from trueup.deploy.network import Network
@@ -69,6 +69,8 @@ def _motion(card: ModelCard) -> Float64[np.ndarray, "T I"]:
     turns = 10 + np.arange(len(card.inputs))  # whole ones: the end goes over into the beginning
     phase = 2 * np.pi * np.outer(np.arange(_SAMPLES) / _SAMPLES, turns)
     motion: Float64[np.ndarray, "T I"] = (low + high) / 2 + _SHARE * (high - low) / 2 * np.sin(phase)
+    relative = [row for row, channel in enumerate(card.inputs) if channel.relative]
+    motion[:, relative] += motion[:, counterparts(card.inputs)[relative]]
     return motion
 
 

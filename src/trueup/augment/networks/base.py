@@ -92,6 +92,11 @@ class Network(nn.Module, ABC):
             lengths: valid samples of each of the B motions, (B,); None if all are.
         """
 
+    @property
+    def reach(self) -> int:
+        """Samples before the current one that it looks at one by one; 0 where it remembers them only."""
+        return self.past
+
     def begin(self, epoch: int, epochs: int) -> None:
         """Called before each epoch of a training, the first is 1."""
 

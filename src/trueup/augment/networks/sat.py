@@ -117,10 +117,15 @@ class Sat(Network):
     @classmethod
     def check(cls, config: NetworkConfig) -> None:
         """See `Network.check`."""
+        for name in ("input_dropout", "recurrent_dropout"):
+            if getattr(config, name):
+                raise ConfigError(f"network: {name} of a sat", got=getattr(config, name), expected="dropout instead")
         super().check(config)
         if not isinstance(config, SatConfig):
             raise ConfigError("network: sat", got=type(config).__name__, expected="its own options")
-        if len(config.hidden) != 1 or config.heads < 1 or config.hidden[0] % config.heads:
+        if config.heads < 1:
+            raise ConfigError("network: heads of a sat", got=config.heads, expected="at least 1")
+        if len(config.hidden) != 1 or config.hidden[0] % config.heads:
             raise ConfigError(
                 "network: hidden of a sat", got=config.hidden, expected=f"one width, a multiple of {config.heads} heads"
             )
@@ -152,6 +157,11 @@ class Sat(Network):
             heads, inner, rows = self.attention.heads, self.attention.inner, self.history - 1
             found += [State("keys", (1, heads, rows, inner), 0), State("values", (1, rows, inner), 0)]
         return tuple(found)
+
+    @property
+    def reach(self) -> int:
+        """See `Network.reach`."""
+        return self.history if self.attention is not None else 0
 
     def begin(self, epoch: int, epochs: int) -> None:
         """See `Network.begin`."""

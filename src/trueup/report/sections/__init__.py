@@ -18,6 +18,7 @@ from trueup.report.sections.left import left_section
 from trueup.report.sections.open_questions import open_section
 from trueup.report.sections.parameters import parameters_section
 from trueup.report.sections.provenance import provenance_section
+from trueup.report.sections.robustness import robustness_section
 from trueup.report.sections.traces import traces_section
 from trueup.report.sections.usage import usage_section
 from trueup.report.sections.verdict import verdict_section
@@ -27,6 +28,7 @@ SECTIONS: tuple[Callable[[RunFolder], Section | None], ...] = (
     verdict_section,
     ladder_section,
     augmentation_section,
+    robustness_section,
     attribution_section,
     parameters_section,
     open_section,

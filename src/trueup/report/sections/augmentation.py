@@ -33,6 +33,7 @@ from trueup.report.folder import RunFolder
 from trueup.report.labels import MAIN_METRIC, SIGNALS, ordered, split_title
 from trueup.report.numbers import NOTHING, percent, plural, pretty_unit, quantity, significant
 from trueup.report.palette import Style
+from trueup.report.sections.attention import attention_chooser, attention_sentences
 from trueup.report.sections.base import Section
 
 _ERRORS: dict[ErrorKind, str] = {"mse": "mean square error", "rmse": "root mean square error"}
@@ -58,6 +59,8 @@ def augmentation_section(run: RunFolder) -> Section | None:
         "motion": motion_chooser(run, result, best),
         "coverage": confidence_chooser(run, result),
         "off": off_sentences(result),
+        "attention": attention_chooser(result, _styles(run, result)),
+        "looks": attention_sentences(result),
         "latency": latency_chooser(run, result),
     }
     return Section("augmentation", "Learned correction: what it is worth", context)

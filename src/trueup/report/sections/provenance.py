@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from trueup.core.robustness_result import RobustnessResult
 from trueup.report.folder import RunFolder
 from trueup.report.sections.base import Section
 
@@ -14,13 +15,25 @@ def provenance_section(run: RunFolder) -> Section:
     """Versions, git, seed, data hash and configuration, as stored with the result."""
     stored = dict(run.gap.provenance)
     config = stored.pop("config", {})
-    parts = [
+    return _section(
+        stored,
         ("Settings of the comparison", as_json(run.gap.settings)),
         ("Configuration", as_json(config)),
         ("Provenance of the ladder", as_json(run.ladder.provenance if run.ladder else {})),
         ("Provenance of the fit", as_json(run.fit.provenance if run.fit else {})),
         ("Provenance of the attribution", as_json(run.attribution.provenance if run.attribution else {})),
-    ]
+        ("Provenance of the robustness", as_json(run.robustness.provenance if run.robustness else {})),
+    )
+
+
+def provenance_of(result: RobustnessResult) -> Section:
+    """The same where nothing but the robustness of a correction was looked at."""
+    stored = dict(result.provenance)
+    config = stored.pop("config", {})
+    return _section(stored, ("Settings", as_json(result.settings)), ("Configuration", as_json(config)))
+
+
+def _section(stored: Mapping[str, Any], *parts: tuple[str, str]) -> Section:
     context = {"facts": facts(stored), "parts": [part for part in parts if part[1]]}
     return Section("provenance", "Provenance", context)
 
