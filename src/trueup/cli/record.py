@@ -38,7 +38,8 @@ def record(
         typer.Option("--payload-kg", help="Payload of the lab's robot [kg], 0 if not given; repeatable."),
     ] = None,
     lab: Annotated[
-        str | None, typer.Option("--lab", help="Sizes of the lab's effects: xm430 (servos), or a YAML file.")
+        str | None,
+        typer.Option("--lab", help="Sizes of the lab's effects: xm430 (servos), upper_body, or a YAML file."),
     ] = None,
     faults: Annotated[
         float,

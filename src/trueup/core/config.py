@@ -153,7 +153,7 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
         if value is None and type(None) in args:
             return None
         rest = [arg for arg in args if arg is not type(None)]
-        return _convert(rest[0], value, where) if len(rest) == 1 else value
+        return _convert(rest[0], value, where) if len(rest) == 1 else _one_of(rest, value, where)
     if origin is Literal:
         if value not in args:
             raise ConfigError(f"{where} is not a choice", got=repr(value), available=args)
@@ -174,6 +174,17 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
             return dict(value)  # a large gap.json has a million of them
         return {_convert(args[0], key, where): _convert(args[1], item, f"{where}.{key}") for key, item in value.items()}
     return _scalar(hint, value, where)
+
+
+def _one_of(hints: Sequence[Any], value: Any, where: str) -> Any:
+    """The value as the first of several kinds that it is."""
+    for hint in hints:
+        with contextlib.suppress(ConfigError):
+            return _convert(hint, value, where)
+    kinds = " or ".join(
+        "a list" if get_origin(hint) is tuple else getattr(hint, "__name__", str(hint)) for hint in hints
+    )
+    raise ConfigError(f"{where} has the wrong type", got=repr(value), expected=kinds)
 
 
 def _scalar(hint: Any, value: Any, where: str) -> Any:

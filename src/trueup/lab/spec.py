@@ -275,9 +275,9 @@ class Controller:
 
     Attributes:
         kind: `impedance` follows positions, and velocities if they are written, and carries the arm's weight; `torque`
-            adds commanded torques to the weight; `servo` turns the error of the position into the voltage of a DC motor, and knows no weight: the
-            `motor` is that of the robot's description; `pd` turns the errors of position and velocity into torque and
-            knows no weight either.
+            adds commanded torques to the weight; `pd` turns the errors of position and velocity into torque and knows
+            no weight; `servo` turns the error of the position into the voltage of a DC motor, and knows no weight
+            either: the `motor` is that of the robot's description.
         stiffness: of the impedance [Nm/rad], or gain of the servo [V/rad]; those that come with libfranka.
         damping: likewise [Nm s/rad; V s/rad].
         cutoff_hz: low-pass of positions that come without velocities; libfranka's is 100 Hz.
@@ -393,7 +393,7 @@ EFFECTS = (
 
 
 def load_lab(name_or_path: str | Path, *, robot: str | None = None) -> LabSpec:
-    """A lab by the name of a shipped one (`xm430`), or from a YAML file; what it leaves out is as in `LabSpec`.
+    """A lab by the name of a shipped one, such as `xm430`, or from a YAML file; what it leaves out is as in `LabSpec`.
 
     Args:
         name_or_path: of the lab.

@@ -20,7 +20,7 @@ def make_simulator(
     """The simulator of a robot in the engine of this name, with a payload [kg] where the robot holds one.
 
     Raises:
-        ConfigError: no such engine; it is not installed; the model does not load, holds no payload or cannot be matched.
+        ConfigError: no such engine; it is not installed; the model does not load, holds no payload, or is not matched.
         NameMismatch: a joint is not in the model.
     """
     if engine not in ENGINES:

@@ -69,9 +69,7 @@ class MujocoSimulator(CompiledRobot):
         self._batch: batch.Batch | None = None
 
     @staticmethod
-    def from_robot(
-        robot: RobotSpec, model_path: Path, *, payload_kg: float = 0.0, threads: int = 1
-    ) -> MujocoSimulator:
+    def from_robot(robot: RobotSpec, model_path: Path, *, payload_kg: float = 0.0, threads: int = 1) -> MujocoSimulator:
         """The simulator of a robot description, with a payload [kg] where the robot holds one.
 
         Raises:
