@@ -168,6 +168,7 @@ def _training(name: str) -> dict[str, Any]:
     return {
         "seconds": made["seconds"],
         "epochs": len(made["history"]),
+        "best_epoch": made["best_epoch"],
         "motions": made["motions"],
         "off": [[output.signal, output.joint, output.reason] for output in card.outputs if output.gate == 0],
     }

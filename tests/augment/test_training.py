@@ -660,13 +660,16 @@ def test_windows_lie_anywhere(tmp_path):
         assert first > 0
 
 
-def test_whole_motions_come_once_each(tmp_path):
+@pytest.mark.parametrize(("one_by_one", "batches"), [(False, 3), (True, 1)])
+def test_whole_motions_come_once_each(tmp_path, one_by_one, batches):
     lengths = [30, 55, 80, 33, 41]
     pairs = pairs_of(tmp_path, lengths)
+    parts = list(whole_motions(pairs, 2, one_by_one=one_by_one))
     found = {}
-    for numbers, batch in whole_motions(pairs, 2):
+    for numbers, batch in parts:
         found.update(zip(numbers.tolist(), batch.lengths.tolist(), strict=True))
     assert found == dict(enumerate(lengths))
+    assert len(parts) == batches
 
 
 def test_moments_are_those_of_all_rows(tmp_path):

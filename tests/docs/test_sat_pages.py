@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.pages import sat, sat_bodies, sat_robustness
+from benchmarks.pages import sat, sat_bodies, sat_robustness, sat_training
 
 RESULTS = Path(__file__).parent.parent.parent / "benchmarks" / "results"
 
@@ -60,3 +60,25 @@ def test_what_is_missed_when_simulators_are_off_is_named():
 def test_bodies_say_what_val_chose():
     result = stored("sat_bodies")
     assert f"`{result['chosen_on_val']}` is the one that val chose" in sat_bodies.part(result)
+
+
+def test_a_seed_that_misses_is_named():
+    result = stored("sat_training")
+    for test in ("kickbot_b", "dancebot"):
+        for metric, words, bar in (("mae", "mean", 0.5), ("max", "largest", 0.35)):
+            changed = copy.deepcopy(result)
+            changed["seeds"]["2"][test][metric]["value"] = bar - 0.01
+            assert f"seed 2 by the {words} error on {sat_training.SHORT[test]}" in sat_training.part(changed)
+            for own in changed["seeds"].values():
+                own[test][metric]["value"] = bar + 0.01
+            assert f"by the {words} error on {sat_training.SHORT[test]}" not in sat_training.part(changed)
+
+
+def test_what_is_left_in_long_runs_is_that_of_the_table():
+    result = stored("sat_training")
+    said = sat_training.part(result)
+    for name, own in result["long"].items():
+        assert len(own["value"]) == result["long_s"] / result["piece_s"]
+        if name != "simulator":
+            left = own["value"][-1] / result["long"]["simulator"]["value"][-1]
+            assert f"{left:.0%}".replace("%", " %") in said

@@ -164,7 +164,7 @@ def warmup_steps(corrector: Corrector, pairs: Pairs, rate_hz: float) -> int:
         return 0
     corrector.eval()
     with torch.no_grad():
-        for _, batch in whole_motions(pairs, _SIDE_BY_SIDE):
+        for _, batch in whole_motions(pairs, _SIDE_BY_SIDE, one_by_one=corrector.network.one_by_one):
             starts = batch.lengths // 3
             many = np.minimum(longest, batch.lengths - starts)
             ends = starts + many

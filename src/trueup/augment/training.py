@@ -212,7 +212,7 @@ def val_loss(corrector: Corrector, pairs: Pairs, loss: Loss) -> float:
     corrector.eval()
     total, count = 0.0, 0
     with torch.no_grad():
-        for _, batch in whole_motions(pairs, _VAL_BATCH):
+        for _, batch in whole_motions(pairs, _VAL_BATCH, one_by_one=corrector.network.one_by_one):
             total += float(loss.of(corrector, batch)) * int(batch.lengths.sum())
             count += int(batch.lengths.sum())
     return total / count
@@ -223,7 +223,7 @@ def predictions(corrector: Corrector, pairs: Pairs) -> Iterator[tuple[int, np.nd
     corrector.eval()
     base = corrector.base.cpu().numpy()
     with torch.no_grad():
-        for numbers, batch in whole_motions(pairs, _VAL_BATCH):
+        for numbers, batch in whole_motions(pairs, _VAL_BATCH, one_by_one=corrector.network.one_by_one):
             x, _, lengths = on_device(corrector, batch)
             y = corrector(x, lengths).cpu().numpy()
             for place, number in enumerate(numbers):

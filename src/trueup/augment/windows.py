@@ -13,6 +13,7 @@ from trueup.augment.pairs import Pairs
 
 # Rows of whole motions, padding included, that are predicted at once.
 _ROWS_AT_ONCE = 64_000
+_MANY = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,13 +85,20 @@ class Windows:
         return Batch(both[..., :width], both[..., width:], lengths)
 
 
-def whole_motions(pairs: Pairs, batch: int) -> Iterator[tuple[Int[np.ndarray, "B"], Batch]]:
-    """All motions whole, those of similar length together, with their numbers; fewer at once where they are long."""
+def whole_motions(
+    pairs: Pairs, batch: int, *, one_by_one: bool = False
+) -> Iterator[tuple[Int[np.ndarray, "B"], Batch]]:
+    """All motions whole, those of similar length together, with their numbers; fewer at once where they are long.
+
+    For a network that takes them sample by sample, many more: such a step takes as long for hundreds of motions as for
+    one, and keeps nothing.
+    """
+    batch, at_once = (_MANY * batch, _MANY * _ROWS_AT_ONCE) if one_by_one else (batch, _ROWS_AT_ONCE)
     rows = np.array([motion.rows for motion in pairs.motions])
     order = np.argsort(rows, kind="stable")
     start = 0
     while start < order.size:
-        many = min(batch, max(1, _ROWS_AT_ONCE // int(rows[order[min(start + batch, order.size) - 1]])))
+        many = min(batch, max(1, at_once // int(rows[order[min(start + batch, order.size) - 1]])))
         chosen = order[start : start + many]
         start += many
         parts = [pairs.motion(pairs.motions[number]) for number in chosen]

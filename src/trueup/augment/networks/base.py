@@ -52,6 +52,7 @@ class Network(nn.Module, ABC):
         causal: whether it needs no sample of the future.
         past: samples before the current one that it sees besides.
         stepwise: whether its graph takes one sample at a time.
+        one_by_one: whether `forward` does, too.
         tanh: whether the output is bounded.
     """
 
@@ -61,6 +62,7 @@ class Network(nn.Module, ABC):
     causal: bool = True
     past: int = 0
     stepwise: bool = False
+    one_by_one: bool = False
 
     def __init__(self, config: NetworkConfig, inputs: int, base: Sequence[int], rate_hz: float) -> None:
         del rate_hz

@@ -94,6 +94,7 @@ class Sat(Network):
         width = config.hidden[0]
         self.width, self.history = width, config.samples(rate_hz)
         self.feedback = config.feedback
+        self.one_by_one = config.feedback == "own"
         self.recurrent = config.backbone == "lstm"
         self.select_past = VariableSelection(inputs + self.outputs, width, config.dropout)
         self.select_now = VariableSelection(inputs, width, config.dropout)
