@@ -21,7 +21,7 @@ from benchmarks.sat import apart, cuts_of, errors_of
 from benchmarks.sat_models import FOLDER, LONG, MODELS, RUN, TESTS, data_of, folder_of, train
 from benchmarks.table import Row, at_least, at_most, rounded, shown
 from trueup.augment import Augmentation, AugmentConfig, Progress
-from trueup.augment.config import LossConfig, WindowConfig
+from trueup.augment.config import LossConfig
 from trueup.augment.trained import Trained
 from trueup.core.atomic import make_folder, write_json
 from trueup.core.provenance import provenance
@@ -44,14 +44,13 @@ LOSSES: Mapping[str, AugmentConfig] = {
 }
 LOSS_MOTIONS = 12
 WATCHED = "kickbot_a"
-# What the encoder is told of past errors, in small networks that see as many samples each: nothing; true ones, then
-# more and more of its own predictions; true ones only.
+# What the encoder is told of past errors, in small networks: nothing; true ones, then more and more of its own
+# predictions.
 _SMALL = replace(SAT, network=replace(SAT.network, hidden=(16,), history=32), epochs=4)  # type: ignore[call-arg]
 _OWN = replace(_SMALL, network=replace(_SMALL.network, feedback="own", forced=0.5))  # type: ignore[call-arg]
 FEEDBACK: Mapping[str, AugmentConfig] = {
     "zero": _SMALL,
     "switched": _OWN,
-    "forced": replace(_OWN, window=WindowConfig("fixed", samples=256, draws=4), epochs=1),
 }
 FEEDBACK_MOTIONS = 10
 LONG_S, PIECE_S = 30.0, 5.0

@@ -14,7 +14,6 @@ ABOUT = {
     "sat": "`sat`, told no errors",
     "zero": "small, told no errors",
     "switched": "small, told true errors at first, then more and more of its own predictions",
-    "forced": "small, told true errors only",
 }
 
 TEXT = """## What training decides
@@ -38,7 +37,7 @@ errors on animations of KickBotA that nobody trained on, after each epoch, in de
 
 **Long runs.** All animations of KickBotB, one after the other, {count} motions of which the first {long_s:g} s are
 counted; networks of KickBotA that run open loop. The encoder can be told past errors; where no sensor gives them, these
-are the network's own predictions. Beside `sat`, three networks of half its width, trained on {long_motions} motions,
+are the network's own predictions. Beside `sat`, two networks of half its width, trained on {long_motions} motions,
 that differ in what they are told. Mean absolute error of the position in each {piece_s:g} s, in degrees:
 
 {long}
