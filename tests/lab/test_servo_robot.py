@@ -124,7 +124,7 @@ def test_a_shipped_lab_serves_any_robot_with_servos():
         done = robot.execute({"position": np.zeros((200, 12))}, every=4)
         assert set(done.measured.signals) == {"position", "velocity", "current", "voltage"}
         assert np.abs(np.degrees(done.measured["position"])).max() < 5  # it stands
-    with pytest.raises(ConfigError, match=r"no lab 'xm540'.*available: xm430"):
+    with pytest.raises(ConfigError, match=r"no lab 'xm540'.*available: upper_body, xm430"):
         load_lab("xm540")
 
 
