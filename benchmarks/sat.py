@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
+from benchmarks.pages.sat import BARS, UNSEEN
 from benchmarks.sat_models import ABOUT, ANIMATIONS, LAB, MODELS, RUN, TESTS, TRAIN_MOTIONS, data_of, folder_of, train
 from benchmarks.table import Row, at_least, rounded, shown
 from trueup.augment.trained import Trained
@@ -29,10 +30,7 @@ from trueup.measure import ccc, paired_difference, ratio_interval
 RESULT = Path(__file__).parent / "results" / "sat.json"
 SIMULATOR, CURRENT, WHOLE, SAT = "simulator", "sat-current", "whole", "sat"
 UNITS = {"position": "deg", "velocity": "rad/s", "current": "A"}
-# Asked of the modular SAT on robots that it never saw: least share of the simulator's error that it takes away.
-BARS = {"mae": 0.50, "max": 0.35}
 CURRENT_BAR = 0.75
-UNSEEN = tuple(name for name in TESTS if name != "kickbot_a")
 # Of the attention's profile (Fig. 11).
 PROFILED = ("sat", "attention", "attention-dense")
 

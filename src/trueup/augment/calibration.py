@@ -11,8 +11,7 @@ from scipy.optimize import isotonic_regression
 
 from trueup.augment.corrector import Corrector
 from trueup.augment.pairs import Pairs
-from trueup.augment.training import predictions
-from trueup.augment.windows import whole_motions
+from trueup.augment.training import predictions, side_by_side
 
 # Ratios of an error to what is expected are counted in bins of 2 %.
 _RATIO_EDGES = np.geomspace(1e-3, 1e3, 700)
@@ -22,7 +21,6 @@ _FAR_BINS = 40
 _FEWEST_IN_A_BIN = 30
 _LONGEST_WARMUP_S = 1.0
 _WARM = 1.1
-_SIDE_BY_SIDE = 32
 
 
 @dataclass(frozen=True)
@@ -164,7 +162,7 @@ def warmup_steps(corrector: Corrector, pairs: Pairs, rate_hz: float) -> int:
         return 0
     corrector.eval()
     with torch.no_grad():
-        for _, batch in whole_motions(pairs, _SIDE_BY_SIDE, one_by_one=corrector.network.one_by_one):
+        for _, batch in side_by_side(corrector, pairs):
             starts = batch.lengths // 3
             many = np.minimum(longest, batch.lengths - starts)
             ends = starts + many

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Int
 from torch import Tensor
 from torch.optim import Optimizer
 
@@ -18,7 +19,7 @@ from trueup.augment.config import AugmentConfig, OptimizerConfig
 from trueup.augment.corrector import Corrector
 from trueup.augment.loss import Loss, on_device
 from trueup.augment.pairs import Pairs
-from trueup.augment.windows import Windows, whole_motions
+from trueup.augment.windows import Batch, Windows, whole_motions
 from trueup.errors import ConfigError, MissingDependency
 
 # A loss this many times the lowest of an earlier epoch has run away.
@@ -207,12 +208,17 @@ def _epoch(
     return total / len(windows), rate
 
 
+def side_by_side(corrector: Corrector, pairs: Pairs) -> Iterator[tuple[Int[np.ndarray, "B"], Batch]]:
+    """All motions whole, as many at once as this network takes well; see `windows.whole_motions`."""
+    return whole_motions(pairs, _VAL_BATCH, one_by_one=corrector.network.one_by_one)
+
+
 def val_loss(corrector: Corrector, pairs: Pairs, loss: Loss) -> float:
     """The loss over all samples of whole motions, without the gate."""
     corrector.eval()
     total, count = 0.0, 0
     with torch.no_grad():
-        for _, batch in whole_motions(pairs, _VAL_BATCH, one_by_one=corrector.network.one_by_one):
+        for _, batch in side_by_side(corrector, pairs):
             total += float(loss.of(corrector, batch)) * int(batch.lengths.sum())
             count += int(batch.lengths.sum())
     return total / count
@@ -223,7 +229,7 @@ def predictions(corrector: Corrector, pairs: Pairs) -> Iterator[tuple[int, np.nd
     corrector.eval()
     base = corrector.base.cpu().numpy()
     with torch.no_grad():
-        for numbers, batch in whole_motions(pairs, _VAL_BATCH, one_by_one=corrector.network.one_by_one):
+        for numbers, batch in side_by_side(corrector, pairs):
             x, _, lengths = on_device(corrector, batch)
             y = corrector(x, lengths).cpu().numpy()
             for place, number in enumerate(numbers):

@@ -118,16 +118,7 @@ class TimeSeries:
         Raises:
             NameMismatch: a joint is not there; both lists are printed.
         """
-        missing = [name for name in joints if name not in self.joints]
-        if missing:
-            raise NameMismatch(
-                f"joints {missing} are not in the series",
-                left=joints,
-                right=self.joints,
-                left_name="asked for",
-                right_name="series has",
-            )
-        columns = [self.joints.index(name) for name in joints]
+        columns = _columns(joints, self.joints, "joints")
         body = {name: values for name, values in self.signals.items() if name.startswith(BODY_PREFIX)}
         joint = {name: values[:, columns] for name, values in self.signals.items() if name not in body}
         units = {
@@ -142,20 +133,25 @@ class TimeSeries:
         Raises:
             NameMismatch: a body is not there; both lists are printed.
         """
-        missing = [name for name in bodies if name not in self.bodies]
-        if missing:
-            raise NameMismatch(
-                f"bodies {missing} are not in the series",
-                left=bodies,
-                right=self.bodies,
-                left_name="asked for",
-                right_name="series has",
-            )
-        columns = [self.bodies.index(name) for name in bodies]
+        columns = _columns(bodies, self.bodies, "bodies")
         own = [name for name in self.signals if name.startswith(BODY_PREFIX)]
         signals = {name: self.signals[name][:, columns] for name in own}
         units = {name: tuple(self.units[name][column] for column in columns) for name in own}
         return replace(self, bodies=tuple(bodies), signals={**self.signals, **signals}, units={**self.units, **units})
+
+
+def _columns(asked: Sequence[str], known: Sequence[str], what: str) -> list[int]:
+    """Where the names that are asked for stand among those of a series."""
+    missing = [name for name in asked if name not in known]
+    if missing:
+        raise NameMismatch(
+            f"{what} {missing} are not in the series",
+            left=asked,
+            right=known,
+            left_name="asked for",
+            right_name="series has",
+        )
+    return [known.index(name) for name in asked]
 
 
 def same_units(signals: Mapping[str, str], joints: Sequence[str]) -> dict[str, tuple[str, ...]]:

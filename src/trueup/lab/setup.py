@@ -15,6 +15,7 @@ from trueup.lab.spec import LabSpec
 from trueup.lab.truth import BodyTruth, Truth, loaded, per_joint
 from trueup.robots import RobotSpec, find_model, load_robot
 from trueup.robots.model import compile_spec, load_spec
+from trueup.sim.closed_chains import open_by
 from trueup.sim.stepping import addresses
 
 # Ends of closed chains that are no further apart are together [m or rad].
@@ -63,7 +64,7 @@ class Plant:
         column, state = self.engine.column, self.state
         self.data.qpos[column] = position
         mujoco.mj_forward(self.model, self.data)
-        apart = np.abs(self.data.efc_pos[: self.data.ne]).max(initial=0.0)
+        apart = open_by(self.data)
         if apart > _CLOSED:
             raise ConfigError(
                 "this pose opens a closed chain", got=f"{apart:.3g} m or rad", hint="Start from the model's own pose."

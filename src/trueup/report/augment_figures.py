@@ -14,7 +14,7 @@ from trueup.core.step_times import StepTimes
 from trueup.core.traces import MEASURED, Trace
 from trueup.report.augment_words import factor_interval, factor_words
 from trueup.report.chooser import Figure
-from trueup.report.figures import reference_line, rounded, transparent, whiskers
+from trueup.report.figures import band, reference_line, rounded, whiskers
 from trueup.report.labels import plot_text
 from trueup.report.numbers import interval, percent, pretty_unit, quantity
 from trueup.report.palette import Style
@@ -228,18 +228,6 @@ def attention_figure(profiles: Mapping[str, AttentionProfile], styles: Mapping[s
         style, lags = styles[name], range(len(item.mean))
         time_ms = [rounded(-1e3 * lag / item.rate_hz) for lag in lags]
         low, high = ([rounded(100.0 * max(share, _LEAST)) for share in shares] for shares in (item.low, item.high))
-        band = {
-            "type": "scatter",
-            "x": time_ms + time_ms[::-1],
-            "y": high + low[::-1],
-            "fill": "toself",
-            "fillcolor": transparent(style.color),
-            "line": {"width": 0},
-            "mode": "lines",
-            "hoverinfo": "skip",
-            "showlegend": False,
-            "legendgroup": plot_text(name),
-        }
         curve = {
             "type": "scatter",
             "mode": "lines",
@@ -252,7 +240,7 @@ def attention_figure(profiles: Mapping[str, AttentionProfile], styles: Mapping[s
             "hovertemplate": "%{x:.4g} ms, %{customdata[0]} samples ago: %{y:.3g} % "
             "(%{customdata[1]:.3g} to %{customdata[2]:.3g})",
         }
-        data += [band, curve]
+        data += [band(name, time_ms, low, high, style), curve]
     lengths = {len(item.mean) for item in profiles.values()}
     if len(lengths) == 1:
         alike = rounded(100.0 / lengths.pop())

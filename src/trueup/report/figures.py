@@ -98,18 +98,7 @@ def bins_figure(curves: Mapping[str, BinnedCurve], styles: Mapping[str, Style], 
         high = [rounded(curve.q75[row]) for row in filled]
         style = styles[label]
         data += [
-            {
-                "type": "scatter",
-                "x": x + x[::-1],
-                "y": high + low[::-1],
-                "fill": "toself",
-                "fillcolor": transparent(style.color),
-                "line": {"width": 0},
-                "mode": "lines",
-                "hoverinfo": "skip",
-                "showlegend": False,
-                "legendgroup": plot_text(label),
-            },
+            band(label, x, low, high, style),
             {
                 "type": "scatter",
                 "x": x,
@@ -234,8 +223,23 @@ def reference_line(x: float) -> dict[str, Any]:
     }
 
 
-def transparent(color: str) -> str:
-    """A color of the palette for a band, behind curves."""
+def band(label: str, x: Sequence[float], low: Sequence[float], high: Sequence[float], style: Style) -> dict[str, Any]:
+    """A shaded band between two curves, behind the curve of the same label."""
+    return {
+        "type": "scatter",
+        "x": [*x, *reversed(x)],
+        "y": [*high, *reversed(low)],
+        "fill": "toself",
+        "fillcolor": _transparent(style.color),
+        "line": {"width": 0},
+        "mode": "lines",
+        "hoverinfo": "skip",
+        "showlegend": False,
+        "legendgroup": plot_text(label),
+    }
+
+
+def _transparent(color: str) -> str:
     red, green, blue = (int(color[start : start + 2], 16) for start in (1, 3, 5))
     return f"rgba({red},{green},{blue},0.16)"
 

@@ -76,6 +76,11 @@ class ClosedChains:
                 return
 
 
+def open_by(data: mujoco.MjData) -> float:
+    """How far the worst equality constraint is open [m or rad], after `mj_fwdPosition`; 0 where there is none."""
+    return float(np.abs(data.efc_pos[: data.ne]).max(initial=0.0))
+
+
 def equalities(
     model: mujoco.MjModel, data: mujoco.MjData
 ) -> tuple[Float64[np.ndarray, "C V"], Float64[np.ndarray, "C"]]:

@@ -177,12 +177,7 @@ class MujocoSimulator(CompiledRobot):
         if self._batch is None or self._batch.nsim != count:
             self._batch = batch.Batch(self.model, nsim=count, nthread=self.threads)
         self._batch.reset()
-        if self._chains is None:
-            self._batch.bind("qpos")[:, self._layout.qpos] = position
-            self._batch.bind("qvel")[:, self._layout.qvel] = velocity
-        else:
-            for row, own in enumerate(zip(position, velocity, strict=True)):
-                self._batch.bind("qpos")[row], self._batch.bind("qvel")[row] = self._chains.close(*own)
+        self._place(self._batch.bind("qpos"), self._batch.bind("qvel"), position, velocity)
         for activation, column in self._layout.integrators:
             self._batch.bind("act")[:, activation] = position[:, column]
 
@@ -214,13 +209,24 @@ class MujocoSimulator(CompiledRobot):
         mujoco.mj_getState(self.model, self._data[0], template, _STATE)
         states = np.tile(template, (request.position.shape[0], 1))
         qpos, qvel = states[:, 1 : 1 + self.model.nq], states[:, 1 + self.model.nq : 1 + self.model.nq + self.model.nv]
-        qpos[:, self._layout.qpos], qvel[:, self._layout.qvel] = request.position, request.velocity
-        if self._chains is not None:
-            for row, own in enumerate(zip(request.position, request.velocity, strict=True)):
-                qpos[row], qvel[row] = self._chains.close(*own)
+        self._place(qpos, qvel, request.position, request.velocity)
         for activation, column in self._layout.integrators:
             states[:, 1 + self.model.nq + self.model.nv + activation] = request.position[:, column]
         return states
+
+    def _place(
+        self,
+        qpos: Float64[np.ndarray, "B Q"],
+        qvel: Float64[np.ndarray, "B V"],
+        position: Float[np.ndarray, "B J"],
+        velocity: Float[np.ndarray, "B J"],
+    ) -> None:
+        """Write the states of B copies with these joints; passive ones follow where chains are closed."""
+        if self._chains is None:
+            qpos[:, self._layout.qpos], qvel[:, self._layout.qvel] = position, velocity
+            return
+        for row, own in enumerate(zip(position, velocity, strict=True)):
+            qpos[row], qvel[row] = self._chains.close(*own)
 
     def _refuse_divergence(self, size: Float[np.ndarray, "B N1 J"]) -> None:
         # MuJoCo's own warnings tell of the last motion of each thread only; a NaN makes the comparison false.

@@ -17,6 +17,7 @@ from jaxtyping import Float64
 from trueup.errors import ConfigError
 from trueup.robots import RobotSpec
 from trueup.robots.model import compile_spec, load_spec
+from trueup.sim.closed_chains import open_by
 
 # A factor that is drawn is no less than this: masses and resistances stay positive.
 LEAST_FACTOR = 0.05
@@ -132,7 +133,7 @@ def _weigh(
 
 def _refuse_torn(robot: RobotSpec, plain: mujoco.MjModel, moved: mujoco.MjModel) -> None:
     """Raise ConfigError if what closes chains holds less well in the pose of the model."""
-    before, after = (_violation(model) for model in (plain, moved))
+    before, after = (_open_by(model) for model in (plain, moved))
     if not after <= before + _CLOSED:
         raise ConfigError(
             f"robot {robot.name!r}: closed chains would come apart where joints are shifted",
@@ -142,8 +143,7 @@ def _refuse_torn(robot: RobotSpec, plain: mujoco.MjModel, moved: mujoco.MjModel)
         )
 
 
-def _violation(model: mujoco.MjModel) -> float:
+def _open_by(model: mujoco.MjModel) -> float:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    rows = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-    return float(np.abs(data.efc_pos[rows]).max(initial=0.0))
+    return open_by(data)
