@@ -20,6 +20,7 @@ from trueup.measure import ratio_interval
 from trueup.report import build_report
 from trueup.report.robustness_words import gone_words, lead, sentences, size_words
 from trueup.robots import find_model, load_robot
+from trueup.robots.spec import PayloadSpec
 from trueup.sim import MujocoSimulator, Perturbation, ReplaySettings, perturbed, replay_episode
 from trueup.stages import replay, robustness
 
@@ -206,6 +207,36 @@ def test_what_is_there_is_kept_and_added_to(world, tmp_path, monkeypatch):
         robustness([data], ROBOT, net, tmp_path, motions=2, resume=True, **ask)
     robustness([data], ROBOT, net, tmp_path, motions=2, overwrite=True, **ask)
     assert len(Cells.load(tmp_path / CELLS_NAME).cells) == 1
+
+
+def test_simulators_carry_what_the_motions_do(tmp_path):
+    # Without settling, a replay begins where it is said to have begun.
+    robot = replace(ROBOT, payload=PayloadSpec(("left_hand",)), replay=replace(ROBOT.replay, settle_s=0.0))
+    time_s = np.arange(0, 0.5, 0.01)
+    later = time_s[:, None] > 0
+    units = same_units({"position": "rad"}, robot.joint_names)
+    still = TimeSeries(time_s, robot.joint_names, {"position": np.zeros((50, 12))}, units)
+    with DatasetWriter.create(tmp_path / "data", DatasetInfo(robot=robot.name)) as writer:
+        for payload_kg in (0.0, 1.5):
+            simulator = MujocoSimulator.from_robot(robot, find_model(robot), payload_kg=payload_kg)
+            meta = EpisodeMeta(f"{payload_kg}kg", payload_kg=payload_kg, split="test")
+            run = replay_episode(Episode(meta, still, still), simulator, ReplaySettings.of(robot))
+            read = replace(run, signals={**run.signals, "position": run["position"] + OFFSET_RAD * later})
+            writer.append(Episode(meta, read, still))
+    result = robustness(
+        [Dataset(tmp_path / "data")],
+        robot,
+        network(tmp_path / "net", robot=robot),
+        tmp_path / "out",
+        perturbations={"nothing": Perturbation(mass=1e-12)},
+        shares=[1.0],
+        draws=1,
+        jobs=1,
+        bootstrap_draws=50,
+    )
+    for row in result.rows:
+        assert row.motions == 2
+        assert row.errors["max"].simulated.value == pytest.approx(OFFSET_RAD, rel=1e-6), row.perturbation
 
 
 def test_a_motion_that_cannot_be_judged_is_left_out_and_said(world, tmp_path):

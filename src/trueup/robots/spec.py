@@ -319,6 +319,10 @@ class RobotSpec:
         """The joints that enter the mean."""
         return self.scored or self.joint_names
 
+    def carried_kg(self, payload_kg: float | None) -> float:
+        """What of a log's payload simulations carry [kg]: none where nobody has said where it hangs."""
+        return 0.0 if self.payload is None else payload_kg or 0.0
+
     def joint_rules(self) -> dict[str, Any]:
         """The map from log names to model names, as `align.JointMap.from_dict` reads it."""
         rules: dict[str, dict[str, Any]] = {}

@@ -8,6 +8,7 @@ from trueup.sim.friction import friction_of as friction_of
 from trueup.sim.friction import install as install_friction
 from trueup.sim.friction import set_friction as set_friction
 from trueup.sim.mujoco_engine import MujocoSimulator as MujocoSimulator
+from trueup.sim.payload import attach_payload as attach_payload
 from trueup.sim.perturbation import Perturbation as Perturbation
 from trueup.sim.perturbation import perturbed as perturbed
 from trueup.sim.replay import replay as replay
@@ -22,6 +23,7 @@ __all__ = [
     "Perturbation",
     "ReplayPlan",
     "ReplaySettings",
+    "attach_payload",
     "blocks_of",
     "friction_of",
     "install_friction",

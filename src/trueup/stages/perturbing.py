@@ -71,22 +71,33 @@ class _Judge:
     track: Track
 
     def drawn(self, motions: _Motions, size: Perturbation, number: int, what: str) -> Cell:
-        """The same in a simulator that is drawn around the robot."""
-        from trueup.sim import MujocoSimulator
+        """Errors of these motions in a simulator that is drawn around the robot."""
+        from trueup.sim import MujocoSimulator, attach_payload
         from trueup.sim.perturbation import perturbed
 
-        other, spec = perturbed(self.robot, motions.model, size, seed=number)
-        return self.cell(motions, MujocoSimulator.from_spec(spec, other, origin=motions.model), what)
+        def make(payload_kg: float) -> MujocoSimulator:
+            other, spec = perturbed(self.robot, motions.model, size, seed=number)
+            attach_payload(spec, other, payload_kg)
+            return MujocoSimulator.from_spec(spec, other, origin=motions.model)
 
-    def cell(self, motions: _Motions, simulator: MujocoSimulator, what: str) -> Cell:
-        """Errors of these motions in this simulator, before and after correction; no run is stored."""
+        return self.cell(motions, make, what)
+
+    def as_it_is(self, motions: _Motions) -> Cell:
+        """The same in the simulator of the robot."""
+        from trueup.sim import MujocoSimulator
+
+        def make(payload_kg: float) -> MujocoSimulator:
+            return MujocoSimulator.from_robot(self.robot, motions.model, payload_kg=payload_kg)
+
+        return self.cell(motions, make, motions.name)
+
+    def cell(self, motions: _Motions, make: Callable[[float], MujocoSimulator], what: str) -> Cell:
+        """Before and after correction, in simulators that carry what the motions do [kg]; no run is stored."""
+        free: dict[float, SimpleQueue[MujocoSimulator]] = {}
         errors: dict[str, _Errors] = {}
         failed: dict[str, str] = {}
         waiting: deque[tuple[str, Future[_Errors]]] = deque()
-        free: SimpleQueue[MujocoSimulator] = SimpleQueue()
         workers = min(self.jobs, len(motions.ids))
-        for _ in range(workers):
-            free.put(simulator.clone())
 
         def take() -> None:
             name, found = waiting.popleft()
@@ -102,7 +113,10 @@ class _Judge:
                 except TrueupError as error:
                     failed[name] = error.summary
                     continue
-                waiting.append((name, pool.submit(self._errors, episode, free)))
+                carried = self.robot.carried_kg(episode.meta.payload_kg)
+                if carried not in free:
+                    free[carried] = _clones(make(carried), workers)
+                waiting.append((name, pool.submit(self._errors, episode, free[carried])))
                 if len(waiting) > workers:
                     take()
             while waiting:
@@ -123,6 +137,13 @@ class _Judge:
             position_errors(episode.measured, item, self.signal, self.parts) for item in (series, corrected)
         )
         return float(before[0]), float(before[1]), float(after[0]), float(after[1])
+
+
+def _clones(simulator: MujocoSimulator, count: int) -> SimpleQueue[MujocoSimulator]:
+    free: SimpleQueue[MujocoSimulator] = SimpleQueue()
+    for _ in range(count):
+        free.put(simulator.clone())
+    return free
 
 
 def robustness(
@@ -218,7 +239,7 @@ def robustness(
 
     rows = []
     for item in named:
-        make = partial(judge.cell, item, simulators[item.model], item.name)
+        make = partial(judge.as_it_is, item)
         rows.append(row(item, [cells.get(f"{item.name}: as it is", make)], "the robot as it is"))
     for (name, largest), share in itertools.product(perturbations.items(), shares):
         size, what, own = largest.times(share), f"{name} x {share:g}", []

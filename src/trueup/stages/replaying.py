@@ -131,7 +131,7 @@ def replay(
                 jobs=jobs or os.cpu_count() or 1,
                 processes=engine == "dart",
             )
-            for payload_kg, names in _by_payload(dataset, robot, missing)
+            for payload_kg, names in by_payload(dataset, robot, missing)
         )
         for name, result in track(results, "replay", len(missing)):
             if isinstance(result, TrueupError):
@@ -167,14 +167,12 @@ def replay_unless_same(
         return replay(dataset, robot, model=model, label=label, jobs=jobs, overwrite=True, track=track)
 
 
-def _by_payload(dataset: Dataset, robot: RobotSpec, ids: Sequence[str]) -> Iterator[tuple[float, list[str]]]:
-    """Payload [kg] -> the episodes with it; of a robot that does not say where one hangs, all as without."""
-    if robot.payload is None:
-        yield 0.0, list(ids)
-        return
-    carried = dict(zip(dataset.ids, dataset.index.column("payload_kg").to_pylist(), strict=True))
-    for payload_kg in sorted({carried[name] or 0.0 for name in ids}):
-        yield payload_kg, [name for name in ids if (carried[name] or 0.0) == payload_kg]
+def by_payload(dataset: Dataset, robot: RobotSpec, ids: Sequence[str]) -> Iterator[tuple[float, list[str]]]:
+    """What the robot carries in simulations [kg] -> the episodes in which it does."""
+    logged = dict(zip(dataset.ids, dataset.index.column("payload_kg").to_pylist(), strict=True))
+    carried = {name: robot.carried_kg(logged[name]) for name in ids}
+    for payload_kg in sorted(set(carried.values())):
+        yield payload_kg, [name for name in ids if carried[name] == payload_kg]
 
 
 def _readable(
