@@ -223,7 +223,13 @@ def reference_line(x: float) -> dict[str, Any]:
     }
 
 
-def band(label: str, x: Sequence[float], low: Sequence[float], high: Sequence[float], style: Style) -> dict[str, Any]:
+def band(
+    label: str,
+    x: Sequence[float | None],
+    low: Sequence[float | None],
+    high: Sequence[float | None],
+    style: Style,
+) -> dict[str, Any]:
     """A shaded band between two curves, behind the curve of the same label."""
     return {
         "type": "scatter",
