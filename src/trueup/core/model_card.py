@@ -52,21 +52,21 @@ class Channel:
 
     Attributes:
         signal: signal name, e.g. `torque`; of a body one of its components, e.g. `body.position.x`.
-        joint: joint name, as the robot has it, or name of the body.
+        joint: joint name, as the robot has it, or name of the body; empty for what is of no joint.
         unit: SI unit.
-        series: where it comes from: the simulator, the command that robot and simulator follow, or what the robot's
-            sensors have said one sample before.
+        series: where it comes from: the simulator, the command that robot and simulator follow, what the robot's
+            sensors have said one sample before, or the condition that a motion is under, such as its payload.
     """
 
     signal: str
     joint: str
     unit: str
-    series: Literal["simulated", "command", "measured"] = "simulated"
+    series: Literal["simulated", "command", "measured", "condition"] = "simulated"
 
     @property
     def name(self) -> str:
         """E.g. `simulated.torque.joint1`."""
-        return f"{self.series}.{self.signal}.{self.joint}"
+        return f"{self.series}.{self.signal}.{self.joint}".rstrip(".")
 
     @property
     def of_body(self) -> bool:

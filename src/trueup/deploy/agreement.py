@@ -70,6 +70,8 @@ def check_units(card: ModelCard, units: Mapping[str, str | Sequence[str]]) -> No
         UnitError: a unit differs, or that of a signal is not given.
     """
     for channel in card.inputs:
+        if channel.series == "condition":
+            continue
         if channel.signal not in units:
             raise UnitError(f"model {card.name!r} reads {channel.signal!r}, whose unit is not given", available=units)
         given = units[channel.signal]

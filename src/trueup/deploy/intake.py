@@ -18,13 +18,20 @@ class Intake:
     Args:
         card: of the network.
         x: the input channels, in the card's order, (I,); `fill` writes here.
+
+    Attributes:
+        conditions: signal -> its place in `x`, (1,); `fill` leaves it alone.
     """
 
     def __init__(self, card: ModelCard, x: Float64[np.ndarray, "I"]) -> None:
         self._card, self._x = card, x
         self._joints = len(card.joints)
+        self.conditions: dict[str, np.ndarray] = {}
         groups: dict[tuple[str, str], list[tuple[int, int]]] = {}
         for row, channel in enumerate(card.inputs):
+            if channel.series == "condition":
+                self.conditions[channel.signal] = x[row : row + 1]
+                continue
             group = groups.setdefault((channel.series, channel.signal), [])
             group.append((row, card.joints.index(channel.joint)))
         self._of: dict[str, list[tuple[str, np.ndarray]]] = {"simulated": [], "command": [], "measured": []}

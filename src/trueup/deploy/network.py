@@ -90,7 +90,8 @@ def _check_card(card: ModelCard, folder: Path) -> None:
         known = output.far_correction
         if len(known) != len(output.far_probability) or any(b <= a for a, b in itertools.pairwise(known)):
             raise DataError(f"{where} is broken: the probabilities of {output.name}", got=known, expected="increasing")
-    strange = [channel.name for channel in (*card.inputs, *card.outputs) if channel.joint not in card.joints]
+    of_joints = (channel for channel in (*card.inputs, *card.outputs) if channel.series != "condition")
+    strange = [channel.name for channel in of_joints if channel.joint not in card.joints]
     if strange:
         raise DataError(f"{where} is broken: its robot lacks the joints of {strange}", available=card.joints)
 

@@ -23,7 +23,7 @@ from trueup.deploy.settings import StreamSettings
 from trueup.deploy.span import Span
 from trueup.deploy.stall import Unrest, simulated_part
 from trueup.deploy.step import Status, Step, Why, index_of
-from trueup.errors import DataError
+from trueup.errors import DataError, MissingSignal
 
 # Share of each new period in the average of periods: about the last hundred samples.
 _FORGET = 0.01
@@ -79,6 +79,8 @@ class Stream:
         self._values = np.full(len(card.outputs), np.nan)
         self._step = Step(card, self._values, self._raw, self._span)
         self._intake = Intake(card, self._raw)
+        for place in self._intake.conditions.values():
+            place.fill(math.nan)
         self._simulated = simulated_part(card.inputs, self._raw)
         self._unrest = Unrest(card.inputs, settings.moving_speed)
         self.latency = Latency()
@@ -127,6 +129,24 @@ class Stream:
         self._mean_s = self._period_s
         self._values.fill(np.nan)
         self._step.status, self._step.flags, self._step.age_s = Status.HELD, 0, math.inf
+
+    def under(self, **conditions: float) -> None:
+        """Say what the motion is under, for networks that read it: e.g. `under(payload=2.0)` [kg].
+
+        It holds until it is said otherwise. Before it is said it is not a number, and so is every answer held.
+
+        Raises:
+            MissingSignal: the network reads no such condition.
+            DataError: not a number.
+        """
+        places = self._intake.conditions
+        for name, value in conditions.items():
+            if name not in places:
+                raise MissingSignal(f"model {self._card.name!r} reads no condition {name!r}", available=places)
+            if not math.isfinite(value):
+                raise DataError(f"condition {name!r} of model {self._card.name!r}", got=value, expected="a number")
+            places[name][:] = value
+        self._calm = False
 
     def step(
         self,

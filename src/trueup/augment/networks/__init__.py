@@ -29,6 +29,8 @@ _FILES: Mapping[str, str] = {
     "moving-average-rt": "moving_average",
 }
 METHODS = tuple(_FILES)
+# Of kinds that no method of `augment` has.
+_FURTHER = ("operator",)
 
 
 def method(name: str) -> Method:
@@ -46,7 +48,9 @@ def method(name: str) -> Method:
 
 def network_class(kind: str) -> type[Network]:
     """The class of a kind of network; errors as of `method`."""
-    kinds = {name: cls for file in dict.fromkeys(_FILES.values()) for name, cls in _file(file).KINDS.items()}
+    kinds = {
+        name: cls for file in dict.fromkeys((*_FILES.values(), *_FURTHER)) for name, cls in _file(file).KINDS.items()
+    }
     if kind not in kinds:
         raise ConfigError("network: kind is not a choice", got=repr(kind), available=kinds)
     found: type[Network] = kinds[kind]

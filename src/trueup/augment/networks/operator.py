@@ -1,0 +1,199 @@
+"""A nonlinear operator: from how the simulator would respond, and a query, to what a command lacks (GapONet, 4).
+
+The sensor predictor S says from the last states and commands how far the simulator would move under each of k fixed
+commands (eq. 2, 7); the branch B reads that, the trunk T the current command and the condition (eq. 3, 4). Of each joint
+the outputs are an inner product of p features of either (eq. 5). Inputs are position, velocity and command of J joints,
+then the conditions, then, where they are not predicted, the sensors' values.
+
+Nothing nonlinear stands between predictor and branch; a graph has both as one layer, which is the same and half the work.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from trueup.augment.config import Method, NetworkConfig
+from trueup.augment.graph import Graph
+from trueup.augment.networks.base import Windowed, draw_linear
+from trueup.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class OperatorConfig(NetworkConfig):
+    """The options of an operator; `hidden` are the layers of its branch, `history` the samples with the current one.
+
+    Attributes:
+        features: of branch and trunk for each joint, p.
+        trunk: units of its layers.
+        sensors: number of fixed commands whose effects are predicted, k.
+        predictor: units of its layers.
+        senses: `predicted` from the history (eq. 7), `true` ones as inputs, or `none`: the branch reads the history.
+        current: what the predictor reads of the current sample; that and three numbers of each earlier one.
+        conditioned: whether the trunk reads conditions, such as a payload.
+    """
+
+    kind: str = "operator"
+    hidden: tuple[int, ...] = (128, 128, 128)
+    history: int = 5
+    features: int = 16
+    trunk: tuple[int, ...] = (64, 64)
+    sensors: int = 20
+    predictor: tuple[int, ...] = (128,)
+    senses: Literal["predicted", "true", "none"] = "predicted"
+    current: tuple[str, ...] = ("position", "velocity")
+    conditioned: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no operator."""
+        super().__post_init__()
+        sizes = (*self.trunk, *self.predictor, self.features, self.sensors)
+        if min(sizes) < 1 or not self.hidden or not self.trunk or not self.predictor:
+            raise ConfigError(
+                "network: sizes of an operator",
+                got=f"hidden {self.hidden}, trunk {self.trunk}, predictor {self.predictor}, features {self.features}, "
+                f"sensors {self.sensors}",
+                expected="positive ones, and a layer of each",
+            )
+        if not {"position"} <= set(self.current) <= {"position", "velocity"}:
+            raise ConfigError("network: current", got=self.current, expected="position, and velocity if wanted")
+
+
+class Operator(Windowed):
+    """See the module."""
+
+    Config = OperatorConfig
+
+    reads_branch: Tensor
+    reads_trunk: Tensor
+
+    def __init__(self, config: NetworkConfig, inputs: int, base: Sequence[int], rate_hz: float) -> None:
+        super().__init__(config, inputs, base, rate_hz)
+        assert isinstance(config, OperatorConfig)
+        joints = len(base)
+        self.senses, self.features = config.senses, config.features
+        self.responses = config.sensors * 2 * joints
+        first = config.predictor[0] if self.senses == "predicted" else config.hidden[0]
+        true = self.responses if self.senses == "true" else 0
+        if inputs < 3 * joints + true:
+            raise ConfigError(
+                "network: an operator reads position, velocity and command of each joint, then conditions",
+                got=f"{inputs} inputs for {joints} joints",
+            )
+        # Which inputs of which samples: what is not read has no weight.
+        branch = np.zeros((1, inputs, self.past + 1))
+        if self.senses == "true":
+            branch[:, inputs - true :, -1] = 1.0
+        else:
+            branch[:, : 3 * joints, :-1] = 1.0
+            branch[:, : joints * len(config.current), -1] = 1.0
+        trunk = np.zeros((1, inputs))
+        trunk[:, 2 * joints : 3 * joints] = 1.0
+        if config.conditioned:
+            trunk[:, 3 * joints : inputs - true] = 1.0
+        self.register_buffer("reads_branch", torch.tensor(branch, dtype=torch.float32), persistent=False)
+        self.register_buffer("reads_trunk", torch.tensor(trunk, dtype=torch.float32), persistent=False)
+        self.window = nn.Conv1d(inputs, first, self.past + 1)
+        self.predictor = _layers(*config.predictor, self.responses) if self.senses == "predicted" else None
+        widths = config.hidden if self.senses != "predicted" else (self.responses, *config.hidden)
+        self.branch = _layers(*widths, config.features * joints)
+        self.query = nn.Linear(inputs, config.trunk[0])
+        self.trunk = _layers(*config.trunk, config.features * joints)
+
+    @property
+    def sensed(self) -> bool:
+        """Whether it predicts what sensors would say."""
+        return self.predictor is not None
+
+    def sensors(self, x: Tensor) -> Tensor:
+        """What the sensors would say, normalized, (past + T, B, I) to (T, B, 2 J k)."""
+        assert self.predictor is not None
+        return _through(self.predictor, self._seen(x))
+
+    def branch_features(self, sensed: Tensor) -> Tensor:
+        """B: (T, B, 2 J k), or the first layer's output where nothing is predicted, to (T, B, J p)."""
+        if self.predictor is None:
+            return _through(self.branch, sensed)
+        first, *others = self.branch
+        return _through(others, first(sensed))
+
+    def trunk_features(self, x: Tensor) -> Tensor:
+        """T of the current samples, (T, B, I) to (T, B, J p)."""
+        query = nn.functional.linear(x, self.query.weight * self.reads_trunk, self.query.bias)
+        return _through(self.trunk, query)
+
+    def fused(self, branch: Tensor, trunk: Tensor) -> Tensor:
+        """The inner products, (T, B, J p) twice to (T, B, J); eq. 5."""
+        return (branch * trunk).unflatten(-1, (self.outputs, self.features)).sum(-1) / self.features**0.5
+
+    def inner(self, x: Tensor) -> Tensor:
+        """See `Windowed.inner`."""
+        sensed = self.sensors(x) if self.sensed else self._seen(x)
+        return self.fused(self.branch_features(sensed), self.trunk_features(x[self.past :]))
+
+    def _seen(self, x: Tensor) -> Tensor:
+        """The first layer's output, before its activation."""
+        window = nn.functional.conv1d(x.permute(1, 2, 0), self.window.weight * self.reads_branch, self.window.bias)
+        return window.permute(2, 0, 1)
+
+    def draw_inner(self, graph: Graph, x: str) -> str:
+        """See `Windowed.draw_inner`."""
+        turned = graph.add("Transpose", x, perm=[1, 2, 0])
+        weight = (self.window.weight * self.reads_branch).detach().numpy()
+        assert self.window.bias is not None
+        seen = graph.add("Conv", turned, graph.floats(weight), graph.floats(self.window.bias.detach().numpy()))
+        seen = graph.add("Transpose", seen, perm=[2, 0, 1])
+        layers = list(self.branch)
+        if self.predictor is not None:
+            *before, last = self.predictor
+            layers = [*before, _merged(last, layers[0]), *layers[1:]]
+        for layer in layers:
+            seen = draw_linear(graph, layer, graph.add("Elu", seen))
+        now = x
+        if self.past:
+            end = graph.integers([np.iinfo(np.int64).max])
+            now = graph.add("Slice", x, graph.integers([self.past]), end, graph.integers([0]))
+        query = graph.add("MatMul", now, graph.floats((self.query.weight * self.reads_trunk).detach().T.numpy()))
+        query = graph.add("Add", query, graph.floats(self.query.bias.detach().numpy()))
+        for layer in self.trunk:
+            query = draw_linear(graph, layer, graph.add("Elu", query))
+        # A sum over the features of each joint as one product with ones and zeros.
+        ones = np.kron(np.eye(self.outputs), np.ones((self.features, 1))) / self.features**0.5
+        return graph.add("MatMul", graph.add("Mul", seen, query), graph.floats(ones))
+
+
+def _layers(*widths: int) -> nn.ModuleList:
+    return nn.ModuleList(nn.Linear(a, b) for a, b in itertools.pairwise(widths))
+
+
+def _through(layers: Sequence[nn.Module] | nn.ModuleList, x: Tensor) -> Tensor:
+    """Dense layers with ELU before each of them."""
+    for layer in layers:
+        x = layer(nn.functional.elu(x))
+    return x
+
+
+def _merged(first: nn.Module, second: nn.Module) -> nn.Linear:
+    """Two dense layers with nothing between them as one."""
+    assert isinstance(first, nn.Linear)
+    assert isinstance(second, nn.Linear)
+    one = nn.Linear(first.in_features, second.out_features)
+    with torch.no_grad():
+        weight = second.weight.double() @ first.weight.double()
+        one.weight.copy_(weight)
+        one.bias.copy_(second.weight.double() @ first.bias.double() + second.bias.double())
+    return one
+
+
+KINDS = {"operator": Operator}
+
+
+def methods() -> tuple[Method, ...]:
+    """None: an operator says what a command lacks, and `trueup compensate` trains it."""
+    return ()

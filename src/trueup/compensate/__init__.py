@@ -1,0 +1,1 @@
+"""Learned compensation of commands: delta actions, their networks, and how they are trained (GapONet, ASAP)."""

@@ -1,0 +1,112 @@
+"""What to train and how: `CompensateConfig`, from YAML, as a method's default, or as the paper has it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from trueup.augment.config import NetworkConfig
+from trueup.augment.networks.operator import OperatorConfig
+from trueup.errors import ConfigError
+
+Way = Literal["direct", "delta", "ppo"]
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """What counts.
+
+    Attributes:
+        position_rad: an error of position that costs as much as
+        velocity_rad_s: one of velocity [rad/s].
+        linear_from: errors of so many times these sizes and more cost in proportion, not by their squares.
+        smoothness: cost of changes of the delta action from step to step, as a share of what the same change of the
+            error costs (GapONet, A.7: 0.01).
+        size: likewise, of delta actions themselves.
+        sensors: of errors of the sensor predictor, in units of their spread (GapONet, eq. 7).
+    """
+
+    position_rad: float = 0.02
+    velocity_rad_s: float = 2.0
+    linear_from: float = 4.0
+    smoothness: float = 0.01
+    size: float = 1e-3
+    sensors: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Refuse costs that are none."""
+        for name in ("position_rad", "velocity_rad_s", "linear_from"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ConfigError(f"loss: {name}", got=getattr(self, name), expected="a positive number")
+        for name in ("smoothness", "size", "sensors"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ConfigError(f"loss: {name}", got=getattr(self, name), expected=">= 0")
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """How the network learns.
+
+    Attributes:
+        way: `direct`: the error of many control steps in the linear model of the simulator, differentiated; `delta`:
+            each delta action by itself; `ppo`: by reinforcement, as in the paper.
+        updates: number of steps of the optimizer.
+        batch: windows in each.
+        horizon: control steps of a window, at the end of the training; windows begin short and grow.
+        rate: largest learning rate; it rises over the first hundredth and falls to nothing (cosine).
+        jolt: how far from the measured state windows begin, as a share of the sizes in `loss`.
+        damping: of delta actions, `delta` only [1/rad^2].
+    """
+
+    way: Way = "direct"
+    updates: int = 3000
+    batch: int = 128
+    horizon: int = 40
+    rate: float = 2e-3
+    jolt: float = 0.5
+    damping: float = 1e-2
+
+    def __post_init__(self) -> None:
+        """Refuse what trains nothing."""
+        if min(self.updates, self.batch, self.horizon) < 1 or not (0 < self.rate < 1 and self.jolt >= 0):
+            raise ConfigError(
+                "training: updates, batch, horizon, rate, jolt",
+                got=(self.updates, self.batch, self.horizon, self.rate, self.jolt),
+                expected="positive numbers",
+            )
+
+
+@dataclass(frozen=True)
+class CompensateConfig:
+    """The whole configuration.
+
+    Attributes:
+        method: for people.
+        network: its kind and sizes.
+        loss: what counts.
+        training: how it learns.
+        relative: whether commands are read as how far they are from the position; else as they are.
+    """
+
+    method: str = "operator"
+    network: NetworkConfig = field(default_factory=OperatorConfig)
+    loss: LossConfig = field(default_factory=LossConfig)
+    training: TrainConfig = field(default_factory=TrainConfig)
+    relative: bool = True
+
+
+METHODS: Mapping[str, CompensateConfig] = {
+    "operator": CompensateConfig(),
+    # GapONet, A.7: the sizes that agree with each other (p = 160 per joint); ELU; 4 earlier steps.
+    "operator-paper": CompensateConfig(
+        "operator-paper",
+        OperatorConfig(hidden=(256, 256, 256), features=160, trunk=(128, 128), predictor=(256,), current=("position",)),
+        relative=False,
+        training=TrainConfig("ppo"),
+    ),
+    # What the paper compares with: an MLP of the present state and action (ASAP), and a transformer with a history.
+    "mlp": CompensateConfig("mlp", NetworkConfig("mlp", (256, 256), history=1)),
+    "transformer": CompensateConfig("transformer", NetworkConfig("transformer", (64, 64), history=5)),
+}

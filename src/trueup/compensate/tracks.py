@@ -1,0 +1,97 @@
+"""Motions at the rate of control: where the robot was when each command was given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+from trueup.core.episode import Episode
+from trueup.core.hold import SAME_INSTANT_S
+from trueup.errors import DataError, MissingSignal
+
+_RATE_TOLERANCE = 0.02
+_FEWEST = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One motion.
+
+    Attributes:
+        id: of the episode.
+        payload_kg: what the robot carries.
+        state: measured positions, then velocities, when each command was given, (T, 2J) [rad or m, and per second].
+        command: commanded positions, (T, J).
+        time_s: of each row, (T,).
+    """
+
+    id: str
+    payload_kg: float
+    state: Float32[np.ndarray, "T S"]
+    command: Float32[np.ndarray, "T J"]
+    time_s: Float64[np.ndarray, "T"]
+
+    def __len__(self) -> int:
+        """The number of commands."""
+        return len(self.command)
+
+
+def track_of(episode: Episode, joints: Sequence[str], control_s: float) -> Track:
+    """A motion at the rate of control.
+
+    Args:
+        episode: in the robot's joint names.
+        joints: J joints.
+        control_s: control step [s].
+
+    Raises:
+        MissingSignal: no commanded positions, or no measured positions.
+        DataError: another control rate, values that are not finite, or hardly a command.
+    """
+    command = episode.commanded().select(joints)
+    measured = episode.measured.select(joints)
+    for series, what in ((command, "command"), (measured, "measured")):
+        if "position" not in series:
+            raise MissingSignal(
+                f"episode {episode.id!r} has no {what} position, so that nothing says what its commands lack",
+                available=list(series.signals),
+            )
+    gap_s = float(np.median(np.diff(command.time_s))) if len(command) > 1 else np.inf
+    if abs(gap_s / control_s - 1) > _RATE_TOLERANCE:
+        raise DataError(
+            f"episode {episode.id!r}: its commands come at another rate",
+            got=f"{1 / gap_s:.4g} Hz",
+            expected=f"{1 / control_s:.4g} Hz",
+            hint="Train for this rate: --control-hz.",
+        )
+    inside = (command.time_s >= measured.time_s[0] - SAME_INSTANT_S) & (
+        command.time_s <= measured.time_s[-1] + SAME_INSTANT_S
+    )
+    time_s = command.time_s[inside]
+    if time_s.size < _FEWEST:
+        raise DataError(f"episode {episode.id!r} has hardly a command", got=time_s.size, expected=f"at least {_FEWEST}")
+    position = measured["position"].astype(np.float64)
+    if "velocity" in measured:
+        velocity = measured["velocity"].astype(np.float64)
+    else:
+        velocity = np.gradient(position, measured.time_s, axis=0)
+    state = np.concatenate([_at(time_s, measured.time_s, signal) for signal in (position, velocity)], axis=1)
+    wanted = command["position"][inside]
+    for values, what in ((state, "state"), (wanted, "command")):
+        if not np.isfinite(values).all():
+            row = int(np.argwhere(~np.isfinite(values))[0, 0])
+            raise DataError(f"episode {episode.id!r}: the {what} is not finite", got=f"{time_s[row]:.3f} s")
+    return Track(
+        episode.id,
+        float(episode.meta.payload_kg or 0.0),
+        state.astype(np.float32),
+        wanted.astype(np.float32),
+        np.asarray(time_s, np.float64),
+    )
+
+
+def _at(time_s: Float64[np.ndarray, "N"], clock: Float64[np.ndarray, "M"], values: np.ndarray) -> np.ndarray:
+    return np.stack([np.interp(time_s, clock, column) for column in values.T], axis=1)

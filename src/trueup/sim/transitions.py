@@ -1,0 +1,132 @@
+"""What a simulator makes of states and commands within one control step, and how that depends on them.
+
+The actuation function of GapONet (4.1), U(position, velocity): command -> position and velocity one control step later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+from trueup.core.protocols import RolloutRequest
+from trueup.errors import ConfigError
+from trueup.sim.mujoco_engine import MujocoSimulator
+
+# Motions that are simulated at once: their sensors and states in every physics step must fit into memory.
+_AT_ONCE = 4096
+_PART_OF_STEP = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """How the next states depend on what comes before, for B transitions of J joints.
+
+    Attributes:
+        state: derivatives by positions and velocities, (B, 2J, 2J); rows and columns are positions, then velocities.
+        before: derivatives by the command before, (B, 2J, J); zero where commands act at once.
+        command: derivatives by the command, (B, 2J, J).
+    """
+
+    state: Float64[np.ndarray, "B S S"]
+    before: Float64[np.ndarray, "B S J"]
+    command: Float64[np.ndarray, "B S J"]
+
+
+class Transitions:
+    """A robot under position commands, from one control step to the next.
+
+    Args:
+        simulator: with the robot in it, whose controller follows positions and keeps no state of its own.
+        control_s: control step [s]; a command is held as long.
+        delay_s: how much later commands act, one per joint or one for all, at most a control step [s].
+
+    Raises:
+        ConfigError: the control step is no number of physics steps, the delay is longer, or the controller is another.
+    """
+
+    def __init__(self, simulator: MujocoSimulator, control_s: float, delay_s: float | Sequence[float] = 0.0) -> None:
+        steps = control_s / simulator.timestep_s
+        if steps < 1 - _PART_OF_STEP or abs(steps - round(steps)) > _PART_OF_STEP * steps:
+            raise ConfigError(
+                "a control step must be a number of physics steps",
+                got=f"{control_s:g} s of {simulator.timestep_s:g} s",
+                hint="Set simulation.timestep_s in robot.yaml.",
+            )
+        if simulator.command_signals[0] != "position" or simulator.model.na:
+            raise ConfigError(
+                f"robot {simulator.robot.name!r} follows no positions, or its controller remembers",
+                got=simulator.robot.controller.kind,
+                available=("position", "pd"),
+            )
+        self.simulator = simulator
+        self.control_s = control_s
+        self.steps = round(steps)
+        delays = np.broadcast_to(np.asarray(delay_s, float), (len(simulator.joints),)) / simulator.timestep_s
+        if not (delays.min() >= 0 and delays.max() <= self.steps * (1 + _PART_OF_STEP)):
+            raise ConfigError(
+                "commands may be late by a control step at most",
+                got=f"{float(delays.max()) * simulator.timestep_s:g} s",
+                expected=f"0 to {control_s:g} s",
+            )
+        # What of the command before acts in each physics step; where a delay ends within one, a mean of both.
+        late = np.clip(delays - np.arange(self.steps)[:, None], 0.0, 1.0)
+        self._late: Float64[np.ndarray, "N J"] = np.where(late > 1 - _PART_OF_STEP, 1.0, late)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the J joints."""
+        return self.simulator.joints
+
+    @property
+    def delayed(self) -> bool:
+        """Whether the command before matters."""
+        return bool(self._late.any())
+
+    def next(
+        self,
+        state: Float[np.ndarray, "B S"],
+        before: Float[np.ndarray, "B J"],
+        command: Float[np.ndarray, "B J"],
+    ) -> Float64[np.ndarray, "B S"]:
+        """Positions, then velocities, one control step later, (B, 2J).
+
+        Args:
+            state: positions, then velocities.
+            before: what was commanded one control step ago.
+            command: what is commanded now.
+
+        Raises:
+            DataError: a simulation diverged.
+        """
+        out = np.empty(state.shape)
+        for start in range(0, len(state), _AT_ONCE):
+            part = slice(start, start + _AT_ONCE)
+            position, velocity = np.split(np.asarray(state[part], np.float64), 2, axis=1)
+            held = self._late * before[part, None] + (1.0 - self._late) * command[part, None]
+            result = self.simulator.rollout(RolloutRequest(position, velocity, {"position": held}))
+            out[part] = np.concatenate([result.position[:, -1], result.velocity[:, -1]], axis=1)
+        return out
+
+    def slopes(
+        self,
+        state: Float[np.ndarray, "B S"],
+        before: Float[np.ndarray, "B J"],
+        command: Float[np.ndarray, "B J"],
+        *,
+        size: float = 1e-5,
+    ) -> Slopes:
+        """Central differences of `next`, `size` to either side [rad or m, and per second]."""
+        parts = [state, before, command] if self.delayed else [state, command]
+        given = np.concatenate(parts, axis=1).astype(np.float64)
+        count, width = given.shape
+        moves = size * np.eye(width)
+        moved = (given[:, None, None, :] + np.stack([moves, -moves])).reshape(-1, width)
+        own, joints = state.shape[1], command.shape[1]
+        earlier = moved[:, own : own + joints]  # without a delay, the command itself: it does not matter
+        after = self.next(moved[:, :own], earlier, moved[:, -joints:]).reshape(count, 2, width, own)
+        slopes = ((after[:, 0] - after[:, 1]) / (2.0 * size)).transpose(0, 2, 1)
+        late = slopes[:, :, own : own + joints] if self.delayed else np.zeros((count, own, joints))
+        return Slopes(slopes[:, :, :own], late, slopes[:, :, -joints:])
