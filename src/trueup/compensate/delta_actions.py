@@ -1,4 +1,4 @@
-"""Delta actions: what a command would have had to be for the simulator to move as the robot did (ASAP; GapONet, 4.2)."""
+"""Delta actions: what commands would have had to be for the simulator to move as the robot did (ASAP; GapONet, 4.2)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ WEIGHT = (0.02, 0.4)
 
 def weights(joints: int, size: tuple[float, float] = WEIGHT) -> Float64[np.ndarray, "S"]:
     """Of the errors of positions and velocities, in that order, (2J,)."""
-    return np.repeat(1.0 / np.asarray(size), joints) / np.sqrt(2 * joints)
+    each: Float64[np.ndarray, "S"] = np.repeat(1.0 / np.asarray(size), joints) / np.sqrt(2 * joints)
+    return each
 
 
 def delta_actions(
@@ -58,5 +59,5 @@ def regularized(
     turned = slope.transpose(0, 2, 1)
     normal = turned @ slope + damping * np.eye(slope.shape[2])
     gradient = turned @ error[:, :, None] + damping * delta[:, :, None]
-    step: Float64[np.ndarray, "B J"] = np.linalg.solve(normal, gradient)[:, :, 0]
-    return delta - step
+    found: Float64[np.ndarray, "B J"] = delta - np.linalg.solve(normal, gradient)[:, :, 0]
+    return found

@@ -1,7 +1,7 @@
 """The simulator along the robot's motions: where it would go from there, and how that depends on state and command.
 
-Near a measured motion the simulator is x' = next(x) + A (x - measured) + C_before d_before + C d for delta actions d. With
-this, training looks many control steps ahead without simulating.
+Near a measured motion the simulator is x' = next(x) + A (x - measured) + C_before d_before + C d for delta actions d:
+training looks many control steps ahead without simulating.
 """
 
 from __future__ import annotations

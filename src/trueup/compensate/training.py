@@ -23,6 +23,8 @@ _GROWN = 0.4
 _SHORTEST = 8
 _WARM = 0.01
 _CLIP = 1.0
+# A linear model says nothing about states that are further from the measured ones [rad or m; per second].
+_FARTHEST = (1.0, 20.0)
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ def corrector_for(config: CompensateConfig, windows: Windows, *, rate_hz: float,
     relative = np.full(3 * joints + 1, -1)
     if config.relative:
         relative[base] = np.arange(joints)
-    network = build_network(config.network, inputs=3 * joints + 1, base=base, rate_hz=rate_hz)
+    network = build_network(config.network, inputs=3 * joints + 1, base=base.tolist(), rate_hz=rate_hz)
     out = np.full(joints, size)
     scaling = Scaling(center, scale, np.zeros(joints), out, out)
     return Corrector(network, scaling, base, target="residual", relative=relative)
@@ -89,6 +91,7 @@ def unrolled(corrector: Corrector, batch: Batch, start: Tensor, twin: Corrector 
     earlier = max(past, twin.network.past if twin else 0)
     assert earlier == past, "windows hold the history of the network that looks back farthest"
     error, before = start, torch.zeros_like(batch.command[0])
+    most = torch.tensor(_FARTHEST, device=start.device).repeat_interleave(before.shape[-1])
     # Samples as the networks see them: state, command, payload. A twin sees commands as they have been corrected.
     seen = [torch.cat([batch.state[k], batch.command[k], batch.payload], -1) for k in range(past)]
     told = list(seen)
@@ -107,7 +110,7 @@ def unrolled(corrector: Corrector, batch: Batch, start: Tensor, twin: Corrector 
         if batch.before is not None:
             push = push + torch.einsum("bsj,bj->bs", batch.before[step], before)
         error = batch.error[step] + torch.einsum("bst,bt->bs", batch.a[step], error) + push
-        before = moved
+        error, before = torch.clamp(error, -most, most), moved
         if batch.reference is None:
             errors.append(error)
         else:
@@ -187,11 +190,11 @@ def train(
         if batch.sensors is not None and isinstance(corrector.network, Operator) and corrector.network.sensed:
             cost = cost + loss.sensors * _sensor_loss(corrector, batch)
         optimizer.zero_grad()
-        cost.backward()
-        nn.utils.clip_grad_norm_(corrector.parameters(), _CLIP)
-        optimizer.step()
+        cost.backward()  # type: ignore[no-untyped-call]
+        if torch.isfinite(nn.utils.clip_grad_norm_(corrector.parameters(), _CLIP)):
+            optimizer.step()
         if (update + 1) % every == 0:
-            report(Progress(update + 1, float(cost), time.perf_counter() - began))
+            report(Progress(update + 1, float(cost.detach()), time.perf_counter() - began))
     corrector.eval()
 
 

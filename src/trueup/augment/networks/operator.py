@@ -1,11 +1,11 @@
 """A nonlinear operator: from how the simulator would respond, and a query, to what a command lacks (GapONet, 4).
 
 The sensor predictor S says from the last states and commands how far the simulator would move under each of k fixed
-commands (eq. 2, 7); the branch B reads that, the trunk T the current command and the condition (eq. 3, 4). Of each joint
-the outputs are an inner product of p features of either (eq. 5). Inputs are position, velocity and command of J joints,
+commands (eq. 2, 7); the branch B reads that, the trunk T the current command and the condition (eq. 3, 4). The output
+for a joint is an inner product of p features of either (eq. 5). Inputs are position, velocity and command of J joints,
 then the conditions, then, where they are not predicted, the sensors' values.
 
-Nothing nonlinear stands between predictor and branch; a graph has both as one layer, which is the same and half the work.
+Nothing nonlinear stands between predictor and branch; a graph has both as one layer, the same with half the work.
 """
 
 from __future__ import annotations
@@ -130,7 +130,9 @@ class Operator(Windowed):
 
     def fused(self, branch: Tensor, trunk: Tensor) -> Tensor:
         """The inner products, (T, B, J p) twice to (T, B, J); eq. 5."""
-        return (branch * trunk).unflatten(-1, (self.outputs, self.features)).sum(-1) / self.features**0.5
+        parts = (branch * trunk).view(*branch.shape[:-1], self.outputs, self.features)
+        out: Tensor = parts.sum(-1) / self.features**0.5
+        return out
 
     def inner(self, x: Tensor) -> Tensor:
         """See `Windowed.inner`."""

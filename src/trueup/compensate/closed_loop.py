@@ -1,0 +1,89 @@
+"""Motions in a simulator whose commands are compensated at every control step, from the first one on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float64
+
+from trueup.augment.corrector import Corrector
+from trueup.compensate.tracks import Track
+from trueup.compensate.training import delta_of
+from trueup.errors import DataError
+from trueup.sim.transitions import Transitions
+
+# Motions begin at rest: the first command is held until the simulator is, too.
+_SETTLE_S = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One motion.
+
+    Attributes:
+        state: positions, then velocities, when each command is given, (T, 2J).
+        delta: what was added to each command, (T, J).
+    """
+
+    state: Float64[np.ndarray, "T S"]
+    delta: Float64[np.ndarray, "T J"]
+
+
+def closed_loop(
+    tracks: Sequence[Track],
+    transitions: Callable[[float], Transitions],
+    corrector: Corrector | None,
+    *,
+    settle_s: float = _SETTLE_S,
+) -> list[Run]:
+    """Simulate motions from their first measured positions, all of one payload side by side.
+
+    Args:
+        tracks: their commands are followed.
+        transitions: the simulator with a payload [kg].
+        corrector: says what commands lack; None for the simulator as it is.
+        settle_s: for so long the first command is held before the motion begins [s].
+
+    Raises:
+        DataError: the simulation diverged.
+    """
+    found: dict[int, Run] = {}
+    for payload_kg in sorted({track.payload_kg for track in tracks}):
+        numbers = [number for number, track in enumerate(tracks) if track.payload_kg == payload_kg]
+        own = [tracks[number] for number in numbers]
+        found |= dict(zip(numbers, _together(own, transitions(payload_kg), corrector, settle_s), strict=True))
+    return [found[number] for number in range(len(tracks))]
+
+
+def _together(
+    tracks: Sequence[Track], transitions: Transitions, corrector: Corrector | None, settle_s: float
+) -> list[Run]:
+    """Motions of one payload; short ones hold their last command until the longest has ended."""
+    settling = round(settle_s / transitions.control_s)
+    longest = max(len(track) for track in tracks)
+    rows = np.clip(np.arange(-settling, longest), 0, None)
+    command = np.stack([track.command[np.minimum(rows, len(track) - 1)] for track in tracks], axis=1).astype(float)
+    joints = command.shape[2]
+    state = np.stack([np.concatenate([track.state[0, :joints], np.zeros(joints)]) for track in tracks])
+    payload = np.full((len(tracks), 1), tracks[0].payload_kg)
+    states, deltas, before = [], [], command[0]
+    seen: list[torch.Tensor] = []
+    for wanted in command:
+        delta = np.zeros_like(wanted)
+        if corrector is not None:
+            sample = torch.from_numpy(np.concatenate([state, wanted, payload], axis=1).astype(np.float32))
+            past = corrector.network.past
+            seen = [*(seen or [sample] * past), sample][-past - 1 :]
+            with torch.no_grad():
+                delta = delta_of(corrector, torch.stack(seen)).double().numpy()
+        states.append(state)
+        deltas.append(delta)
+        state = transitions.next(state, before, wanted + delta)
+        before = wanted + delta
+        if not np.isfinite(state).all():
+            raise DataError("the compensated simulation diverged", got=f"{len(states)} control steps after its start")
+    whole, added = np.stack(states)[settling:], np.stack(deltas)[settling:]
+    return [Run(whole[: len(track), k], added[: len(track), k]) for k, track in enumerate(tracks)]
