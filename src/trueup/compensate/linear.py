@@ -43,12 +43,15 @@ class Linear:
         return np.asarray(found, np.float32)
 
 
-def linear_of(track: Track, transitions: Transitions, *, every: int = 10, size: float = 1e-4) -> Linear:
+def linear_of(
+    track: Track, transitions: Transitions, *, smooth: Transitions | None = None, every: int = 10, size: float = 1e-4
+) -> Linear:
     """Simulate one control step from every measured state, and differentiate at every `every`-th.
 
     Args:
         track: the motion.
         transitions: the simulator with the motion's payload.
+        smooth: what is differentiated, if it is another one: without dry friction.
         every: slopes change slowly; those between are interpolated.
         size: of the differences [rad or m, and per second].
     """
@@ -57,7 +60,7 @@ def linear_of(track: Track, transitions: Transitions, *, every: int = 10, size: 
     error = transitions.next(state[:-1], before[:-1], command[:-1]) - state[1:]
     last = len(error) - 1
     rows = np.unique(np.append(np.arange(0, last + 1, every), last))
-    slopes = transitions.slopes(state[rows], before[rows], command[rows], size=size)
+    slopes = (smooth or transitions).slopes(state[rows], before[rows], command[rows], size=size)
     place = np.interp(np.arange(last + 1), rows, np.arange(rows.size))
     low = np.minimum(place.astype(int), rows.size - 1)
     high = np.minimum(low + 1, rows.size - 1)

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -73,13 +74,31 @@ def delta_of(corrector: Corrector, window: Tensor) -> Tensor:
     return out * corrector.out_scale
 
 
-def unrolled(corrector: Corrector, batch: Batch, start: Tensor, twin: Corrector | None = None) -> tuple[Tensor, Tensor]:
+@runtime_checkable
+class Simulate(Protocol):
+    """B robots one control step on."""
+
+    def __call__(self, payload: Tensor, state: Tensor, before: Tensor, command: Tensor, /) -> Tensor:
+        """Payloads (B, 1), states (B, 2J), commands (B, J) and those before; states one control step later."""
+        ...
+
+
+def unrolled(
+    corrector: Corrector,
+    batch: Batch,
+    start: Tensor,
+    *,
+    simulate: Simulate | None = None,
+    twin: Corrector | None = None,
+) -> tuple[Tensor, Tensor]:
     """Errors and delta actions of a window in which the simulator goes its own way.
 
     Args:
         corrector: the network that is trained.
         batch: B windows of L control steps.
         start: how far from the measured states they begin, (B, 2J).
+        simulate: where it goes; if None, the linear model says it. That model says in either case what changes of
+            commands and states do to it: a simulator with dry friction moves by jumps, which nothing learns from.
         twin: what makes the simulator the robot, whose commands are corrected then.
 
     Returns:
@@ -91,6 +110,7 @@ def unrolled(corrector: Corrector, batch: Batch, start: Tensor, twin: Corrector 
     earlier = max(past, twin.network.past if twin else 0)
     assert earlier == past, "windows hold the history of the network that looks back farthest"
     error, before = start, torch.zeros_like(batch.command[0])
+    sent = batch.command[past - 1] if past else batch.command[0]
     most = torch.tensor(_FARTHEST, device=start.device).repeat_interleave(before.shape[-1])
     # Samples as the networks see them: state, command, payload. A twin sees commands as they have been corrected.
     seen = [torch.cat([batch.state[k], batch.command[k], batch.payload], -1) for k in range(past)]
@@ -106,10 +126,17 @@ def unrolled(corrector: Corrector, batch: Batch, start: Tensor, twin: Corrector 
         if twin is not None:
             told.append(torch.cat([state, batch.command[row] + delta, batch.payload], -1))
             moved = delta + delta_of(twin, torch.stack(told[-twin.network.past - 1 :]))
-        push = torch.einsum("bsj,bj->bs", batch.c[step], moved)
+        change = torch.einsum("bst,bt->bs", batch.a[step], error) + torch.einsum("bsj,bj->bs", batch.c[step], moved)
         if batch.before is not None:
-            push = push + torch.einsum("bsj,bj->bs", batch.before[step], before)
-        error = batch.error[step] + torch.einsum("bst,bt->bs", batch.a[step], error) + push
+            change = change + torch.einsum("bsj,bj->bs", batch.before[step], before)
+        if simulate is None:
+            error = batch.error[step] + change
+        else:
+            with torch.no_grad():
+                command = batch.command[row] + moved
+                there = simulate(batch.payload, state, sent, command) - batch.state[row + 1]
+                sent = command
+            error = there + change - change.detach()
         error, before = torch.clamp(error, -most, most), moved
         if batch.reference is None:
             errors.append(error)
@@ -139,6 +166,7 @@ def train(
     config: CompensateConfig,
     *,
     seed: int = 0,
+    simulate: Simulate | None = None,
     twin: Corrector | None = None,
     wanted: Tensor | None = None,
     every: int = 100,
@@ -151,7 +179,8 @@ def train(
         windows: the train motions.
         config: loss and training.
         seed: of all draws.
-        twin: see `unrolled`.
+        simulate: see `unrolled`.
+        twin: likewise.
         wanted: delta actions of all samples of the windows, (M, J); for the way `delta`.
         every: how often `report` is called [updates].
         report: is told where it stands.
@@ -186,7 +215,7 @@ def train(
             off = (delta_of(corrector, seen) - wanted[starts]) / loss.position_rad
             cost = nn.functional.huber_loss(off, torch.zeros_like(off), delta=loss.linear_from)
         else:
-            cost = loss_of(*unrolled(corrector, batch, jolt.to(batch.error.device), twin), loss)
+            cost = loss_of(*unrolled(corrector, batch, jolt.to(batch.error.device), simulate=simulate, twin=twin), loss)
         if batch.sensors is not None and isinstance(corrector.network, Operator) and corrector.network.sensed:
             cost = cost + loss.sensors * _sensor_loss(corrector, batch)
         optimizer.zero_grad()

@@ -14,7 +14,7 @@ from trueup.identify.drive import Drive, drive_of
 from trueup.identify.inertial import Inertial, apply_inertial, inertial_of
 from trueup.robots import ControllerSpec, RobotSpec
 from trueup.robots.model import compile_spec, load_spec
-from trueup.sim import MujocoSimulator
+from trueup.sim import MujocoSimulator, attach_payload
 from trueup.sim.controllers import Channel
 from trueup.sim.friction import harden_friction, has_friction, install
 
@@ -61,14 +61,18 @@ class Candidate:
         for body, inertial in inertials.items():
             apply_inertial(self.spec, body, inertial)
 
-    def compile(self) -> mujoco.MjModel:
-        """The finished model; MuJoCo calls its friction laws from here on, if it has any.
+    def compile(self, payload_kg: float = 0.0) -> mujoco.MjModel:
+        """The finished model with a payload [kg]; MuJoCo calls its friction laws from here on, if it has any.
 
         Raises:
             ConfigError: MuJoCo refuses it.
         """
         self.finish()
-        model = compile_spec(self.spec, self.nominal.path)
+        spec = self.spec
+        if payload_kg:
+            spec = spec.copy()
+            attach_payload(spec, self.nominal.robot, payload_kg)
+        model = compile_spec(spec, self.nominal.path)
         if has_friction(model):
             install()
         return model

@@ -69,7 +69,7 @@ class ModelSearch:
                 got=f"{len(flagged)} flagged ones" if flagged else "an empty train split",
                 hint="Give --splits at import, or data: {keep_flagged: true} in the configuration.",
             )
-        self.notes = _payload_note(self._train)
+        self.notes = () if nominal.robot.payload else _payload_note(self._train)
         self._signal = nominal.robot.controller.signal
         self.seen = excitation_of(
             self._train, nominal.robot.scored_joints, self._signal, nominal.simulator.torque_limits
@@ -278,7 +278,8 @@ def _payload_note(logs: Sequence[Episode]) -> tuple[str, ...]:
         return ()
     amounts = ", ".join(f"{payload:g}" for payload in carried)
     note = (
-        f"some motions carry a payload ({amounts} kg) that the model does not: leave them out, or expect a compromise"
+        f"some motions carry a payload ({amounts} kg) that the model does not: say where it hangs in robot.yaml "
+        "(payload: {sites: [...]}), leave them out, or expect a compromise"
     )
     return (note,)
 

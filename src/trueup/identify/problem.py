@@ -78,9 +78,10 @@ class Problem:
             raise ConfigError(f"weights for {strangers}, which are not joints", available=scored)
         self._joint_weights = np.array([self.weights.joints.get(name, scored[name]) for name in robot.joint_names])
         self.columns = np.flatnonzero(self._joint_weights)
-        self._simulators: SimpleQueue[MujocoSimulator] = SimpleQueue()
-        for _ in range(jobs):
-            self._simulators.put(nominal.simulator.clone())
+        self._simulators = {
+            payload_kg: _simulators(nominal, payload_kg, jobs)
+            for payload_kg in sorted({segment.payload_kg for segment in self.segments})
+        }
         self._writers = [
             (quantity(parameter.quantity).write, place, parameter)
             for parameter in parameters
@@ -117,7 +118,9 @@ class Problem:
         """Residuals of C candidates, NaN for those that fail."""
         self.evaluations += z.shape[0]
         candidates = [self.candidate(self.parameters.values(row)) for row in z]
-        models = [_compile(candidate) for candidate in candidates]
+        models = {
+            payload_kg: [_compile(candidate, payload_kg) for candidate in candidates] for payload_kg in self._simulators
+        }
         out = np.full((z.shape[0], self.size), np.nan)
         tasks = list(self._tasks(z.shape[0], models))
         if self.jobs == 1 or len(tasks) == 1:
@@ -174,8 +177,10 @@ class Problem:
         joints = self.nominal.robot.joint_names
         return np.array([candidate.encoder_zeros.get(motion_target(motion, joint), 0.0) for joint in joints])
 
-    def _tasks(self, count: int, models: list[mujoco.MjModel | None]) -> Iterator[_Task]:
-        alive = np.array([index for index in range(count) if models[index] is not None], dtype=np.int64)
+    def _tasks(self, count: int, models: _Models) -> Iterator[_Task]:
+        alive = np.array(
+            [index for index in range(count) if all(own[index] is not None for own in models.values())], dtype=np.int64
+        )
         place = 0
         tasks: list[_Task] = []
         for segment in self.segments:
@@ -194,14 +199,15 @@ class Problem:
         self,
         task: _Task,
         candidates: Sequence[Candidate],
-        models: Sequence[mujoco.MjModel | None],
+        models: _Models,
         out: Float64[np.ndarray, "C N"],
     ) -> None:
-        simulator = self._simulators.get()
+        payload_kg = task.segment.payload_kg
+        simulator = self._simulators[payload_kg].get()
         try:
-            out[task.rows, task.begin : task.end] = self._simulate(task, simulator, candidates, models)
+            out[task.rows, task.begin : task.end] = self._simulate(task, simulator, candidates, models[payload_kg])
         finally:
-            self._simulators.put(simulator)
+            self._simulators[payload_kg].put(simulator)
 
     def _simulate(
         self,
@@ -236,6 +242,10 @@ class Problem:
         return np.concatenate(blocks, axis=1)
 
 
+# Payload [kg] -> a model of each candidate, None where MuJoCo refuses it.
+_Models = Mapping[float, Sequence[mujoco.MjModel | None]]
+
+
 @dataclass(frozen=True, eq=False)
 class _Task:
     """Some candidates on one segment, and where their residuals go."""
@@ -246,9 +256,20 @@ class _Task:
     end: int
 
 
-def _compile(candidate: Candidate) -> mujoco.MjModel | None:
+def _simulators(nominal: Nominal, payload_kg: float, jobs: int) -> SimpleQueue[MujocoSimulator]:
+    """One for each thread, of the nominal model with a payload."""
+    free: SimpleQueue[MujocoSimulator] = SimpleQueue()
+    simulator = nominal.simulator
+    if payload_kg:
+        simulator = MujocoSimulator(nominal.candidate().compile(payload_kg), nominal.robot, simulator.channels)
+    for _ in range(jobs):
+        free.put(simulator.clone())
+    return free
+
+
+def _compile(candidate: Candidate, payload_kg: float) -> mujoco.MjModel | None:
     try:
-        model = candidate.compile()
+        model = candidate.compile(payload_kg)
     except ConfigError:
         return None
     # The same motion without looking for islands of constraints: a tenth faster for a robot, which is a few trees.

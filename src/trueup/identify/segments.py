@@ -10,9 +10,8 @@ from jaxtyping import Bool, Int
 
 from trueup.core.episode import Episode, warning_kinds
 from trueup.core.hold import held_rows
-from trueup.core.protocols import Simulator
 from trueup.errors import DataError, TrueupError
-from trueup.sim import ReplayPlan, ReplaySettings
+from trueup.sim import MujocoSimulator, ReplayPlan, ReplaySettings
 
 
 @dataclass(frozen=True)
@@ -46,11 +45,13 @@ class Segment:
         episode_id: where it comes from.
         plan: prepared for simulation.
         counts: stamps that enter the residual: after the burn-in, with a position of every joint, (T,).
+        payload_kg: what the simulated robot carries.
     """
 
     episode_id: str
     plan: ReplayPlan
     counts: Bool[np.ndarray, "T"]
+    payload_kg: float = 0.0
 
     @property
     def seconds(self) -> float:
@@ -64,7 +65,7 @@ class Segment:
 
 
 def make_segments(
-    episodes: Iterable[Episode], simulator: Simulator, rule: SegmentRule
+    episodes: Iterable[Episode], simulator: MujocoSimulator, rule: SegmentRule
 ) -> tuple[list[Segment], dict[str, TrueupError]]:
     """Cut logs into segments.
 
@@ -108,7 +109,7 @@ def make_segments(
         counts = stamps - stamps[0] >= burn_in_s
         counts &= np.all(np.isfinite(plan.measured["position"]), axis=1)
         if np.count_nonzero(counts) > 1:
-            segments.append(Segment(log.id, plan, counts))
+            segments.append(Segment(log.id, plan, counts, simulator.robot.carried_kg(log.meta.payload_kg)))
         else:
             refused[log.id] = DataError(f"episode {log.id!r} has hardly a sample to compare with")
     if not segments:

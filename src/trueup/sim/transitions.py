@@ -5,6 +5,7 @@ The actuation function of GapONet (4.1), U(position, velocity): command -> posit
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -79,6 +80,15 @@ class Transitions:
     def joints(self) -> tuple[str, ...]:
         """Names of the J joints."""
         return self.simulator.joints
+
+    def without_dry_friction(self) -> Transitions:
+        """The same robot with joints that do not stick: its slopes say what commands do once joints move."""
+        simulator = self.simulator.clone()
+        simulator.model = copy.copy(simulator.model)
+        simulator.model.dof_frictionloss[:] = 0.0
+        other = Transitions(simulator, self.control_s)
+        other._late = self._late
+        return other
 
     @property
     def delayed(self) -> bool:

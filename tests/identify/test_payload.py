@@ -1,0 +1,55 @@
+"""Fits of motions with several payloads: each is simulated with what it carries."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identify.recovery_cases import JOINTS, SERVO, arm, wave
+from trueup.core.episode import Episode, EpisodeMeta
+from trueup.core.timeseries import TimeSeries, same_units
+from trueup.identify import Nominal, Problem, SegmentRule, SolveSettings, make_segments, solve
+from trueup.identify.config import make_parameters
+from trueup.robots.spec import PayloadSpec
+from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode
+
+
+def carrying(folder, payloads):
+    """An arm that says where it holds things, and what it does with each of them."""
+    robot, path = arm(folder, SERVO)
+    robot = replace(robot, payload=PayloadSpec(("payload",)))
+    logs = []
+    for seed, payload_kg in enumerate(payloads):
+        time_s, target = wave(3.0, 100.0, seed)
+        command = TimeSeries(time_s, JOINTS, {"position": target}, same_units({"position": "rad"}, JOINTS))
+        meta = EpisodeMeta(f"log{seed}", payload_kg=payload_kg, split="train")
+        simulator = MujocoSimulator.from_robot(robot, path, payload_kg=payload_kg)
+        logs.append(
+            Episode(meta, replay_episode(Episode(meta, command, command), simulator, ReplaySettings()), command)
+        )
+    return Nominal(robot, path, hard_friction=False), logs
+
+
+def problem_of(nominal, logs):
+    segments, _ = make_segments(logs, nominal.simulator, SegmentRule())
+    return Problem(nominal, make_parameters({"damping": "all"}, nominal), segments)
+
+
+def test_the_true_model_has_no_residual_whatever_is_carried(tmp_path):
+    nominal, logs = carrying(tmp_path, (0.0, 1.5, 0.0, 0.4))
+    problem = problem_of(nominal, logs)
+    start = problem.parameters.start[None]
+    assert np.abs(problem.residuals(start)).max() < 1e-9
+    # The same motions in a simulator whose hand is empty: what is carried is no small thing.
+    empty = Nominal(replace(nominal.given, payload=None), nominal.path, hard_friction=False)
+    assert np.sqrt(np.sum(problem_of(empty, logs).residuals(start) ** 2)) > 0.01
+
+
+def test_damping_is_recovered_from_loaded_and_unloaded_motions(tmp_path):
+    nominal, logs = carrying(tmp_path, (0.0, 1.5))
+    problem = problem_of(nominal, logs)
+    truth = {parameter.name: parameter.value for parameter in problem.parameters}
+    wrong = {"damping": {"targets": "all", "start": 1.0}}
+    found = solve(problem.with_parameters(make_parameters(wrong, nominal)), SolveSettings())
+    values = found.parameters.values(found.z)
+    assert values == pytest.approx(truth, rel=0.02)
