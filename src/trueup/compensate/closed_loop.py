@@ -37,6 +37,7 @@ def closed_loop(
     transitions: Callable[[float], Transitions],
     corrector: Corrector | None,
     *,
+    twin: Corrector | None = None,
     settle_s: float = _SETTLE_S,
 ) -> list[Run]:
     """Simulate motions from their first measured positions, all of one payload side by side.
@@ -44,7 +45,8 @@ def closed_loop(
     Args:
         tracks: their commands are followed.
         transitions: the simulator with a payload [kg].
-        corrector: says what commands lack; None for the simulator as it is.
+        corrector: says what commands lack; None for commands as they are.
+        twin: makes the simulator the robot, whose commands are corrected then; see `training.unrolled`.
         settle_s: for so long the first command is held before the motion begins [s].
 
     Raises:
@@ -54,12 +56,16 @@ def closed_loop(
     for payload_kg in sorted({track.payload_kg for track in tracks}):
         numbers = [number for number, track in enumerate(tracks) if track.payload_kg == payload_kg]
         own = [tracks[number] for number in numbers]
-        found |= dict(zip(numbers, _together(own, transitions(payload_kg), corrector, settle_s), strict=True))
+        found |= dict(zip(numbers, _together(own, transitions(payload_kg), corrector, twin, settle_s), strict=True))
     return [found[number] for number in range(len(tracks))]
 
 
 def _together(
-    tracks: Sequence[Track], transitions: Transitions, corrector: Corrector | None, settle_s: float
+    tracks: Sequence[Track],
+    transitions: Transitions,
+    corrector: Corrector | None,
+    twin: Corrector | None,
+    settle_s: float,
 ) -> list[Run]:
     """Motions of one payload; short ones hold their last command until the longest has ended."""
     settling = round(settle_s / transitions.control_s)
@@ -69,21 +75,34 @@ def _together(
     joints = command.shape[2]
     state = np.stack([np.concatenate([track.state[0, :joints], np.zeros(joints)]) for track in tracks])
     payload = np.full((len(tracks), 1), tracks[0].payload_kg)
+    own, other = _Eyes(corrector, payload), _Eyes(twin, payload)
     states, deltas, before = [], [], command[0]
-    seen: list[torch.Tensor] = []
     for wanted in command:
-        delta = np.zeros_like(wanted)
-        if corrector is not None:
-            sample = torch.from_numpy(np.concatenate([state, wanted, payload], axis=1).astype(np.float32))
-            past = corrector.network.past
-            seen = [*(seen or [sample] * past), sample][-past - 1 :]
-            with torch.no_grad():
-                delta = delta_of(corrector, torch.stack(seen)).double().numpy()
+        delta = own.delta(state, wanted)
+        sent = wanted + delta + other.delta(state, wanted + delta)
         states.append(state)
         deltas.append(delta)
-        state = transitions.next(state, before, wanted + delta)
-        before = wanted + delta
+        state, before = transitions.next(state, before, sent), sent
         if not np.isfinite(state).all():
             raise DataError("the compensated simulation diverged", got=f"{len(states)} control steps after its start")
     whole, added = np.stack(states)[settling:], np.stack(deltas)[settling:]
     return [Run(whole[: len(track), k], added[: len(track), k]) for k, track in enumerate(tracks)]
+
+
+class _Eyes:
+    """What a network has seen of B motions; nobody's adds nothing."""
+
+    def __init__(self, corrector: Corrector | None, payload: Float64[np.ndarray, "B 1"]) -> None:
+        self._corrector = corrector
+        self._payload = payload
+        self._seen: list[torch.Tensor] = []
+
+    def delta(self, state: Float64[np.ndarray, "B S"], command: Float64[np.ndarray, "B J"]) -> np.ndarray:
+        """What the current commands lack, (B, J)."""
+        if self._corrector is None:
+            return np.zeros_like(command)
+        sample = torch.from_numpy(np.concatenate([state, command, self._payload], axis=1).astype(np.float32))
+        past = self._corrector.network.past
+        self._seen = [*(self._seen or [sample] * past), sample][-past - 1 :]
+        with torch.no_grad():
+            return np.asarray(delta_of(self._corrector, torch.stack(self._seen)).double().numpy())

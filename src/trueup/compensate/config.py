@@ -28,7 +28,7 @@ class LossConfig:
         sensors: of errors of the sensor predictor, in units of their spread (GapONet, eq. 7).
     """
 
-    position_rad: float = 0.02
+    position_rad: float = 0.01
     velocity_rad_s: float = 2.0
     linear_from: float = 4.0
     smoothness: float = 0.01
@@ -61,9 +61,9 @@ class TrainConfig:
     """
 
     way: Way = "direct"
-    updates: int = 3000
-    batch: int = 128
-    horizon: int = 40
+    updates: int = 600
+    batch: int = 96
+    horizon: int = 30
     rate: float = 2e-3
     jolt: float = 0.5
     damping: float = 1e-2

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -17,6 +16,7 @@ from trueup.augment.networks import build_network
 from trueup.augment.networks.operator import Operator
 from trueup.augment.scaling import Scaling
 from trueup.compensate.config import CompensateConfig, LossConfig
+from trueup.compensate.sensors import Sensors
 from trueup.compensate.windows import Batch, Windows
 
 # Share of the updates after which windows have their full length.
@@ -24,23 +24,10 @@ _GROWN = 0.4
 _SHORTEST = 8
 _WARM = 0.01
 _CLIP = 1.0
+# Velocities are known better than they must be met.
+_JOLT = 0.1
 # A linear model says nothing about states that are further from the measured ones [rad or m; per second].
 _FARTHEST = (1.0, 20.0)
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where a training stands.
-
-    Attributes:
-        update: number of the update, from 1.
-        loss: of its batch.
-        seconds: since the beginning [s].
-    """
-
-    update: int
-    loss: float
-    seconds: float
 
 
 def corrector_for(config: CompensateConfig, windows: Windows, *, rate_hz: float, size: float) -> Corrector:
@@ -160,78 +147,101 @@ def loss_of(errors: Tensor, deltas: Tensor, config: LossConfig) -> Tensor:
     return total + config.size * (deltas / config.position_rad).pow(2).mean()
 
 
-def train(
-    corrector: Corrector,
-    windows: Windows,
-    config: CompensateConfig,
-    *,
-    seed: int = 0,
-    simulate: Simulate | None = None,
-    twin: Corrector | None = None,
-    wanted: Tensor | None = None,
-    every: int = 100,
-    report: Callable[[Progress], None] = lambda _: None,
-) -> None:
-    """Train in place.
+@dataclass(frozen=True, eq=False)
+class Teacher:
+    """What a network learns from.
 
-    Args:
-        corrector: with random weights, or those of an earlier training.
+    Attributes:
         windows: the train motions.
         config: loss and training.
-        seed: of all draws.
         simulate: see `unrolled`.
         twin: likewise.
+        sensors: what an operator's sensor predictor learns.
         wanted: delta actions of all samples of the windows, (M, J); for the way `delta`.
-        every: how often `report` is called [updates].
-        report: is told where it stands.
     """
-    training, loss = config.training, config.loss
-    generator = torch.Generator().manual_seed(seed)
-    optimizer = torch.optim.Adam(corrector.parameters(), training.rate)
-    joints = corrector.network.outputs
-    sizes = torch.tensor([loss.position_rad] * joints + [loss.velocity_rad_s * 0.1] * joints)
-    began = time.perf_counter()
-    corrector.train()
-    for update in range(training.updates):
+
+    windows: Windows
+    config: CompensateConfig
+    simulate: Simulate | None = None
+    twin: Corrector | None = None
+    sensors: Sensors | None = None
+    wanted: Tensor | None = None
+
+    def train(
+        self, corrector: Corrector, optimizer: torch.optim.Optimizer, *, done: int, count: int, seed: Sequence[int]
+    ) -> float:
+        """Some updates in place; returns the mean loss.
+
+        Args:
+            corrector: the network.
+            optimizer: of its weights.
+            done: updates before these.
+            count: number of updates.
+            seed: of their draws.
+        """
+        generator = torch.Generator().manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
+        corrector.train()
+        total = 0.0
+        for update in range(done, done + count):
+            for group in optimizer.param_groups:
+                group["lr"] = self._rate(update)
+            cost = self._cost(corrector, update, generator)
+            optimizer.zero_grad()
+            cost.backward()  # type: ignore[no-untyped-call]
+            if torch.isfinite(nn.utils.clip_grad_norm_(corrector.parameters(), _CLIP)):
+                optimizer.step()
+            total += float(cost.detach())
+        corrector.eval()
+        return total / count
+
+    def _rate(self, update: int) -> float:
+        training = self.config.training
         share = update / training.updates
-        rate = (
-            training.rate * min(1.0, (update + 1) / (_WARM * training.updates)) * 0.5 * (1 + math.cos(math.pi * share))
-        )
-        for group in optimizer.param_groups:
-            group["lr"] = rate
-        horizon = 1
+        rise = min(1.0, (update + 1) / (_WARM * training.updates))
+        return training.rate * rise * 0.5 * (1 + math.cos(math.pi * share))
+
+    def _cost(self, corrector: Corrector, update: int, generator: torch.Generator) -> Tensor:
+        training, loss, joints = self.config.training, self.config.loss, corrector.network.outputs
+        # As many samples in each batch, whichever way.
+        horizon, count = 1, training.batch * training.horizon
         if training.way == "direct":
-            horizon = round(min(training.horizon, _SHORTEST + (training.horizon - _SHORTEST) * share / _GROWN))
-        size = training.batch * (1 if training.way == "direct" else training.horizon)
-        starts = windows.starts(horizon)
-        starts = starts[torch.randint(len(starts), (size,), generator=generator)]
-        batch = windows.batch(starts, horizon)
-        jolt = training.jolt * torch.randn(size, 2 * joints, generator=generator) * sizes
+            grown = min(1.0, update / (_GROWN * training.updates))
+            horizon = round(min(training.horizon, _SHORTEST) + max(0, training.horizon - _SHORTEST) * grown)
+            count = training.batch
+        starts = self.windows.starts(horizon)
+        starts = starts[torch.randint(len(starts), (count,), generator=generator)]
+        batch = self.windows.batch(starts, horizon)
         if training.way == "delta":
-            assert wanted is not None
-            seen = torch.cat([batch.state, batch.command, batch.payload.expand(len(batch.state), -1, -1)], dim=-1)[
-                : corrector.network.past + 1
-            ]
-            off = (delta_of(corrector, seen) - wanted[starts]) / loss.position_rad
+            assert self.wanted is not None
+            seen = _seen(batch)[: corrector.network.past + 1]
+            off = (delta_of(corrector, seen) - self.wanted[starts]) / loss.position_rad
             cost = nn.functional.huber_loss(off, torch.zeros_like(off), delta=loss.linear_from)
         else:
-            cost = loss_of(*unrolled(corrector, batch, jolt.to(batch.error.device), simulate=simulate, twin=twin), loss)
-        if batch.sensors is not None and isinstance(corrector.network, Operator) and corrector.network.sensed:
-            cost = cost + loss.sensors * _sensor_loss(corrector, batch)
-        optimizer.zero_grad()
-        cost.backward()  # type: ignore[no-untyped-call]
-        if torch.isfinite(nn.utils.clip_grad_norm_(corrector.parameters(), _CLIP)):
-            optimizer.step()
-        if (update + 1) % every == 0:
-            report(Progress(update + 1, float(cost.detach()), time.perf_counter() - began))
-    corrector.eval()
+            sizes = torch.tensor([loss.position_rad] * joints + [_JOLT * loss.velocity_rad_s] * joints)
+            start = training.jolt * torch.randn(count, 2 * joints, generator=generator) * sizes
+            if batch.reference is not None:
+                # A robot that is compensated is somewhere between where it was without and where it should be.
+                way = torch.rand(count, 1, generator=generator)
+                start = start + way * (batch.reference[0] - batch.state[self.windows.past])
+            errors, deltas = unrolled(
+                corrector, batch, start.to(batch.error.device), simulate=self.simulate, twin=self.twin
+            )
+            cost = loss_of(errors, deltas, loss)
+        if self.sensors is not None:
+            cost = cost + loss.sensors * _sensor_loss(corrector, batch, self.sensors)
+        return cost
 
 
-def _sensor_loss(corrector: Corrector, batch: Batch) -> Tensor:
-    """Eq. 7, on the measured states of one step of each window; sensors come in units of their spread."""
+def _sensor_loss(corrector: Corrector, batch: Batch, sensors: Sensors) -> Tensor:
+    """Eq. 7, on the measured state that each window begins with."""
     network = corrector.network
     assert isinstance(network, Operator)
-    assert batch.sensors is not None
-    seen = torch.cat([batch.state, batch.command, batch.payload.expand(len(batch.state), -1, -1)], dim=-1)
-    said = network.sensors(corrector.read(seen[: network.past + 1]))[-1]
-    return (said - batch.sensors[0]).pow(2).mean()
+    said = network.sensors(corrector.read(_seen(batch)[: network.past + 1]))[-1]
+    true = sensors.values(batch, 0, batch.state[network.past], torch.zeros_like(batch.error[0]))
+    return (said - true).pow(2).mean()
+
+
+def _seen(batch: Batch) -> Tensor:
+    """Measured samples as networks read them, (past + L + 1, B, I)."""
+    payload = batch.payload.expand(len(batch.state), -1, -1)
+    return torch.cat([batch.state, batch.command, payload], dim=-1)

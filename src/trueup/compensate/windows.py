@@ -25,7 +25,6 @@ class Batch:
         a: (L, B, 2J, 2J).
         before: (L, B, 2J, J), or None where commands act at once.
         c: (L, B, 2J, J).
-        sensors: true ones of the L samples, (L, B, k 2J), or None.
         reference: states that are to be followed in place of the measured ones, (L + 1, B, 2J), or None.
     """
 
@@ -36,7 +35,6 @@ class Batch:
     a: Tensor
     before: Tensor | None
     c: Tensor
-    sensors: Tensor | None = None
     reference: Tensor | None = None
 
 
@@ -47,7 +45,6 @@ class Windows:
         parts: motions with their linear models.
         past: samples of history that a network reads besides the current one.
         device: where batches are made.
-        sensors: of each motion the true sensor values, (T - 1, k 2J).
         references: of each motion what is to be followed, (T, 2J).
     """
 
@@ -57,7 +54,6 @@ class Windows:
         past: int,
         *,
         device: str = "cpu",
-        sensors: Sequence[np.ndarray] | None = None,
         references: Sequence[np.ndarray] | None = None,
     ) -> None:
         self.past = past
@@ -71,7 +67,7 @@ class Windows:
                 part if len(part) == count + 1 else np.concatenate([part, part[-1:]])
                 for part, count in zip(values, self._lengths, strict=True)
             ]
-            return torch.from_numpy(np.concatenate(whole)).to(device)
+            return torch.from_numpy(np.concatenate(whole).astype(np.float32)).to(device)
 
         self._state = rows([part.track.state for part in parts])
         self._command = rows([part.track.command for part in parts])
@@ -82,7 +78,6 @@ class Windows:
         self._before = rows([part.before for part in parts]) if late else None
         payload = [np.full(len(part.error) + 1, part.track.payload_kg, np.float32) for part in parts]
         self._payload = torch.from_numpy(np.concatenate(payload)).to(device)
-        self._sensors = None if sensors is None else rows(sensors)
         self._reference = None if references is None else rows(references)
 
     def starts(self, horizon: int) -> Tensor:
@@ -117,7 +112,6 @@ class Windows:
             a=self._a[steps],
             before=at(self._before, steps),
             c=self._c[steps],
-            sensors=at(self._sensors, steps),
             reference=at(self._reference, torch.arange(horizon + 1)[:, None] + starts),
         )
 

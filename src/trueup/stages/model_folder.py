@@ -23,13 +23,17 @@ class ModelFolder:
     Args:
         path: the folder.
         asked: hash of what the caller asks for.
+
+    Attributes:
+        path: the folder.
+        checkpoint: where a training keeps what it has.
     """
 
     def __init__(self, path: Path, asked: str) -> None:
         self.path = path
         self._asked = asked
         self._card = path / CARD_NAME
-        self._checkpoint = path / CHECKPOINT_NAME
+        self.checkpoint = path / CHECKPOINT_NAME
         self._replacing = path / _REPLACING
 
     @staticmethod
@@ -78,7 +82,7 @@ class ModelFolder:
         try:
             yield scratch
         except TrueupError:
-            if not self._checkpoint.is_file():  # nothing is there that one could go on with
+            if not self.checkpoint.is_file():  # nothing is there that one could go on with
                 remove(self._replacing)
             raise
         finally:
@@ -89,14 +93,14 @@ class ModelFolder:
 
         Without that note `resume` would take the old model for the new one.
         """
-        remove(self._checkpoint)
+        remove(self.checkpoint)
         if self._card.is_file():
             write_json(self._replacing, {"asked": self._asked, "card": file_hash(self._card)})
 
     def clean(self) -> None:
         """Leave nothing but the model."""
         remove(self._replacing)
-        remove(self._checkpoint)
+        remove(self.checkpoint)
         shutil.rmtree(self.path / SCRATCH_NAME, ignore_errors=True)
         for name in (CHECKPOINT_NAME, CARD_NAME, ONNX_NAME, WEIGHTS_NAME, STEP_NAME, _REPLACING):
             for left in self.path.glob(f".{name}.*.tmp"):  # of a writer that was killed
