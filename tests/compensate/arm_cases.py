@@ -66,7 +66,5 @@ def recorded(folder, robot, path, *, offset, payloads=(0.0, 1.0), motions=4, sec
                 meta = EpisodeMeta(f"m{number}/{payload_kg:g}kg", payload_kg=payload_kg, split=split)
                 signals = {"position": done[:, :2], "velocity": done[:, 2:]}
                 asked = TimeSeries(time_s, JOINTS, {"position": target}, same_units({"position": "rad"}, JOINTS))
-                writer.append(
-                    Episode(meta, TimeSeries(time_s, JOINTS, signals, UNITS), asked if command else None)
-                )
+                writer.append(Episode(meta, TimeSeries(time_s, JOINTS, signals, UNITS), asked if command else None))
     return Dataset(folder)

@@ -24,6 +24,8 @@ def test_damping_shrinks_and_a_robot_that_is_the_simulator_needs_nothing(tmp_pat
     after = transitions.next(state, before, command)
     assert np.abs(delta_actions(transitions, state, before, command, after)).max() < 1e-9
     there = transitions.next(state, before, command + 0.05)
-    sizes = [np.abs(delta_actions(transitions, state, before, command, there, damping=own)).max() for own in (0.0, 1.0, 1e6)]
+    sizes = [
+        np.abs(delta_actions(transitions, state, before, command, there, damping=own)).max() for own in (0.0, 1.0, 1e6)
+    ]
     assert sizes[0] > sizes[1] > sizes[2]
     assert sizes[2] < 1e-3

@@ -73,7 +73,11 @@ def test_a_delay_between_physics_steps_is_a_mean_of_both_neighbours(tmp_path):
 
 @pytest.mark.parametrize(
     ("control_s", "delay_s", "message"),
-    [(0.0, 0.0, "number of physics steps"), (0.005, 0.0, "number of physics steps"), (0.02, 0.021, "late by a control")],
+    [
+        (0.0, 0.0, "number of physics steps"),
+        (0.005, 0.0, "number of physics steps"),
+        (0.02, 0.021, "late by a control"),
+    ],
 )
 def test_what_is_no_control_step_is_refused(tmp_path, control_s, delay_s, message):
     robot, path = arm_of(tmp_path)

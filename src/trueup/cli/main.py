@@ -9,7 +9,21 @@ from typing import Annotated
 
 import typer
 
-from trueup.cli import augment, close, convert, demo, design, doctor, experiment, gap, identify, record, replay, report
+from trueup.cli import (
+    augment,
+    close,
+    compensate,
+    convert,
+    demo,
+    design,
+    doctor,
+    experiment,
+    gap,
+    identify,
+    record,
+    replay,
+    report,
+)
 from trueup.cli.console import out, problem
 from trueup.errors import TrueupError
 
@@ -20,7 +34,21 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for module in (convert, record, replay, gap, identify, augment, design, experiment, report, close, demo, doctor):
+for module in (
+    convert,
+    record,
+    replay,
+    gap,
+    identify,
+    augment,
+    compensate,
+    design,
+    experiment,
+    report,
+    close,
+    demo,
+    doctor,
+):
     module.register(app)
 
 

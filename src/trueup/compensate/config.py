@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 from trueup.augment.config import NetworkConfig
 from trueup.augment.networks.operator import OperatorConfig
+from trueup.core.config import build, read_yaml
 from trueup.errors import ConfigError
 
 Way = Literal["direct", "delta", "ppo"]
@@ -95,6 +97,15 @@ class CompensateConfig:
     loss: LossConfig = field(default_factory=LossConfig)
     training: TrainConfig = field(default_factory=TrainConfig)
     relative: bool = True
+
+    @staticmethod
+    def load(path: Path) -> CompensateConfig:
+        """From YAML.
+
+        Raises:
+            ConfigError: unreadable, or a key or value that is none.
+        """
+        return build(CompensateConfig, read_yaml(path), str(path))
 
 
 METHODS: Mapping[str, CompensateConfig] = {

@@ -2,6 +2,7 @@
 
 from trueup.stages.augmenting import Augmented, augment
 from trueup.stages.closing import Closed, close
+from trueup.stages.compensating import Compensated, Prepared, compensate, compensated_replay, prepare
 from trueup.stages.demonstrating import demo, demo_dataset
 from trueup.stages.designing import Designed, Foreseen, design
 from trueup.stages.evaluating import Evaluated, evaluate
@@ -21,6 +22,7 @@ __all__ = [
     "STOCK",
     "Augmented",
     "Closed",
+    "Compensated",
     "Designed",
     "EngineRig",
     "Evaluated",
@@ -29,10 +31,13 @@ __all__ = [
     "ImportSummary",
     "LabRig",
     "Measurement",
+    "Prepared",
     "RecordSummary",
     "ReplaySummary",
     "augment",
     "close",
+    "compensate",
+    "compensated_replay",
     "demo",
     "demo_dataset",
     "design",
@@ -46,6 +51,7 @@ __all__ = [
     "make_rig",
     "plan_import",
     "plans_named",
+    "prepare",
     "record",
     "replay",
     "robustness",
