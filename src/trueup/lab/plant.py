@@ -261,9 +261,8 @@ def _control(engine: Engine, numbers: np.ndarray, settings: Settings, state: Sta
         if settings.torque_control:
             wanted = state.active[0, j] + state.joints[j].weight
         elif settings.pd:
-            rate = state.active[1, j] if state.follows_velocity[0] else 0.0
             wanted = numbers[j].kp * (state.active[0, j] - state.joints[j].motor_position)
-            wanted += numbers[j].kd * (rate - state.joints[j].motor_velocity)
+            wanted -= numbers[j].kd * state.joints[j].motor_velocity
         else:
             if state.follows_velocity[0]:
                 state.joints[j].reference = state.active[0, j]

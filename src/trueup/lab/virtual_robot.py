@@ -36,7 +36,7 @@ _COMMANDS: Mapping[str, tuple[str, ...]] = {
     "impedance": ("position", "velocity"),
     "torque": ("torque",),
     "servo": ("position",),
-    "pd": ("position", "velocity"),
+    "pd": ("position",),
 }
 _USUAL_SPEED = 0.5  # of a joint at work [rad/s]
 _MEASURED = {"position": "rad", "velocity": "rad/s", "torque": "Nm"}
