@@ -275,9 +275,9 @@ class Controller:
 
     Attributes:
         kind: `impedance` follows positions, and velocities if they are written, and carries the arm's weight; `torque`
-            adds commanded torques to the weight; `pd` turns the error of the position into torque, brakes by the velocity and
-            knows no weight; `servo` turns the error of the position into the voltage of a DC motor, and knows no weight
-            either: the `motor` is that of the robot's description.
+            adds commanded torques to the weight; `pd` turns the error of the position into torque, brakes by the
+            velocity and knows no weight; `servo` turns the error of the position into the voltage of a DC motor, and
+            knows no weight either: the `motor` is that of the robot's description.
         stiffness: of the impedance [Nm/rad], or gain of the servo [V/rad]; those that come with libfranka.
         damping: likewise [Nm s/rad; V s/rad].
         cutoff_hz: low-pass of positions that come without velocities; libfranka's is 100 Hz.
