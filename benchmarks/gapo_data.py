@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from trueup.core.atomic import write_text
-from trueup.dataset import Dataset
+from trueup.dataset import Dataset, is_dataset
 from trueup.lab import LabSpec, load_lab
 from trueup.lab.spec import Base
 from trueup.record import PlanSetSpec, RecordSettings, load_plans
@@ -24,7 +24,7 @@ from trueup.stages import LabRig, record, replay
 
 FOLDER = Path("runs") / "gapo"
 READY = FOLDER / "READY"
-RUN, SECOND_RUN = "mujoco/stock", "dart/stock"
+RUN = "mujoco/stock"
 SEEN_KG, UNSEEN_KG = (0.0, 1.0, 2.0, 3.0), (0.5, 1.5, 2.5, 3.5)
 TRAINED_UNITS, TEST_UNIT = (1, 2, 3), 4
 CONDITIONS = ("stance", "squat", "gait")
@@ -81,22 +81,20 @@ FIRST = ("train", "test", "test-unseen-payload")
 _BOTH_ENGINES = ("test", "test-unseen-payload", "test-100hz", "panda-test")
 
 
-def data_of(name: str, *, jobs: int = 1) -> Dataset:
+def data_of(name: str, *, jobs: int = 1, engines: Sequence[str] | None = None) -> Dataset:
     """A recording of virtual hardware with its replays, made as far as it is not there.
 
-    Units, payloads and conditions are in one data set: each episode says its own.
+    MuJoCo replays all of them, DART, which takes longer than all the rest, those of tests; `engines` says otherwise.
+    Units, payloads and conditions are in one data set: each episode says its own. What is there is taken as it is:
+    delete its folder to make it anew.
     """
-    made, folder = DATA[name], FOLDER / name
-    robot, plans = robot_of(name), _plans(made)
-    lab = load_lab(made.lab) if made.lab else LabSpec(robot=made.robot)
-    rigs = [
-        LabRig(replace(lab, base=Base(condition=condition)), unit, plans.seed)  # type: ignore[arg-type]
-        for unit, condition in itertools.product(made.units, made.conditions)
-    ]
-    record(folder, robot, rigs, plans, payloads_kg=made.payloads_kg, settings=made.settings, jobs=jobs, resume=True)
-    replay(Dataset(folder), robot, jobs=jobs, resume=True)
-    if name in _BOTH_ENGINES:
-        replay(Dataset(folder), robot, engine="dart", jobs=jobs, resume=True)
+    made, folder, robot = DATA[name], FOLDER / name, robot_of(name)
+    if not (is_dataset(folder) and Dataset(folder).info.provenance.get("complete")):
+        plans, rigs = plans_of(name), rigs_of(name)
+        record(folder, robot, rigs, plans, payloads_kg=made.payloads_kg, settings=made.settings, jobs=jobs)
+    for engine in engines or (("mujoco", "dart") if name in _BOTH_ENGINES else ("mujoco",)):
+        if not _replayed(Dataset(folder), f"{engine}/stock"):
+            replay(Dataset(folder), robot, engine=engine, jobs=jobs, resume=True)
     return Dataset(folder)
 
 
@@ -106,7 +104,19 @@ def robot_of(name: str) -> RobotSpec:
     return robot if robot.payload else replace(robot, payload=PayloadSpec(sites=("payload",)))
 
 
-def _plans(made: Recorded) -> PlanSetSpec:
+def rigs_of(name: str) -> list[LabRig]:
+    """Every unit on every base, in the order in which they take turns."""
+    made = DATA[name]
+    lab = load_lab(made.lab) if made.lab else LabSpec(robot=made.robot)
+    return [
+        LabRig(replace(lab, base=Base(condition=condition)), unit, load_plans(made.plans).seed)  # type: ignore[arg-type]
+        for unit, condition in itertools.product(made.units, made.conditions)
+    ]
+
+
+def plans_of(name: str) -> PlanSetSpec:
+    """The motions of a data set: those made by hand, or all others."""
+    made = DATA[name]
     plans = load_plans(made.plans)
     groups = tuple(group for group in plans.groups if (group.split == "test") == made.tested)
     fractions = {name: share for name, share in plans.fractions.items() if name != "test"}
@@ -119,20 +129,21 @@ def main(names: Sequence[str], *, jobs: int = 2) -> None:
     """Make these data sets, or all; say what each holds, and when those that training needs are there."""
     for name in names or DATA:
         begun = time.perf_counter()
-        data = data_of(name, jobs=jobs)
+        data = data_of(name, jobs=jobs, engines=("mujoco",))
         warned = sum(meta.warned for meta in data.metas)
         seconds = time.perf_counter() - begun
         print(f"{name}: {len(data)} episodes, {warned} with a warning, in {seconds:.0f} s", flush=True)
-        if not READY.exists() and all(_made(first) for first in FIRST):
+        there = [FOLDER / first for first in FIRST]
+        if not READY.exists() and all(is_dataset(folder) and _replayed(Dataset(folder), RUN) for folder in there):
             write_text(READY, f"{', '.join(FIRST)} are complete\n")
+    for name in names or DATA:
+        begun = time.perf_counter()
+        runs = data_of(name, jobs=jobs).runs
+        print(f"{name}: {', '.join(runs)}, in {time.perf_counter() - begun:.0f} s", flush=True)
 
 
-def _made(name: str) -> bool:
-    folder = FOLDER / name
-    if not folder.exists():
-        return False
-    data = Dataset(folder)
-    return RUN in data.runs and len(data.run_ids(RUN)) == len(data)
+def _replayed(data: Dataset, run: str) -> bool:
+    return run in data.runs and len(data.run_ids(run)) == len(data)
 
 
 if __name__ == "__main__":
