@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from trueup.cli.main import main
@@ -75,6 +76,19 @@ def test_seeds_of_descriptions_truths_and_stored_plans(run, plans, tmp_path):
     assert (code, "other settings (rig)" in err) == (2, True)
 
 
+def test_units_and_bases_take_turns(run, plans, tmp_path):
+    turns = ("--unit", 1, "--unit", 3, "--base", "stance", "--base", "gait")
+    code, out, _ = run("--plan", plans, "--control-hz", 50, "--record-hz", 100, "--out", tmp_path / "D", *turns)
+    assert (code, out.startswith("4 motions recorded")) == (0, True)
+    metas = Dataset(tmp_path / "D").metas
+    assert [(meta.unit, meta.condition.split()[1]) for meta in metas] == [
+        *(("lab-1", "stance"), ("lab-1", "gait"), ("lab-3", "stance"), ("lab-3", "gait"))
+    ]
+    episode = Dataset(tmp_path / "D")[0]
+    assert np.diff(episode.commanded().time_s).max() == pytest.approx(0.02)
+    assert np.diff(episode.measured.time_s).max() == pytest.approx(0.01)
+
+
 def test_faults_are_told(run, plans, tmp_path):
     code, out, err = run("--plan", plans, *RATES, "--out", tmp_path / "D", "--faults", "1.0", "--scale", 4)
     dataset = Dataset(tmp_path / "D")
@@ -115,6 +129,8 @@ BAD = {
     "one of the payloads": (("--payload-kg", "0", "--payload-kg", "7"), "payload"),
     "faults": (("--faults", "2"), "share"),
     "faults of an engine": (("--hardware", "mujoco", "--faults", "0.5"), "no faults"),
+    "base": (("--base", "run"), "fixed, stance, squat, gait"),
+    "base of an engine": (("--hardware", "mujoco", "--base", "gait"), "no base"),
     "no lab": (("--lab", "nothing.yaml"), "does not exist"),
     "no such lab": (("--lab", "xm540"), "xm430"),
     "model": (("--model", "nothing.xml"), "nothing.xml"),

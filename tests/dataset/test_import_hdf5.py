@@ -106,6 +106,37 @@ def test_humanoid_is_read_with_stated_names(tmp_path):
     assert about.detail == "motion_name: squat, current_time: 2025-06-01 12:00:00"
 
 
+@pytest.mark.parametrize("as_attribute", [True, False])
+@pytest.mark.parametrize(("write", "names"), [(write_humanoid, LEGS), (write_arms, ARMS)])
+def test_a_file_says_its_own_payload_and_condition(tmp_path, write, names, as_attribute):
+    """Both variants, a payload each: what was said by the file is what the episode says."""
+    for payload_kg in (0.0, 1.5):
+        path = tmp_path / f"{payload_kg}.h5"
+        write(path)
+        with h5py.File(path, "a") as file:
+            holder = file.attrs if as_attribute else file
+            holder["payload_kg"], holder["condition"] = payload_kg, "gait"
+    options = {"mapping": mapping(tmp_path, f"joints: [{', '.join(names)}]\n")}
+    metas = [source.load().meta for source in hdf5.scan(tmp_path, ImportOptions(**options)).episodes]
+    assert [(meta.payload_kg, meta.condition) for meta in metas] == [(0.0, "gait"), (1.5, "gait")]
+    motion = {write_humanoid: "squat", write_arms: "wave"}[write]
+    assert all(any(f"motion_name: {motion}" in flag.detail for flag in meta.flags) for meta in metas)
+    stated = {"mapping": mapping(tmp_path, f"joints: [{', '.join(names)}]\npayload_kg: 1.5\ncondition: squat\n")}
+    first, second = hdf5.scan(tmp_path, ImportOptions(**stated)).episodes
+    with pytest.raises(ConfigError, match=r"another payload.*got 0 kg; expected 1.5 kg"):
+        first.load()
+    assert second.load().meta.condition == "squat"
+
+
+@pytest.mark.parametrize("wrong", [-1.0, np.nan, "heavy", [1.0, 2.0]])
+def test_a_payload_that_is_none_is_refused(tmp_path, wrong):
+    write_humanoid(tmp_path / "a.h5", names=LEGS)
+    with h5py.File(tmp_path / "a.h5", "a") as file:
+        file["payload_kg"] = wrong
+    with pytest.raises(DataError, match="payload_kg"):
+        load(tmp_path)
+
+
 def test_without_names_the_error_counts_the_columns_and_shows_what_to_write(tmp_path):
     write_humanoid(tmp_path / "a.h5")
     with pytest.raises(

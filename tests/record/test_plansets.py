@@ -381,3 +381,59 @@ def test_a_full_disk_is_an_error_and_room_completes_the_set(folder, tmp_path, mo
     monkeypatch.undo()
     plan_all(small(), PANDA, path)
     assert contents(path) == contents(folder)
+
+
+def test_a_group_draws_lengths_of_its_own_and_leaves_others_alone():
+    """Durations and correlation lengths from a range; what does not say them is as it was."""
+    scene = panda_scene("cell")
+    drawn = MotionGroup("fields", "random-field", 4, moving="all", duration_s=(3.0, 5.0), length_s=(0.2, 0.9))
+    spec = small(groups=(drawn,))
+    motions = [spec.plan(scene, number) for number in range(4)]
+    spans = [plan.end_s - plan.start_s for plan in motions]
+    assert all(3.0 - 1e-9 <= span <= 5.0 + 0.01 for span in spans)
+    assert len(set(spans)) == 4
+    # The shorter the correlation, the faster a field turns back: mean square slope over variance is 1 / length^2.
+    means = []
+    for length_s in (0.2, 0.9):
+        of_one = small(groups=(replace(drawn, length_s=(length_s, length_s)),))
+        plans = [of_one.plan(scene, number) for number in range(4)]
+        inner = [slice(len(plan.time_s) // 3, -len(plan.time_s) // 3) for plan in plans]
+        means.append(
+            np.mean(
+                [
+                    plan.velocity[part].var() / plan.position[part].var(axis=0).mean()
+                    for plan, part in zip(plans, inner, strict=True)
+                ]
+            )
+        )
+    assert means[0] > 4 * means[1]
+    plain = small(groups=(MotionGroup("fields", "random-field", 1, moving="all"),)).plan(scene, 0)
+    assert plain.end_s - plain.start_s == pytest.approx(10.0)
+    for wrong in ({"duration_s": (0.0, 1.0)}, {"length_s": (2.0, 1.0)}):
+        with pytest.raises(ConfigError, match="no range"):
+            replace(drawn, **wrong)
+
+
+def test_the_set_of_the_upper_body_trains_on_other_kinds_than_it_tests():
+    """TWINS' structure (GapONet, 3.2): from single joints to both arms; motions made by hand are for testing alone."""
+    spec, robot = load_plans("upper_body"), load_robot("upper_body")
+    scene = spec.scene(robot)
+    plans = [spec.plan(scene, number) for number in range(len(spec))]
+    by_split = {split: [plan for plan in plans if plan.split == split] for split in ("train", "val", "test")}
+    assert {split: len(own) for split, own in by_split.items()} == {"train": 62, "val": 14, "test": 16}
+    kinds = {split: {plan.kind for plan in own} for split, own in by_split.items()}
+    assert kinds["test"] == {"animation"}
+    assert "animation" not in kinds["train"] | kinds["val"]
+    assert kinds["train"] >= {"joint", "random-field", "chebyshev"}
+    assert len({plan.details["animation"] for plan in by_split["test"]}) == 8
+    counts = Counter(len(plan.moving) for plan in by_split["train"])
+    assert {1, 5, 10} <= set(counts)
+    assert {plan.moving for plan in plans if len(plan.moving) == 1} == {(joint,) for joint in robot.joint_names}
+    pitch, elbow = robot.joint_names.index("left_shoulder_pitch"), robot.joint_names.index("left_elbow")
+    for split in ("train", "test"):
+        largest = max(np.abs(plan.velocity / scene.limits.velocity).max() for plan in by_split[split])
+        assert largest > (0.9 if split == "train" else 0.6)
+        # Arms that carry: raised forward, and with bent elbows.
+        assert min(plan.position[:, pitch].min() for plan in by_split[split]) < -1.5
+        assert min(plan.position[:, elbow].min() for plan in by_split[split]) < -1.8
+    assert 5 < np.mean([plan.duration_s for plan in plans]) < 9

@@ -17,6 +17,7 @@ import pytest
 from trueup.dataset import Dataset, journal
 from trueup.errors import ConfigError, DataError, NameMismatch, OutputExists, TrueupError
 from trueup.lab import LabSpec, draw_truth
+from trueup.lab.spec import Base
 from trueup.record import (
     Box,
     ClockSettings,
@@ -51,7 +52,7 @@ def lab(**changes):
 
 
 def recorded(out, plans=SPEC, *, rig=None, **options):
-    return record(out, PANDA, rig or lab(), plans, **{"settings": RATES, **options})
+    return record(out, PANDA, lab() if rig is None else rig, plans, **{"settings": RATES, **options})
 
 
 def contents(path):
@@ -369,6 +370,32 @@ def test_payloads(tmp_path):
     assert 0.05 < abs(lever_m) < 0.9
 
 
+def test_rigs_take_turns_and_each_motion_is_that_of_its_rig_alone(tmp_path):
+    """Other individuals and other bases, in the order of the motions, the same for every payload."""
+    walking = replace(LabSpec(), base=Base(condition="gait"))
+    rigs = (lab(), LabRig(walking, 2, seed=3))
+    three = replace(SPEC, groups=(replace(GROUPS[0], count=1), replace(GROUPS[1], count=2)))
+    recorded(tmp_path / "data", three, rig=rigs, payloads_kg=(0.0, 1.0))
+    data = Dataset(tmp_path / "data")
+    said = {meta.id: (meta.unit, meta.condition) for meta in data.metas}
+    for load in ("0kg", "1kg"):
+        assert said[f"multi/00000/{load}"] == said[f"multi/00000/{load}"] == ("lab-1", "multi")
+        assert said[f"single/00000/{load}"] == ("lab-2", "single gait")
+        assert said[f"single/00001/{load}"] == ("lab-1", "single")
+    for place, rig in enumerate(rigs):
+        alone = Dataset(recorded(tmp_path / f"alone{place}", three, rig=rig, payloads_kg=(0.0, 1.0)).path)
+        own = [meta.id for meta in data.metas if meta.unit == rig.unit]
+        assert own
+        for id in own:
+            np.testing.assert_array_equal(data[id].measured["torque"], alone[id].measured["torque"])
+    recorded(tmp_path / "again", three, rig=rigs, payloads_kg=(0.0, 1.0), jobs=2)
+    assert_same_files(tmp_path / "again", tmp_path / "data")
+    with pytest.raises(ConfigError, match="one individual"):
+        recorded(tmp_path / "true", three, rig=rigs, truth=tmp_path / "truth.json")
+    with pytest.raises(ConfigError, match="needs a rig"):
+        recorded(tmp_path / "none", three, rig=())
+
+
 def test_a_motion_is_the_same_whatever_is_recorded_besides(whole, tmp_path):
     """A motion depends on its number and payload, not on what the robot did before."""
     stored = PlanSet(whole / PLANS)
@@ -549,6 +576,10 @@ def test_hardware_by_name():
         make_rig("gazebo", PANDA, path)
     with pytest.raises(NameMismatch, match="--lab"):
         make_rig("lab", load_robot("demo_arm"), path)
-    for wrong in ({"fault_share": 0.1}, {"lab": LabSpec()}):
+    assert make_rig("lab", PANDA, path).condition == make_rig("lab", PANDA, path, base="fixed").condition == ""
+    assert make_rig("lab", PANDA, path, base="squat").condition == "squat"
+    with pytest.raises(ConfigError, match=r"condition.*fixed, stance, squat, gait"):
+        make_rig("lab", PANDA, path, base="run")
+    for wrong in ({"fault_share": 0.1}, {"lab": LabSpec()}, {"base": "gait"}):
         with pytest.raises(ConfigError, match="no faults"):
             make_rig("mujoco", PANDA, path, **wrong)

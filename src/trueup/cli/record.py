@@ -25,7 +25,10 @@ def record(
     out_dir: Annotated[Path, typer.Option("--out", help="Folder of the dataset.")],
     robot: options.Robot = "panda",
     hardware: Annotated[str, typer.Option("--hardware", help="lab, or an engine: mujoco, dart.")] = "lab",
-    unit: Annotated[int, typer.Option("--unit", min=0, help="Which individual of the lab's robots.")] = 1,
+    unit: Annotated[
+        list[int] | None,
+        typer.Option("--unit", min=0, help="Which individual of the lab's robots, 1 if not given; several take turns."),
+    ] = None,
     plan: Annotated[
         str,
         typer.Option(
@@ -40,6 +43,10 @@ def record(
     lab: Annotated[
         str | None,
         typer.Option("--lab", help="Sizes of the lab's effects: xm430 (servos), upper_body, or a YAML file."),
+    ] = None,
+    base: Annotated[
+        list[str] | None,
+        typer.Option("--base", help="What the lab's robot stands on: fixed, stance, squat, gait; several take turns."),
     ] = None,
     faults: Annotated[
         float,
@@ -71,6 +78,7 @@ def record(
     ] = False,
 ) -> int:
     """Plan motions, execute them on a robot and record them; the same command goes on after an interruption."""
+    import itertools
     import os
 
     from trueup.lab import load_lab
@@ -84,20 +92,24 @@ def record(
     plans = plans_named(plan, scale=scale, seed=seed)
     if seed is None:  # a stored plan set says nothing of the days on which it is executed
         seed = 0 if isinstance(plans, PlanSet) else plans.seed
-    rig = make_rig(
-        hardware,
-        spec,
-        find_model(spec, given=model),
-        unit=unit,
-        seed=seed,
-        lab=load_lab(lab, robot=robot) if lab else None,
-        fault_share=faults,
-        control_hz=control_hz,
-    )
+    rigs = [
+        make_rig(
+            hardware,
+            spec,
+            find_model(spec, given=model),
+            unit=one,
+            seed=seed,
+            lab=load_lab(lab, robot=robot) if lab else None,
+            fault_share=faults,
+            control_hz=max(control_hz, record_hz),
+            base=under,
+        )
+        for one, under in itertools.product(unit or (1,), base or (None,))
+    ]
     summary = run(
         out_dir,
         spec,
-        rig,
+        rigs,
         plans,
         payloads_kg=tuple(payload_kg or (0.0,)),
         settings=RecordSettings(

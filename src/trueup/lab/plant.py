@@ -45,7 +45,8 @@ class Engine(NamedTuple):
     carries: np.ndarray  # (J, B), whether a joint carries a body
     known_mass: np.ndarray  # (B,), what the compensation takes the bodies for
     known_com: np.ndarray  # (B, 3)
-    gravity: np.ndarray  # (3,)
+    gravity: np.ndarray  # (3,), of a base at rest, which the compensation knows
+    pull: np.ndarray  # (3,), what MuJoCo pulls with
 
 
 # The joints, one record each: many arrays as arguments would take longer to pass than a control step takes. Names as in
@@ -148,6 +149,7 @@ class Orders(NamedTuple):
     stop: int  # first tick at which the robot has stopped
     until_stop: bool  # end the run there
     stalls: np.ndarray  # (F, 3): joint, first tick, tick after the last
+    pull: np.ndarray  # (N, 3), gravity in the frame of a base that moves; (0, 3) where it does not
 
 
 # Wrappers for Python take a third of the compilation, and nobody calls these functions from there.
@@ -261,9 +263,8 @@ def _control(engine: Engine, numbers: np.ndarray, settings: Settings, state: Sta
         if settings.torque_control:
             wanted = state.active[0, j] + state.joints[j].weight
         elif settings.pd:
-            rate = state.active[1, j] if state.follows_velocity[0] else 0.0
             wanted = numbers[j].kp * (state.active[0, j] - state.joints[j].motor_position)
-            wanted += numbers[j].kd * (rate - state.joints[j].motor_velocity)
+            wanted -= numbers[j].kd * state.joints[j].motor_velocity
         else:
             if state.follows_velocity[0]:
                 state.joints[j].reference = state.active[0, j]
@@ -399,6 +400,9 @@ def _loop(step: Any, weigh: Any, receive: Any, control: Any, joint: Any) -> Any:
             for f in range(orders.stalls.shape[0]):
                 if orders.stalls[f, 1] <= tick < orders.stalls[f, 2]:
                     brake[orders.stalls[f, 0]] = numbers[orders.stalls[f, 0]].brake_nm
+            if orders.pull.shape[0]:
+                for axis in range(3):
+                    engine.pull[axis] = orders.pull[k, axis]
             weigh(engine, numbers, state)
             control(engine, numbers, settings, state, stopped)
             for _ in range(settings.steps):

@@ -218,6 +218,7 @@ def _engine(model: mujoco.MjModel, data: mujoco.MjData, column: np.ndarray, know
         known_mass=mass,
         known_com=com,
         gravity=np.array(model.opt.gravity),
+        pull=model.opt.gravity,
     )
 
 

@@ -270,14 +270,56 @@ class Markers:
 
 
 @dataclass(frozen=True)
+class Base:
+    """What the robot stands on, which its simulator takes for fixed.
+
+    In the frame of the base, its acceleration is a change of gravity, and its tilt turns gravity. Forces that turning
+    adds besides are left out. Each recording begins somewhere in the period.
+
+    Attributes:
+        enabled: whether the effect is there.
+        condition: `fixed` to the ground; `stance`, on legs that stand still: the same, by name; `squat`, slowly up and
+            down with a lean; `gait`, walking on the spot: up and down and to and fro with each step, from side to side
+            with every second one.
+        squat_hz: squats per second [Hz].
+        squat_m: how deep they are [m].
+        squat_lean_rad: how far the robot leans forward at the deepest [rad].
+        step_hz: steps per second [Hz].
+        bob_m: amplitude of up and down, each step [m].
+        sway_m: from side to side, every second step [m].
+        surge_m: to and fro, each step [m].
+        strike_m: to and fro, of the feet that strike: twice each step [m].
+        sway_rad: tilt to the sides, every second step [rad].
+        nod_rad: tilt forward and back, each step [rad].
+        gait_lean_rad: how far the robot leans forward all the while [rad].
+        spread: of rate and size from recording to recording, relative.
+    """
+
+    enabled: bool = True
+    condition: Literal["fixed", "stance", "squat", "gait"] = "fixed"
+    squat_hz: float = 0.25
+    squat_m: float = 0.2
+    squat_lean_rad: float = 0.25
+    step_hz: float = 2.0
+    bob_m: float = 0.015
+    sway_m: float = 0.025
+    surge_m: float = 0.008
+    strike_m: float = 0.001
+    sway_rad: float = 0.02
+    nod_rad: float = 0.01
+    gait_lean_rad: float = 0.05
+    spread: float = 0.1
+
+
+@dataclass(frozen=True)
 class Controller:
     """The controller inside the robot, which runs at the control rate. Not an effect.
 
     Attributes:
         kind: `impedance` follows positions, and velocities if they are written, and carries the arm's weight; `torque`
-            adds commanded torques to the weight; `pd` turns the errors of position and velocity into torque and knows
-            no weight; `servo` turns the error of the position into the voltage of a DC motor, and knows no weight
-            either: the `motor` is that of the robot's description.
+            adds commanded torques to the weight; `pd` turns the error of the position into torque, brakes by the
+            velocity and knows no weight; `servo` turns the error of the position into the voltage of a DC motor, and
+            knows no weight either: the `motor` is that of the robot's description.
         stiffness: of the impedance [Nm/rad], or gain of the servo [V/rad]; those that come with libfranka.
         damping: likewise [Nm s/rad; V s/rad].
         cutoff_hz: low-pass of positions that come without velocities; libfranka's is 100 Hz.
@@ -306,6 +348,7 @@ class LabSpec:
         warming: friction that changes with temperature.
         winding: motors of servos.
         mounting: where the parts sit on one another.
+        base: what the robot stands on.
         markers: bodies that a motion capture follows.
         controller: inside the robot.
         payload_site: site of the model that a payload hangs on; several, such as both hands, each hold one.
@@ -331,6 +374,7 @@ class LabSpec:
     warming: Warming = field(default_factory=Warming)
     winding: Winding = field(default_factory=Winding)
     mounting: Mounting = field(default_factory=Mounting)
+    base: Base = field(default_factory=Base)
     markers: Markers = field(default_factory=Markers)
     controller: Controller = field(default_factory=Controller)
     payload_site: str | tuple[str, ...] = "payload"
@@ -388,7 +432,7 @@ class LabSpec:
 # Each has a stream of draws by its place here: new ones come last.
 EFFECTS = (
     *("inertia", "friction", "gravity", "elasticity", "ripple", "saturation", "delay", "readings", "warming"),
-    *("winding", "mounting"),
+    *("winding", "mounting", "base"),
 )
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Float64, Int
 
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.errors import ConfigError, DataError, MissingSignal, RobotStopped
+from trueup.lab.base import draw_base
 from trueup.lab.faults import FOREVER, Fault, stalls
 from trueup.lab.markers import MotionCapture
 from trueup.lab.plant import (
@@ -36,7 +37,7 @@ _COMMANDS: Mapping[str, tuple[str, ...]] = {
     "impedance": ("position", "velocity"),
     "torque": ("torque",),
     "servo": ("position",),
-    "pd": ("position", "velocity"),
+    "pd": ("position",),
 }
 _USUAL_SPEED = 0.5  # of a joint at work [rad/s]
 _MEASURED = {"position": "rad", "velocity": "rad/s", "torque": "Nm"}
@@ -146,8 +147,9 @@ class VirtualRobot:
         """
         if not 0 <= worked_s < np.inf:
             raise ConfigError("worked_s must not be negative", got=worked_s)
-        streams = np.random.default_rng([*np.atleast_1d(seed).tolist(), self.truth.unit]).spawn(4)
-        self._noise, self._jitter, self._losses, self._looks = streams
+        streams = np.random.default_rng([*np.atleast_1d(seed).tolist(), self.truth.unit]).spawn(5)
+        self._noise, self._jitter, self._losses, self._looks, underfoot = streams
+        self._base = draw_base(self.truth.spec.base, underfoot)
         self._faults = tuple(faults)
         self._stalls = stalls(self._faults, self.joints, self.control_step_s)
         self._stop = min((f.ticks(self.control_step_s)[0] for f in faults if f.kind == "stop"), default=FOREVER)
@@ -300,6 +302,8 @@ class VirtualRobot:
         pose = np.asarray(position, np.float64)
         if pose.shape != (len(self.joints),) or not np.isfinite(pose).all():
             raise DataError("a pose needs one finite value per joint", got=pose)
+        if self._base is not None:
+            self._plant.engine.pull[:] = self._pull(self._tick, 1)[0]
         self._plant.place(pose)
         self._weigh(self._plant.engine, self._plant.numbers, self._plant.state)
         self._plant.state.joints["drive"][:] = self._plant.state.joints["weight"]
@@ -342,7 +346,13 @@ class VirtualRobot:
         # As many draws as steps are done, so that a motion in pieces has those of the whole.
         count = min(len(rows), max(0, self._stop - start)) if until_stop else len(rows)
         orders = Orders(
-            np.array(rows[:count]), with_velocity, self._jitter.random(count), self._stop, until_stop, self._stalls
+            np.array(rows[:count]),
+            with_velocity,
+            self._jitter.random(count),
+            self._stop,
+            until_stop,
+            self._stalls,
+            self._pull(start, count),
         )
         with np.errstate(all="ignore"):
             done = int(self._advance(plant.engine, plant.numbers, plant.settings, plant.state, orders, log, places))
@@ -356,6 +366,13 @@ class VirtualRobot:
             self._reading = {signal: values[-1] for signal, values in readings.items()}
             self._look = _Look(looks.places[-1:], looks.drawn[-1:])
         return readings, log, looks
+
+    def _pull(self, first: int, count: int) -> Float64[np.ndarray, "N 3"]:
+        """Gravity in the middle of so many control steps, in the frame of the base; no rows where it is at rest."""
+        if self._base is None:
+            return np.zeros((0, 3))
+        middle = (first + np.arange(count) + 0.5) * self.control_step_s
+        return self._base.gravity(middle, self._plant.engine.gravity)
 
     def _looked(self, places: Float64[np.ndarray, "L Q"], rows: int) -> _Look:
         return _Look(places, self._capture.draw(self._looks, rows))

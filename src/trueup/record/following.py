@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -42,10 +43,11 @@ class Followed:
     """What was commanded and measured, both from the first command on.
 
     Attributes:
-        measured: every so many control steps, from before the first command on; None if nothing was read.
-        command: what was sent at the same times; None if nothing was.
+        measured: every so many steps, from before the first command on; None if nothing was read.
+        command: what was sent at the same times, or all of it where readings are more frequent than commands; None if
+            nothing was.
         trouble: what ended it early, None if nothing did.
-        late: control steps that began more than one step too late.
+        late: steps that began more than one step too late.
         latest_s: the largest such lateness [s].
     """
 
@@ -63,23 +65,25 @@ def follow(
     step_s: float,
     every: int,
     silent_s: float,
+    hold: int = 1,
 ) -> Followed:
-    """Send one row of the command per control step; the series have the units of hinges.
+    """Send one row of the command after the other; the series have the units of hinges.
 
     Args:
         robot: that is where the command begins.
         command: signals that the robot follows, (N, J).
-        step_s: control step [s].
-        every: keep every so many control steps of what is read.
+        step_s: from one row to the next, or, where rows are held, from one reading to the next [s].
+        every: keep every so many steps of what is read.
         silent_s: readings that have not changed for longer than this, while the command moved, mean that nobody is
             there [s].
+        hold: steps from one row to the next; if more than one, `every` is 1.
 
     Raises:
-        ConfigError: the control step is not a whole number of the robot's own.
+        ConfigError: the step is not a whole number of the robot's own.
     """
     if isinstance(robot, TrajectoryIO):
-        return _execute(robot, command, step_s, every, silent_s)
-    return _drive(robot, command, step_s, every, silent_s)
+        return _execute(robot, command, step_s, every, silent_s, hold)
+    return _drive(robot, command, step_s, every, silent_s, hold)
 
 
 def own_steps(robot: TrajectoryIO, step_s: float) -> int:
@@ -121,7 +125,9 @@ class _Silence:
         return Trouble("silent", time_s, f"its readings have not changed since {self._since_s:.3f} s")
 
 
-def _drive(robot: Hardware, command: Mapping[str, np.ndarray], step_s: float, every: int, silent_s: float) -> Followed:
+def _drive(
+    robot: Hardware, command: Mapping[str, np.ndarray], step_s: float, every: int, silent_s: float, hold: int
+) -> Followed:
     first = next(iter(command.values()))
     silence = _Silence(silent_s)
     start, now = robot.now_s(), 0.0
@@ -129,7 +135,7 @@ def _drive(robot: Hardware, command: Mapping[str, np.ndarray], step_s: float, ev
     sent: list[tuple[float, int]] = []
     readings: list[Mapping[str, np.ndarray]] = []
     trouble, late, latest_s = None, 0, 0.0
-    for tick in range(len(first) + 1):
+    for tick in range(len(first) * hold + 1):
         try:
             if tick:
                 robot.wait_until_s(start + tick * step_s)
@@ -142,13 +148,14 @@ def _drive(robot: Hardware, command: Mapping[str, np.ndarray], step_s: float, ev
                 reading = _reading(robot, like=readings[0] if readings else None)
                 stamps.append(now)
                 readings.append(reading)
-                if silence.noticed(now, reading, first[min(tick, len(first) - 1)]):
+                if silence.noticed(now, reading, first[min(tick // hold, len(first) - 1)]):
                     trouble = silence.trouble(now)
                     break
-            if tick < len(first):
-                robot.write({name: values[tick] for name, values in command.items()})
+            row, held = divmod(tick, hold)
+            if row < len(first) and not held:
+                robot.write({name: values[row] for name, values in command.items()})
                 if kept:
-                    sent.append((now, tick))
+                    sent.append((now, row))
         except RobotStopped as error:
             trouble = Trouble("stopped", now, error.what)
             break
@@ -156,12 +163,12 @@ def _drive(robot: Hardware, command: Mapping[str, np.ndarray], step_s: float, ev
             trouble = Trouble("failed", now, " ".join(str(error).split()))
             break
         except BaseException:  # Ctrl-C
-            _hold(robot, command, tick)
+            _hold(robot, command, math.ceil(tick / hold))
             raise
     if trouble is not None and trouble.kind != "stopped":
-        _hold(robot, command, tick)
+        _hold(robot, command, math.ceil(tick / hold))
     measured = {name: np.array([reading[name] for reading in readings]) for name in (readings[0] if readings else {})}
-    asked = {name: values[[tick for _, tick in sent]] for name, values in command.items()}
+    asked = {name: values[[row for _, row in sent]] for name, values in command.items()}
     return Followed(
         _series(robot, stamps, measured),
         _series(robot, [stamp for stamp, _ in sent], asked),
@@ -171,9 +178,9 @@ def _drive(robot: Hardware, command: Mapping[str, np.ndarray], step_s: float, ev
     )
 
 
-def _hold(robot: Hardware, command: Mapping[str, np.ndarray], tick: int) -> None:
+def _hold(robot: Hardware, command: Mapping[str, np.ndarray], sent: int) -> None:
     """Stay at the last position: the speed of a command that is broken off must not be followed any further."""
-    last = {name: values[max(min(tick, len(values)) - 1, 0)] for name, values in command.items()}
+    last = {name: values[max(min(sent, len(values)) - 1, 0)] for name, values in command.items()}
     with contextlib.suppress(TrueupError, OSError):
         robot.write({name: values if name == "position" else np.zeros_like(values) for name, values in last.items()})
 
@@ -194,13 +201,13 @@ def _reading(robot: Hardware, like: Mapping[str, np.ndarray] | None) -> Mapping[
 
 
 def _execute(
-    robot: TrajectoryIO, command: Mapping[str, np.ndarray], step_s: float, every: int, silent_s: float
+    robot: TrajectoryIO, command: Mapping[str, np.ndarray], step_s: float, every: int, silent_s: float, hold: int
 ) -> Followed:
     repeat = own_steps(robot, step_s)
     first, start = next(iter(command.values())), robot.now_s()
     try:
         done = robot.execute(
-            {name: np.repeat(values, repeat, axis=0) for name, values in command.items()}, every=every * repeat
+            {name: np.repeat(values, hold * repeat, axis=0) for name, values in command.items()}, every=every * repeat
         )
     except RobotStopped as error:
         return Followed(None, None, Trouble("stopped", 0.0, error.what))
@@ -214,16 +221,16 @@ def _execute(
     for row, stamp in enumerate(stamps):
         # Cameras go on seeing a robot that says nothing.
         reading = {name: values[row] for name, values in done.measured.signals.items() if not _of_bodies(name)}
-        if silence.noticed(stamp, reading, first[min(row * every, len(first) - 1)]):
+        if silence.noticed(stamp, reading, first[min(row * every // hold, len(first) - 1)]):
             trouble, end = silence.trouble(stamp), row + 1
             break
     # What was written at the very end of a motion that was broken off did not reach the robot.
-    last = len(first) if trouble is None else int(np.ceil(trouble.time_s / step_s - _WHOLE))
-    ticks = np.arange(0, min(last, len(first)), every)
+    last = len(first) if trouble is None else int(np.ceil(trouble.time_s / (hold * step_s) - _WHOLE))
+    rows = np.arange(0, min(last, len(first)), every)
     measured = {name: values[:end] for name, values in done.measured.signals.items()}
     return Followed(
         _series(robot, stamps[:end], measured, done.measured.bodies),
-        _series(robot, (ticks * step_s).tolist(), {name: values[ticks] for name, values in command.items()}),
+        _series(robot, (rows * hold * step_s).tolist(), {name: values[rows] for name, values in command.items()}),
         trouble,
     )
 

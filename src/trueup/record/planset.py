@@ -53,6 +53,9 @@ class MotionGroup:
         span_s: of `joint-b-spline`: time from one knot to the next, at least [s].
         sites: of `b-spline`: those that follow a spline each; the end effector if empty.
         extent_m: of `b-spline`: half the edge of the cube that control points are drawn from [m].
+        duration_s: of functions of time: range from which the length of the motion is drawn, without rest; the set's
+            if None [s].
+        length_s: of `random-field`: likewise the correlation length [s].
         from_home: of splines: begin at home, where no way before the motion has left anything in the joints.
         animations: of `animation`: those of the set that are played in turn; all if empty.
         speed: of `animation`: range from which the speed is drawn, 1 as it was made.
@@ -85,6 +88,8 @@ class MotionGroup:
     span_s: float = SPAN_S
     sites: tuple[str, ...] = ()
     extent_m: float = EXTENT_M
+    duration_s: tuple[float, float] | None = None
+    length_s: tuple[float, float] | None = None
     from_home: bool = False
     animations: tuple[str, ...] = ()
     speed: tuple[float, float] = (1.0, 1.0)
@@ -102,8 +107,8 @@ class MotionGroup:
                 raise ConfigError(
                     f"{name} of group {self.name!r} is no range of shares", got=(low, high), expected="in (0, 1]"
                 )
-        for name in ("speed", "amplitude"):
-            low, high = getattr(self, name)
+        for name in ("speed", "amplitude", "duration_s", "length_s"):
+            low, high = getattr(self, name) or (1.0, 1.0)
             if not 0 < low <= high < np.inf:
                 raise ConfigError(f"{name} of group {self.name!r} is no range", got=(low, high), expected="above 0")
         if not 0 <= self.pause_share < 1:
@@ -380,10 +385,22 @@ def _planned(spec: PlanSetSpec, group: MotionGroup, index: int, scene: Scene, rn
             moving,
             rng,
             velocity_share=share,
-            reference=spec.reference,
+            reference=_reference(spec, group, rng),
             settings=settings,
         )
     return random_joint_motion(scene, moving, rng, velocity_share=share, settings=settings)
+
+
+def _reference(spec: PlanSetSpec, group: MotionGroup, rng: np.random.Generator) -> ReferenceSettings:
+    """The set's functions, with what the group draws for each motion."""
+
+    def drawn(ends: tuple[float, float] | None, otherwise: float) -> float:
+        return float(rng.uniform(*ends)) if ends else otherwise
+
+    own = spec.reference
+    return replace(
+        own, duration_s=drawn(group.duration_s, own.duration_s), length_s=drawn(group.length_s, own.length_s)
+    )
 
 
 def _moving(

@@ -37,7 +37,8 @@ class RecordSettings:
 
     Attributes:
         control_hz: commands per second [Hz]; the plans' rate is a multiple of it.
-        record_hz: rows per second of the recording [Hz]; the control rate is a multiple of it.
+        record_hz: rows per second of the recording [Hz]; one of the two is a multiple of the other. All commands are
+            kept where there are fewer of them.
         transfer_share: share of the limits of velocity and acceleration on the way to the start of a motion.
         settle_s: wait at the start of a motion before it is recorded [s]; joints creep for a while after they moved.
         tolerance_rad: how far a joint may be from where it should be before and after a motion [rad or m].
@@ -72,12 +73,23 @@ class RecordSettings:
             raise ConfigError("transfer_share is no share", got=self.transfer_share, expected="above 0, up to 1")
         if self.recoveries < 1:
             raise ConfigError("recoveries must be at least 1", got=self.recoveries)
-        whole_ratio(self.control_hz, self.record_hz, "control_hz must be a multiple of record_hz")
+        rates = sorted((self.control_hz, self.record_hz), reverse=True)
+        whole_ratio(rates[0], rates[1], "control_hz must be a multiple of record_hz, or the other way round")
+
+    @property
+    def step_s(self) -> float:
+        """From one command or reading to the next of either [s]."""
+        return 1.0 / max(self.control_hz, self.record_hz)
 
     @property
     def every(self) -> int:
-        """Control steps per recorded row."""
-        return round(self.control_hz / self.record_hz)
+        """Steps per recorded row."""
+        return round(1.0 / (self.step_s * self.record_hz))
+
+    @property
+    def hold(self) -> int:
+        """Steps per command."""
+        return round(1.0 / (self.step_s * self.control_hz))
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +137,7 @@ class Recorder:
         self.robot, self.scene = robot, scene
         self.settings = settings or RecordSettings()
         if isinstance(robot, TrajectoryIO):
-            own_steps(robot, 1.0 / self.settings.control_hz)
+            own_steps(robot, self.settings.step_s)
         self._commanded: Float64[np.ndarray, "J"] | None = None
         self._lost: RobotStopped | None = None
         self._ways = MotionSettings(
@@ -266,9 +278,10 @@ class Recorder:
             done = follow(
                 self.robot,
                 command,
-                step_s=1.0 / settings.control_hz,
+                step_s=settings.step_s,
                 every=settings.every,
                 silent_s=settings.silent_s,
+                hold=settings.hold,
             )
         order = [self.robot.joints.index(name) for name in self.scene.joints]
         self._commanded = command["position"][-1][order] if done.trouble is None else None
@@ -317,8 +330,9 @@ class Recorder:
         """A joint that was far from its command and may have caught up, e.g. one that stalled for a while."""
         if done.measured is None or done.command is None or "position" not in done.measured:
             return []
-        rows = min(len(done.measured), len(done.command))
-        away = np.abs(done.measured["position"][:rows] - done.command["position"][:rows])
+        asked = np.repeat(done.command["position"], self.settings.hold, axis=0)
+        rows = min(len(done.measured), len(asked))
+        away = np.abs(done.measured["position"][:rows] - asked[:rows])
         if not rows or not away.max() > self.settings.path_tolerance_rad:
             return []
         row, column = np.unravel_index(int(np.argmax(away)), away.shape)
@@ -335,7 +349,8 @@ class Recorder:
         if not done.late:
             return []
         detail = f"{done.late} control steps began late, by up to {1e3 * done.latest_s:.1f} ms"
-        many = done.command is None or done.late > 0.01 * len(done.command) * self.settings.every
+        steps = self.settings.every * self.settings.hold
+        many = done.command is None or done.late > 0.01 * len(done.command) * steps
         return [Flag("late", series="command", detail=detail, severity="warning" if many else "note")]
 
 

@@ -62,6 +62,7 @@ class _Task:
 
     id: str
     plan: str
+    motion: int
     number: int
     payload_kg: float
 
@@ -94,7 +95,7 @@ def plans_named(name: str, *, scale: float = 1.0, seed: int | None = None) -> Pl
 def record(
     out: Path | str,
     robot: RobotSpec,
-    rig: Rig,
+    rig: Rig | Sequence[Rig],
     plans: PlanSetSpec | PlanSet,
     *,
     payloads_kg: Sequence[float] = (0.0,),
@@ -116,7 +117,8 @@ def record(
     Args:
         out: the dataset's folder.
         robot: the robot; joints and limits count.
-        rig: where its hardware comes from.
+        rig: where its hardware comes from; several, such as other individuals or bases, take turns from motion to
+            motion.
         plans: what to plan, or a plan set, which is copied.
         payloads_kg: every motion is recorded with each of these payloads [kg].
         settings: rates, speeds, tolerances.
@@ -137,7 +139,10 @@ def record(
 
     started, out = time.perf_counter(), Path(out)
     settings = settings or RecordSettings()
-    known = None if truth is None else _truth(truth, rig, out, there=overwrite or resume)
+    rigs = tuple(rig) if isinstance(rig, Sequence) else (rig,)
+    if not rigs:
+        raise ConfigError("a recording needs a rig")
+    known = None if truth is None else _truth(truth, rigs, out, there=overwrite or resume)
     # They are part of ids, as they are written there.
     names = {_kilograms(load) for load in payloads_kg}
     if not payloads_kg or len(names) != len(payloads_kg) or not all(load >= 0 for load in payloads_kg):
@@ -145,11 +150,11 @@ def record(
     if jobs < 1:
         raise ConfigError("jobs must be at least 1", got=jobs)
     path = find_model(robot, given=model)
-    _refuse_unfit(robot, path, rig, plans, payloads_kg, settings)
+    _refuse_unfit(robot, path, rigs, plans, payloads_kg, settings)
     config = {
         "robot": robot.to_dict(),
         "model": {"name": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()},
-        "rig": rig.describe(),
+        "rig": rigs[0].describe() if len(rigs) == 1 else [one.describe() for one in rigs],
         "plans": plans.to_dict(),
         "payloads_kg": list(payloads_kg),
         "settings": asdict(settings),
@@ -169,7 +174,7 @@ def record(
         else:
             motions = _planned(out / PLANS, plans, robot, path, jobs, overwrite=overwrite and not kept, track=track)
         tasks = [task for task in _tasks(motions, payloads_kg) if task.id not in writer.ids]
-        worker = _Worker(robot, path, rig, motions.path, settings)
+        worker = _Worker(robot, path, rigs, motions.path, settings)
         # An error here must not leave processes at work.
         with contextlib.closing(_results(worker, tasks, jobs)) as results:
             for name, result in track(results, "record", len(tasks)):
@@ -193,8 +198,15 @@ def record(
     return RecordSummary(out, recorded, kept, skipped, failed, flagged, time.perf_counter() - started)
 
 
-def _truth(path: Path, rig: Rig, out: Path, *, there: bool) -> Truth:
+def _truth(path: Path, rigs: Sequence[Rig], out: Path, *, there: bool) -> Truth:
     """What is to be written to `path` at the end; refused before anything is recorded."""
+    rig = rigs[0]
+    if len({one.unit for one in rigs}) > 1:
+        raise ConfigError(
+            "a truth is that of one individual",
+            got=list(dict.fromkeys(one.unit for one in rigs)),
+            hint="Record one unit at a time, or leave --truth out.",
+        )
     if not isinstance(rig, LabRig):
         raise ConfigError("only the lab's robots have a truth to write down", got=rig.unit, hint="Leave --truth out.")
     if path.resolve().is_relative_to(out.resolve()):
@@ -207,7 +219,7 @@ def _truth(path: Path, rig: Rig, out: Path, *, there: bool) -> Truth:
 def _refuse_unfit(
     robot: RobotSpec,
     model: Path,
-    rig: Rig,
+    rigs: Sequence[Rig],
     plans: PlanSetSpec | PlanSet,
     payloads_kg: Sequence[float],
     settings: RecordSettings,
@@ -227,7 +239,7 @@ def _refuse_unfit(
         rate_hz = plans.motion.clock.rate_hz
     whole_ratio(rate_hz, settings.control_hz, "the rate of the plans must be a multiple of control_hz")
     scene = plans.scene(robot, model=model)
-    for payload_kg in payloads_kg:
+    for rig, payload_kg in itertools.product(rigs, payloads_kg):
         Recorder(rig.session(0, payload_kg), scene, settings)
 
 
@@ -300,15 +312,18 @@ def _tasks(plans: PlanSet, payloads_kg: Sequence[float]) -> Iterator[_Task]:
     for place, payload_kg in enumerate(payloads_kg):
         for id in plans.ids():
             name = id if len(payloads_kg) == 1 else f"{id}/{_kilograms(payload_kg)}"
-            yield _Task(name, id, place * len(plans) + plans.number(id), payload_kg)
+            motion = plans.number(id)
+            yield _Task(name, id, motion, place * len(plans) + motion, payload_kg)
 
 
 class _Worker:
     """Records motions; one per process."""
 
-    def __init__(self, robot: RobotSpec, model: Path, rig: Rig, plans: Path, settings: RecordSettings) -> None:
-        self.arguments = (robot, model, rig, plans, settings)
-        self._robot, self._model, self._rig, self._settings = robot, model, rig, settings
+    def __init__(
+        self, robot: RobotSpec, model: Path, rigs: Sequence[Rig], plans: Path, settings: RecordSettings
+    ) -> None:
+        self.arguments = (robot, model, rigs, plans, settings)
+        self._robot, self._model, self._rigs, self._settings = robot, model, rigs, settings
         self._folder = plans
         self._plans: PlanSet | None = None
         self._scene: Scene | None = None
@@ -331,14 +346,15 @@ class _Worker:
             # A robot that stopped a little beside its path still finds its way.
             self._scene = self._plans.scene(self._robot, model=self._model, clearance_share=0.5)
         plan = self._plans[task.plan]
-        hardware = self._rig.session(task.number, task.payload_kg)
+        rig = self._rigs[task.motion % len(self._rigs)]
+        hardware = rig.session(task.number, task.payload_kg)
         done = Recorder(hardware, self._scene, self._settings).record(plan)
         meta = EpisodeMeta(
             id=task.id,
             robot=self._robot.name,
-            unit=self._rig.unit,
+            unit=rig.unit,
             payload_kg=task.payload_kg,
-            condition=plan.condition,
+            condition=" ".join(filter(None, (plan.condition, rig.condition))),
             split=plan.split,
             source=f"{PLANS}/{task.plan}",
         )
@@ -360,9 +376,9 @@ def _results(worker: _Worker, tasks: Sequence[_Task], jobs: int) -> Generator[tu
 _worker: _Worker | None = None
 
 
-def _begin(robot: RobotSpec, model: Path, rig: Rig, plans: Path, settings: RecordSettings) -> None:
+def _begin(robot: RobotSpec, model: Path, rigs: Sequence[Rig], plans: Path, settings: RecordSettings) -> None:
     global _worker  # what a process keeps between motions
-    _worker = _Worker(robot, model, rig, plans, settings)
+    _worker = _Worker(robot, model, rigs, plans, settings)
 
 
 def _record(tasks: Sequence[_Task]) -> list[tuple[str, Episode | TrueupError]]:

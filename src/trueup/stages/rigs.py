@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -29,6 +29,11 @@ class Rig(Protocol):
     @property
     def unit(self) -> str:
         """Which individual it is."""
+        ...
+
+    @property
+    def condition(self) -> str:
+        """What it stands on; empty where nothing is to be said."""
         ...
 
     def describe(self) -> dict[str, Any]:
@@ -75,6 +80,12 @@ class LabRig:
     def unit(self) -> str:
         """Which individual it is."""
         return f"lab-{self.number}"
+
+    @property
+    def condition(self) -> str:
+        """The condition of its base; empty where it is fixed."""
+        base = self.spec.base
+        return base.condition if base.enabled and base.condition != "fixed" else ""
 
     def truth(self) -> Truth:
         """What is true of it."""
@@ -146,6 +157,11 @@ class EngineRig:
         """There is one of it."""
         return self.engine
 
+    @property
+    def condition(self) -> str:
+        """It is fixed."""
+        return ""
+
     def describe(self) -> dict[str, Any]:
         """Which engine and robot."""
         return {"hardware": self.engine, "robot": self.robot.to_dict(), "control_hz": self.control_hz}
@@ -183,17 +199,33 @@ def make_rig(
     lab: LabSpec | None = None,
     fault_share: float = 0.0,
     control_hz: float = 1000.0,
+    base: str | None = None,
 ) -> LabRig | EngineRig:
     """A rig by the name of its hardware.
 
+    Args:
+        hardware: `lab`, or an engine: `mujoco`, `dart`.
+        robot: its description.
+        model: its MJCF or URDF.
+        unit: which individual of the lab.
+        seed: of noise, jitter and faults.
+        lab: sizes of its effects.
+        fault_share: share of the motions in which something goes wrong.
+        control_hz: rate of the commands, or of the readings if it is higher [Hz]; of engines.
+        base: condition of the base, over what the lab says.
+
     Raises:
-        ConfigError: there is no such hardware, or only the lab has units, faults or a lab file.
+        ConfigError: there is no such hardware or condition, or only the lab has units, faults, bases or a lab file.
         NameMismatch: the lab is of another robot; both lists are printed.
     """
     if hardware == "lab":
+        from trueup.core.config import build
         from trueup.lab import LabSpec
+        from trueup.lab.spec import Base
 
         spec = lab or LabSpec()
+        if base is not None:
+            spec = replace(spec, base=build(Base, {**asdict(spec.base), "condition": base}, "base"))
         own = load_robot(spec.robot)
         if own.joint_names != robot.joint_names:
             raise NameMismatch(
@@ -205,6 +237,6 @@ def make_rig(
         return LabRig(spec, unit, seed, fault_share)
     if hardware not in ("mujoco", "dart"):
         raise ConfigError(f"there is no hardware {hardware!r}", available=("lab", "mujoco", "dart"))
-    if lab is not None or fault_share:
-        raise ConfigError(f"{hardware} has no faults and no lab file", hint="Give --hardware lab.")
+    if lab is not None or fault_share or base is not None:
+        raise ConfigError(f"{hardware} has no faults, no base and no lab file", hint="Give --hardware lab.")
     return EngineRig(robot, hardware, model, control_hz)

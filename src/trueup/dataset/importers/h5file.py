@@ -92,6 +92,22 @@ class H5File:
             return f"{float(np.asarray(found[()]).ravel()[0]):g}"
         return ""
 
+    def number(self, name: str) -> float | None:
+        """A single number from a dataset or an attribute of the file; None if there is none of this name.
+
+        Raises:
+            DataError: it is there, but is no single number.
+        """
+        found = self._find(name)
+        if isinstance(found, h5py.Dataset):
+            self._check_storage(found, f"{self.source}: {name}")
+        elif name not in self._file.attrs:
+            return None
+        value = np.asarray(found[()] if isinstance(found, h5py.Dataset) else self._file.attrs[name])
+        if value.dtype.kind not in "fiu" or value.size != 1:
+            raise DataError(f"{self.source}: {name} is no single number", got=value.dtype, expected="such as 1.5")
+        return float(value.ravel()[0])
+
     def _find(self, name: str) -> Any:
         """The object of a path, link by link: only hard links lead to bytes of this file."""
         here = self._file

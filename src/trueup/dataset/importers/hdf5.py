@@ -6,7 +6,7 @@ Variant 2, two arms: groups `robot1` and `robot2` with a clock each, and one com
 first. The second arm is interpolated linearly onto the clock of the first, where both have data.
 
 The files carry no joint names: the user states them, or they stand in `joint_names` (a dataset or attribute of
-the file or of a group).
+the file or of a group). Likewise a file may say its `payload_kg` and `condition`.
 """
 
 from __future__ import annotations
@@ -109,6 +109,7 @@ def _load(root: Path, path: Path, name: str, stated: Stated) -> Episode:
         raw = [_read(file, group, joints, stated) for group, joints in zip(groups, names, strict=True)]
         command = _read_command(file, [joint for part in names for joint in part], stated)
         about = {key: file.scalar(key) for key in _ABOUT}
+        payload_kg, condition = _payload(file, stated), stated.condition or file.scalar("condition")
     origin = common_origin(*(part.series.time_s for part in (*raw, command)))
     parts = [shifted(part.series, part.flags, origin=origin) for part in raw]
     commanded, command_flags = shifted(command.series, command.flags, origin=origin)
@@ -124,8 +125,8 @@ def _load(root: Path, path: Path, name: str, stated: Stated) -> Episode:
             id=name,
             robot=stated.robot,
             unit=stated.unit,
-            payload_kg=stated.payload_kg,
-            condition=stated.condition,
+            payload_kg=payload_kg,
+            condition=condition,
             source=path.relative_to(root).as_posix(),
             source_hash=files_hash([path]),
             flags=tuple(flags),
@@ -133,6 +134,28 @@ def _load(root: Path, path: Path, name: str, stated: Stated) -> Episode:
         measured=with_units(measured, stated.units, joints),
         command=with_units(commanded, stated.units, joints),
     )
+
+
+def _payload(file: H5File, stated: Stated) -> float | None:
+    """What the file says, or else the mapping.
+
+    Raises:
+        DataError: it is no mass.
+        ConfigError: they say different ones.
+    """
+    said = file.number("payload_kg")
+    if said is None:
+        return stated.payload_kg
+    if not 0 <= said < np.inf:
+        raise DataError(f"{file.source}: payload_kg is no mass", got=said, expected="kilograms, 0 or more")
+    if stated.payload_kg not in (None, said):
+        raise ConfigError(
+            f"{file.source} says another payload than the mapping",
+            got=f"{said:g} kg",
+            expected=f"{stated.payload_kg:g} kg",
+            hint="Leave `payload_kg` out of the mapping: each file then has its own.",
+        )
+    return said
 
 
 def _notes(first: TimeSeries, merged: TimeSeries, groups: Sequence[str], about: dict[str, str]) -> list[Flag]:

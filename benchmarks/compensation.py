@@ -1,0 +1,214 @@
+"""Delta actions on a robot that no training has seen, carrying what none has carried (GapONet, Table 1).
+
+`python -m benchmarks compensation` trains what is not there (docs/compensation.md), under runs/gapo, and keeps the figures
+in benchmarks/results/compensation.json.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from benchmarks.gapo_data import FOLDER, SEEN_KG, UNSEEN_KG, data_of, robot_of
+from benchmarks.table import Row, at_most, rounded, shown
+from trueup.compensate.closed_loop import Run, closed_loop
+from trueup.compensate.compensation import Compensation
+from trueup.compensate.config import METHODS, CompensateConfig
+from trueup.compensate.plants import Plants
+from trueup.compensate.tracks import Track, track_of
+from trueup.core.atomic import read_json, write_json
+from trueup.core.config import build
+from trueup.core.provenance import provenance
+from trueup.identify import IdentifyConfig
+from trueup.measure import paired_difference
+from trueup.measure.metrics.distribution import gap_range, iqr, large_gap_ratio
+from trueup.robots import RobotSpec, find_model, load_robot
+from trueup.stages import Prepared, compensate, fit, prepare
+
+RESULT = Path(__file__).parent / "results" / "compensation.json"
+CONTROL_S = 0.02
+SEEDS = range(6)
+# At this error, about 12 % of what plain PD does without a payload is a large gap; and the paper's own.
+TAU_RAD, PAPER_TAU_RAD = 0.05, 0.5
+STOCK, FITTED = "stock", "identified"
+PD, OPERATOR = "pd", "operator"
+TESTS = ("test", "test-unseen-payload")
+# Name -> whose simulator is corrected, and by what. The same updates, batches and windows for all of them.
+NETWORKS: Mapping[str, tuple[str, CompensateConfig]] = {
+    OPERATOR: (FITTED, METHODS["operator"]),
+    "mlp": (FITTED, METHODS["mlp"]),
+    "transformer": (FITTED, METHODS["transformer"]),
+    "operator-on-stock": (STOCK, METHODS["operator"]),
+    "mlp-on-stock": (STOCK, METHODS["mlp"]),
+    "transformer-on-stock": (STOCK, METHODS["transformer"]),
+}
+BASELINES = (FITTED, "mlp", "transformer", "mlp-on-stock", "transformer-on-stock")
+METRICS = ("large_gap_ratio", "large_gap_ratio_paper", "iqr", "range", "mae")
+# GapONet, Table 1: share of large gaps.
+BARS = {0.0: 0.001, 3.0: 0.009}
+
+
+def compensation() -> list[Row]:
+    """Train what is not there, simulate the test motions with each network, and hold the figures against the bars."""
+    result = {
+        "tau_rad": TAU_RAD,
+        "tables": {name: table(name) for name in (PD, FITTED, *NETWORKS)},
+        "training": {name: [_training(name, seed) for seed in SEEDS] for name in NETWORKS},
+        "provenance": provenance(seed=0, data_hash=data_of("train").hash),
+    }
+    write_json(RESULT, rounded(result))
+    return _rows(read_json(RESULT))
+
+
+def fitted() -> RobotSpec:
+    """The robot whose numbers were identified on the train motions, those with payloads too."""
+    folder = FOLDER / "fit"
+    config = build(
+        IdentifyConfig,
+        {
+            "fit": {
+                "delay_s": {"shared": True},
+                **dict.fromkeys(("kp", "kv", "damping", "frictionloss", "armature"), "all"),
+            },
+            "models": {"load": ["load"]},
+            "data": {"budget_s": 80.0},
+            "solver": {"max_iterations": 4, "tolerance": 0.02},
+        },
+        "the fit of this benchmark",
+    )
+    if not (folder / "robot.fitted.yaml").is_file():
+        fit(data_of("train"), robot_of("train"), folder, config=config, resume=True)
+    return load_robot(folder / "robot.fitted.yaml")
+
+
+@cache
+def prepared(base: str) -> Prepared:
+    """The train motions along one simulator."""
+    return prepare(data_of("train"), _robot(base))
+
+
+def network(name: str, seed: int) -> Compensation:
+    """A trained network, found or trained."""
+    base, config = NETWORKS[name]
+    folder = FOLDER / "networks" / f"{name}-{seed}"
+    made = compensate(
+        data_of("train"),
+        _robot(base),
+        folder,
+        config=config,
+        prepared=prepared(base),
+        name=name,
+        seed=seed,
+        resume=True,
+    )
+    return made.compensation
+
+
+def table(name: str) -> dict[str, dict[str, dict[str, list[list[float]]]]]:
+    """Data set -> payload -> metric -> seed -> motion."""
+    base = {PD: STOCK, FITTED: FITTED}.get(name) or NETWORKS[name][0]
+    nets = [None] if name in (PD, FITTED) else [network(name, seed).corrector for seed in SEEDS]
+    found: dict[str, dict[str, dict[str, list[list[float]]]]] = {}
+    for test in TESTS:
+        motions = _motions(test)
+        for net in nets:
+            runs = closed_loop(motions, _plants(base), net)
+            for payload_kg in sorted({motion.payload_kg for motion in motions}):
+                pairs = [(m, r) for m, r in zip(motions, runs, strict=True) if m.payload_kg == payload_kg]
+                own = found.setdefault(test, {}).setdefault(f"{payload_kg:g}", {metric: [] for metric in METRICS})
+                for metric, values in _metrics(pairs).items():
+                    own[metric].append(values)
+    return found
+
+
+def _metrics(pairs: Sequence[tuple[Track, Run]]) -> dict[str, list[float]]:
+    """Of each motion, all joints together, as in eq. 12 to 14."""
+    found: dict[str, list[float]] = {metric: [] for metric in METRICS}
+    for motion, run in pairs:
+        joints = motion.command.shape[1]
+        measured, simulated = (
+            np.asarray(state[:, :joints], np.float64).reshape(-1, 1) for state in (motion.state, run.state)
+        )
+        found["large_gap_ratio"].append(float(large_gap_ratio(measured, simulated, tau=TAU_RAD)[0]))
+        found["large_gap_ratio_paper"].append(float(large_gap_ratio(measured, simulated, tau=PAPER_TAU_RAD)[0]))
+        found["iqr"].append(float(iqr(measured, simulated)[0]))
+        found["range"].append(float(gap_range(measured, simulated)[0]))
+        found["mae"].append(float(np.abs(measured - simulated).mean()))
+    return found
+
+
+def _robot(base: str) -> RobotSpec:
+    return fitted() if base == FITTED else robot_of("train")
+
+
+@cache
+def _plants(base: str) -> Plants:
+    robot = _robot(base)
+    return Plants(robot, find_model(robot), CONTROL_S, threads=2)
+
+
+@cache
+def _motions(test: str) -> list[Track]:
+    data, robot = data_of(test), robot_of(test)
+    return [track_of(data.episode(name), robot.joint_names, CONTROL_S) for name in data.ids]
+
+
+def _training(name: str, seed: int) -> dict[str, Any]:
+    made = network(name, seed).card.provenance["training"]
+    return {key: made[key] for key in ("seconds", "cpu_seconds", "best_round", "motions")}
+
+
+def _rows(result: Mapping[str, Any]) -> list[Row]:
+    rows = []
+    tables = result["tables"]
+    rows += [shown("0 kg: large gaps, plain PD", _mean(tables, PD, "test", 0.0, "large_gap_ratio"), "")]
+    for payload_kg, bar in BARS.items():
+        value = _mean(tables, OPERATOR, "test", payload_kg, "large_gap_ratio")
+        rows.append(at_most(f"{payload_kg:g} kg: large gaps, operator", value, bar, ""))
+    best = min(_mean(tables, name, "test", 0.0, "large_gap_ratio") for name in BASELINES)
+    rows.append(
+        at_most(
+            "0 kg: large gaps, operator against a tenth of the best baseline's",
+            _mean(tables, OPERATOR, "test", 0.0, "large_gap_ratio"),
+            0.1 * best,
+            "",
+        )
+    )
+    for metric, payload_kg in itertools.product(("iqr", "range"), SEEN_KG):
+        own = _mean(tables, OPERATOR, "test", payload_kg, metric)
+        least = min(_mean(tables, name, "test", payload_kg, metric) for name in BASELINES)
+        rows.append(at_most(f"{payload_kg:g} kg: {metric}, operator against the best baseline", own, least, "rad"))
+    for unseen_kg in UNSEEN_KG:
+        seen = [own for own in SEEN_KG if abs(own - unseen_kg) < 1.0]
+        nearest = max(_mean(tables, OPERATOR, "test", own, "mae") for own in seen)
+        ratio = _mean(tables, OPERATOR, "test-unseen-payload", unseen_kg, "mae") / nearest
+        rows.append(at_most(f"{unseen_kg:g} kg, unseen: mean error, operator against seen payloads", ratio, 1.5, ""))
+    for payload_kg in SEEN_KG:
+        high = _difference(tables, payload_kg)["high"]
+        rows.append(at_most(f"{payload_kg:g} kg: mean error, operator - identified, upper end", high, 0.0, "rad"))
+    seconds = max(item["seconds"] for item in result["training"][OPERATOR])
+    rows.append(at_most("training of the operator, longest of the seeds", seconds / 60, 20.0, "min"))
+    return rows
+
+
+def _of(tables: Mapping[str, Any], name: str, test: str, payload_kg: float, metric: str) -> Float64[np.ndarray, "S M"]:
+    return np.array(tables[name][test][f"{payload_kg:g}"][metric], np.float64)
+
+
+def _mean(tables: Mapping[str, Any], name: str, test: str, payload_kg: float, metric: str) -> float:
+    """Mean over seeds and motions."""
+    return float(_of(tables, name, test, payload_kg, metric).mean())
+
+
+def _difference(tables: Mapping[str, Any], payload_kg: float) -> dict[str, float]:
+    """Operator minus identified simulator, by motion."""
+    ours, theirs = (_of(tables, name, "test", payload_kg, "mae").mean(axis=0) for name in (OPERATOR, FITTED))
+    about = {"split": "test", "signal": "position", "metric": "mae", "unit": "rad"}
+    found = paired_difference(ours, theirs, run=OPERATOR, baseline=FITTED, **about).difference
+    return {"value": found.value, "low": found.low, "high": found.high}
