@@ -1,7 +1,7 @@
 """Delta actions on a robot that no training has seen, carrying what none has carried (GapONet, Table 1).
 
-`python -m benchmarks compensation` trains what is not there (docs/compensation.md), under runs/gapo, and keeps the figures
-in benchmarks/results/compensation.json.
+`python -m benchmarks compensation` trains what is not there, under runs/gapo (docs/compensation.md), and keeps figures in
+benchmarks/results/compensation.json.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ METRICS = ("large_gap_ratio", "large_gap_ratio_paper", "iqr", "range", "mae")
 BARS = {0.0: 0.001, 3.0: 0.009}
 
 
-def compensation() -> list[Row]:
+def run() -> list[Row]:
     """Train what is not there, simulate the test motions with each network, and hold the figures against the bars."""
     result = {
         "tau_rad": TAU_RAD,
