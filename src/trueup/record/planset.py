@@ -279,7 +279,12 @@ class PlanSetSpec:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON types only."""
-        return asdict(self)
+        tree = asdict(self)
+        for group in tree["groups"]:
+            for name in ("duration_s", "length_s"):
+                if group[name] is None:  # sets were made before there were these ranges
+                    del group[name]
+        return tree
 
 
 def paper_plans() -> PlanSetSpec:

@@ -45,6 +45,14 @@ class Rig(Protocol):
         ...
 
 
+def _said(spec: LabSpec) -> dict[str, Any]:
+    """The sizes of a lab; those on a fixed base were recorded before there was another."""
+    tree = asdict(spec)
+    if spec.base.condition == "fixed":
+        del tree["base"]
+    return tree
+
+
 @dataclass
 class LabRig:
     """One individual of virtual hardware.
@@ -100,7 +108,7 @@ class LabRig:
             "unit": self.number,
             "seed": self.seed,
             "fault_share": self.fault_share,
-            "spec": asdict(self.spec),
+            "spec": _said(self.spec),
         }
 
     def session(self, number: int, payload_kg: float) -> VirtualRobot:
