@@ -50,7 +50,7 @@ def moved(transitions, command, offset, state):
     return np.concatenate(rows[:-1])
 
 
-def recorded(folder, robot, path, *, offset, payloads=(0.0, 1.0), motions=4, seconds=4.0, command=True):
+def recorded(folder, robot, path, *, offset, payloads=(0.0, 1.0), motions=4, seconds=2.4, command=True):
     """A dataset of a robot that is the simulator with commands that are off by `offset(state, command, payload)`."""
     with DatasetWriter.create(folder, DatasetInfo(robot=robot.name)) as writer:
         for payload_kg in payloads:

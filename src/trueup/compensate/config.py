@@ -55,6 +55,7 @@ class TrainConfig:
         way: `direct`: the error of many control steps in the linear model of the simulator, differentiated; `delta`:
             each delta action by itself; `ppo`: by reinforcement, as in the paper.
         updates: number of steps of the optimizer.
+        rounds: parts of the training; after each, val motions say how good the network is.
         batch: windows in each.
         horizon: control steps of a window, at the end of the training; windows begin short and grow.
         rate: largest learning rate; it rises over the first hundredth and falls to nothing (cosine).
@@ -64,6 +65,7 @@ class TrainConfig:
 
     way: Way = "direct"
     updates: int = 600
+    rounds: int = 20
     batch: int = 96
     horizon: int = 30
     rate: float = 2e-3
@@ -72,10 +74,10 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         """Refuse what trains nothing."""
-        if min(self.updates, self.batch, self.horizon) < 1 or not (0 < self.rate < 1 and self.jolt >= 0):
+        if min(self.updates, self.rounds, self.batch, self.horizon) < 1 or not (0 < self.rate < 1 and self.jolt >= 0):
             raise ConfigError(
-                "training: updates, batch, horizon, rate, jolt",
-                got=(self.updates, self.batch, self.horizon, self.rate, self.jolt),
+                "training: updates, rounds, batch, horizon, rate, jolt",
+                got=(self.updates, self.rounds, self.batch, self.horizon, self.rate, self.jolt),
                 expected="positive numbers",
             )
 

@@ -42,7 +42,6 @@ def learn(
     teacher: Teacher,
     judge: Judge,
     *,
-    rounds: int,
     seed: int,
     checkpoint: Path,
     inputs: str,
@@ -58,7 +57,6 @@ def learn(
         corrector: with its initial weights.
         teacher: what it learns from.
         judge: of the val motions.
-        rounds: number of rounds that the updates are divided into.
         seed: of all draws.
         checkpoint: file that is written after each round.
         inputs: hash of everything that decides about the training; a checkpoint with another one is refused.
@@ -71,7 +69,7 @@ def learn(
     """
     optimizer = torch.optim.Adam(corrector.parameters(), teacher.config.training.rate)
     updates = teacher.config.training.updates
-    rounds = min(rounds, updates)
+    rounds = min(teacher.config.training.rounds, updates)
     history: list[Epoch] = []
     best: dict[str, Tensor] = {}
     best_number, cpu = 0, time.process_time()

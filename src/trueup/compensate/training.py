@@ -138,9 +138,10 @@ def loss_of(errors: Tensor, deltas: Tensor, config: LossConfig) -> Tensor:
     joints = deltas.shape[-1]
     sizes = errors.new_tensor([config.position_rad] * joints + [config.velocity_rad_s] * joints)
     far = config.linear_from
-    scaled = errors / sizes
+    squares = (errors / sizes / far) ** 2
     # Squares near zero, straight lines far away: no motion in which a joint hits something decides for all others.
-    cost = 2 * far**2 * ((1 + (scaled / far) ** 2).sqrt() - 1)
+    # This is 2 far^2 (sqrt(1 + squares) - 1), without the difference of numbers that are nearly the same.
+    cost = 2 * far**2 * squares / (1 + (1 + squares).sqrt())
     total = cost.mean()
     if len(deltas) > 1:
         total = total + config.smoothness * ((deltas[1:] - deltas[:-1]) / config.position_rad).pow(2).mean()

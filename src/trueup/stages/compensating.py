@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
 # Errors of val motions that choose the round are counted like in training; this many motions of each payload suffice.
 _JUDGED = 12
-_ROUNDS = 20
 # A first delta action is this large, in units of what is to be corrected.
 _SIZE = 0.02
 
@@ -307,7 +306,6 @@ def compensate(
             corrector,
             teacher,
             judge,
-            rounds=_ROUNDS,
             seed=seed,
             checkpoint=folder.checkpoint,
             inputs=asked,
