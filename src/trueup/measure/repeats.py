@@ -25,7 +25,8 @@ SHIFT_METRICS: Mapping[str, tuple[str, ...]] = {
 }
 _MOST_MOTIONS = 60
 _MOST_EPISODES = 480
-_FINER = 4  # points of a path between two samples
+_MOST_POINTS = 250  # of a path that is compared
+_FINER = 4  # points of the other path for each of them
 _SAME_COMMAND = 0.05  # of the size of a motion
 
 
@@ -90,19 +91,21 @@ class RepeatBuilder:
             seed: of the bootstrap.
         """
         rows: dict[tuple[Repeated, str, str], dict[str, list[dict[str, float]]]] = {}
+        loads = {item.meta.payload_kg for episodes in self._kept.values() for item in episodes} - {None}
+        lightest = f"{min((load for load in loads if load is not None), default=0.0):.12g}"
         for executed, episodes in self._kept.items():
             for first, second in itertools.permutations(episodes, 2):
                 key = _changed(first.meta, second.meta)
-                if key is not None and _same_command(first, second):
+                if key is None or (key[0] == "payload_kg" and key[1] != lightest):
+                    continue
+                if _same_command(first, second):
                     row = {**_path_shift(first, second), **_gap_shift(gap, first.meta.id, second.meta.id)}
                     rows.setdefault(key, {}).setdefault(executed, []).append(row)
-        lowest = min((float(first) for by, first, _ in rows if by == "payload_kg"), default=0.0)
         return tuple(
             self._shift(gap, *key, found, seed)
             for key, found in sorted(
                 rows.items(), key=lambda item: (item[0][0], _order(item[0][1]), _order(item[0][2]))
             )
-            if key[0] == "condition" or float(key[1]) == lowest
         )
 
     def inside(self, plane: JointPlane, *, seed: int = 0) -> dict[str, Estimate]:
@@ -187,7 +190,7 @@ def _same_command(first: _Kept, second: _Kept) -> bool:
 
 def _path_shift(first: _Kept, second: _Kept) -> dict[str, float]:
     end = min(first.time_s[-1], second.time_s[-1])
-    count = max(2, int((first.time_s <= end).sum()))
+    count = min(max(2, int((first.time_s <= end).sum())), _MOST_POINTS)
     at, finer = np.linspace(0.0, end, count), np.linspace(0.0, end, _FINER * count)
     here, there = (_at(item.measured, item.time_s, at) for item in (first, second))
     joints = here.shape[1]

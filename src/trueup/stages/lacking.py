@@ -24,19 +24,21 @@ def lacking(found: EngineComparison, result: GapResult, payload_kg: Mapping[str,
     lags = [_metrics(result, label).get("position", {}).get("phase_lag") for label in result.runs]
     if not any(lags):
         reasons["lag"] = (
-            "The lag behind command and simulation is not known: it needs measured positions of joints that move, and "
-            "what was commanded or simulated."
+            "The lag behind command and simulation is not known: it needs positions of joints that move, measured and "
+            "simulated or commanded, and `phase_lag` among the metrics."
         )
     elif COMMAND_RUN not in result.runs:
         reasons["lag"] = "The lag behind the command is not known: no position was commanded over whole motions."
     torques = [_metrics(result, label).get("torque", {}) for label in result.runs if label != COMMAND_RUN]
     if not any(_known(metrics.get("rmse")) for metrics in torques):
         reasons["saturation"] = (
-            "How often motors reach their limit is not known: torque was not both measured and simulated."
+            "How often motors reach their limit is not known: torque was not both measured and simulated, or not "
+            "asked for."
         )
     elif not any("saturation_measured" in metrics for metrics in torques):
         reasons["saturation"] = (
-            "How often motors reach their limit is not known: no joint has a torque_limit in robot.yaml."
+            "How often motors reach their limit is not known: no joint has a torque_limit in robot.yaml, or it was not "
+            "asked for."
         )
     if not any(shift.by == "condition" for shift in found.shifts):
         reasons["conditions"] = (

@@ -182,7 +182,7 @@ def gap(
     source = dataset.info.provenance.get("config", {}).get("source")
     names = {"robot": frame.robot or dataset.info.robot, "dataset": source or dataset.path.resolve().name}
     result = replace(result, settings={**result.settings, **names, "warnings": motions.warnings(signals)})
-    return motions.measurement(result, split, blocks=blocks)
+    return motions.measurement(result, split, blocks=blocks and (signals is None or "torque" in signals))
 
 
 class _Motions:
