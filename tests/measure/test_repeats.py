@@ -53,6 +53,12 @@ def test_a_motion_that_only_comes_later_is_retraced_and_its_lag_is_the_delay():
     assert gaps["position.rmse"].low > 0.0
 
 
+def test_a_path_that_is_sampled_at_other_times_is_the_same_path():
+    """A robot whose samples come in between moves no further away than the path bends between them."""
+    (found,) = shifts_of([episode(k, condition=c, delay_s=d) for k in range(4) for c, d in (("a", 0.0), ("b", 0.005))])
+    assert found.share.value < 2e-3  # the ends, which only one of them reaches
+
+
 def test_an_offset_is_found_as_it_is_and_says_nothing_of_the_lag():
     episodes = [episode(k, condition=c, offset=o) for k in range(6) for c, o in (("stand", 0.0), ("walk", 0.05))]
     (found,) = shifts_of(episodes)

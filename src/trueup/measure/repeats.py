@@ -196,12 +196,23 @@ def _path_shift(first: _Kept, second: _Kept) -> dict[str, float]:
     joints = here.shape[1]
     squares = []
     for points, other in ((here, second), (there, first)):
-        distance, _ = cKDTree(_at(other.measured, other.time_s, finer)).query(points)
-        squares.append(np.mean(distance**2))
+        squares.append(np.mean(_distance(points, _at(other.measured, other.time_s, finer)) ** 2))
     path = float(np.sqrt(np.mean(squares) / joints))
     size = float(np.sqrt(here.var(axis=0).sum() / joints))
     offset = float(np.linalg.norm((there - here).mean(axis=0)) / np.sqrt(joints))
     return {"path": path, "share": path / size if size > 0.0 else np.nan, "offset": offset}
+
+
+def _distance(points: Float64[np.ndarray, "N J"], path: Float64[np.ndarray, "M J"]) -> Float64[np.ndarray, "N"]:
+    """How far each point is from a polyline, next to its nearest corner."""
+    _, nearest = cKDTree(path).query(points)
+    found = np.full(len(points), np.inf)
+    for first in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(path) - 2)):
+        along = path[first + 1] - path[first]
+        length = np.maximum((along**2).sum(axis=1), 1e-300)
+        share = np.clip(((points - path[first]) * along).sum(axis=1) / length, 0.0, 1.0)
+        found = np.minimum(found, np.linalg.norm(points - path[first] - share[:, None] * along, axis=1))
+    return found
 
 
 def _gap_shift(gap: GapResult, first: str, second: str) -> dict[str, float]:
