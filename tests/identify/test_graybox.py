@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from trueup.core.episode import Episode, EpisodeMeta
+from trueup.core.graybox_result import HELD_OUT
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.errors import ConfigError, DataError, FormatError, MissingSignal, NameMismatch, UnitError
 from trueup.identify.regression import GrayboxResult, GrayboxSettings, fit_graybox
@@ -159,7 +160,7 @@ def test_every_block_reduces_the_error_on_train_and_held_out_motions():
     fit = fit_graybox(motions(payloads=payloads, splits=splits)).joints["a"]
     assert [block.block for block in fit.blocks] == ["pd", "friction", "payload", "posture", "coupling"]
     for block in fit.blocks:
-        assert set(block.splits) == {"train", "val", "test"}
+        assert set(block.splits) == {"train", "val", "test", HELD_OUT}
         assert block.splits["train"].reduction.value > 0.005
         assert block.splits["test"].motions == 2
     assert fit.final.splits["test"].rmse.value == pytest.approx(0.1, rel=0.1)
@@ -185,6 +186,59 @@ def test_blocks_that_are_absent_in_truth_are_worth_nothing(seed):
     for name in PLAIN_SERVO:
         item = fit.final.coefficients[name]
         assert abs(item.value) < 4.5 * item.standard_error
+
+
+def many(seed, *, truth=None, motions_each=8, joints=("a", "b"), **options):
+    """Eight motions, each with three payloads, as recorded: one source per motion, no split."""
+    payloads = (0.0, 1.0, 2.0) * motions_each
+    for number, episode in enumerate(
+        motions(seed, payloads=payloads, truth=truth, joints=joints, seconds=2.5, **options)
+    ):
+        yield changed(episode, source=f"plans/{number // 3}", split="")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_held_out_a_block_that_is_absent_gains_nothing_and_one_that_is_there_does(seed):
+    total = fit_graybox(many(seed, truth=PLAIN_SERVO)).total
+    gained = {block.block: block.splits[HELD_OUT].reduction for block in total}
+    for name in ("pd", "friction"):
+        assert gained[name].low > 0.0
+    for name in ("payload", "posture", "coupling"):
+        # Terms that are not there cost a little on motions that they were not fitted to; never do they gain.
+        assert gained[name].low <= 0.0
+        assert abs(gained[name].value) < 1e-3
+    whole = fit_graybox(many(seed)).total
+    # A constant per kilogram alone hardly helps: the cosine of the posture takes most of it back.
+    assert all(block.splits[HELD_OUT].reduction.low > 0.0 for block in whole if block.block != "payload")
+    assert whole[-1].splits[HELD_OUT].rmse.value == pytest.approx(0.1, rel=0.05)
+
+
+def test_what_is_held_out_is_predicted_without_the_motion_and_its_repetitions():
+    """The same number as from a fit that never saw the motion, done by hand."""
+    episodes = list(many(4, motions_each=4, joints=("a",)))
+    held = fit_graybox(episodes).joints["a"].final.payloads[HELD_OUT]["1"].rmse.value
+    squares = []
+    for number in range(4):
+        split = {True: "test", False: "train"}
+        parted = [changed(item, split=split[item.meta.source == f"plans/{number}"]) for item in episodes]
+        squares.append(fit_graybox(parted).joints["a"].final.payloads["test"]["1"].rmse.value ** 2)
+    assert held == pytest.approx(np.sqrt(np.mean(squares)), rel=1e-6)
+
+
+def test_the_total_is_the_mean_over_joints_and_counts_motions_and_not_repetitions():
+    found = fit_graybox(many(5, per_motion=0.3))
+    for number, block in enumerate(found.total):
+        own = [fit.blocks[number].splits[HELD_OUT].rmse.value for fit in found.joints.values()]
+        assert block.splits[HELD_OUT].rmse.value == pytest.approx(np.mean(own))
+    episodes = list(many(5, per_motion=0.3))
+    apart = fit_graybox([changed(item, source=item.id) for item in episodes]).total[-1].splits[HELD_OUT].rmse
+    together = found.total[-1].splits[HELD_OUT].rmse
+    assert together.high - together.low != pytest.approx(apart.high - apart.low, rel=1e-3)
+
+
+def test_two_motions_are_too_few_to_hold_one_out():
+    found = fit_graybox(many(6, motions_each=2))
+    assert all(HELD_OUT not in block.splits for block in found.total)
 
 
 def test_a_regression_by_hand_gives_the_same_numbers():

@@ -119,3 +119,39 @@ def test_trends_of_a_gap_leave_out_motions_without_payload():
     assert {joint: item.slope.value for joint, item in found.items()} == pytest.approx({"": 0.1, "a": 0.05, "b": 0.15})
     assert {item.motions for item in found.values()} == {5}
     assert trends_of(result, dict.fromkeys(names, 1.0)) == {}
+
+
+@pytest.mark.parametrize("repeating", [False, True])
+def test_a_straight_line_is_called_straight_and_a_parabola_bent(repeating):
+    rng = np.random.default_rng(5)
+    loads, values, names = repeated(rng, slope=0.2, level=1.0 if repeating else 0.0, motions=14)
+    names = list(names) if repeating else None
+    line = trend(loads, values, "rad", motions=names)
+    assert (line.verdict, line.shape) == ("grows", "straight")
+    assert line.bend.low < 0.0 < line.bend.high
+    for sign, shape in ((1.0, "bends up"), (-1.0, "bends down")):
+        found = trend(loads, values + sign * 0.05 * loads**2, "rad", motions=names)
+        assert found.shape == shape
+        # The middle between the ends of 0.05 x^2 from 0 to 3 is 0.225, the parabola at 1.5 is 0.1125.
+        assert found.bend.low < sign * 0.1125 < found.bend.high
+        assert found.bend.value - line.bend.value == pytest.approx(sign * 0.1125)
+
+
+@pytest.mark.parametrize("repeating", [False, True])
+def test_the_interval_of_the_bend_covers_none(repeating):
+    rng = np.random.default_rng(6)
+    hits = 0
+    for _ in range(500):
+        loads, values, names = repeated(rng)
+        if not repeating:  # what the repetitions of a motion have in common would not be seen
+            values = 0.1 + 0.02 * loads + 0.01 * (0.3 + loads) * rng.normal(size=loads.size)
+        bend = trend(loads, values, "rad", motions=list(names) if repeating else None).bend
+        hits += bend.low <= 0.0 <= bend.high
+    assert 0.92 < hits / 500 < 0.985
+
+
+def test_what_shows_no_bend():
+    two = trend(np.array([0.0, 0.0, 1.0, 1.0]), np.array([0.0, 0.1, 1.0, 1.1]), "rad")
+    assert (two.bend, two.shape) == (None, "undecided")
+    noise = np.random.default_rng(7).normal(size=40)
+    assert trend(np.tile([0.0, 1.0, 2.0, 3.0], 10), noise, "rad").shape == "undecided"

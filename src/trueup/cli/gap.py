@@ -98,6 +98,8 @@ def gap(
     out.print(gap_table(people, metric="rmse" if "rmse" in shown else shown[0]))
     for line in verdicts(people):
         out.print(line, markup=False)
+    for why in measurement.engines.missing.values() if measurement.engines is not None else ():
+        note(why)
     for line in measurement.gap.settings["warnings"]:
         note(line)
     if out_dir is not None:  # before the fits of --explain, which may fail

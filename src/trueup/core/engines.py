@@ -1,4 +1,4 @@
-"""Engines and payloads side by side: `engines.json`, the numbers behind that section of the report."""
+"""Payloads, conditions and engines side by side: `engines.json`, the numbers behind the gap analysis of the report."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from typing import Any, Literal
 
 from trueup.core.atomic import read_json, write_json
 from trueup.core.config import read_versioned
-from trueup.core.results import Estimate
+from trueup.core.results import Estimate, PairedDifference
 
 ENGINES_SCHEMA = "trueup.engines/1"
 MEASURED = "measured"
 ANY_PAYLOAD = ""
 
 TrendVerdict = Literal["grows", "falls", "undecided"]
+Repeated = Literal["condition", "payload_kg"]
+TrendShape = Literal["straight", "bends up", "bends down", "undecided"]
 
 
 @dataclass(frozen=True)
@@ -28,12 +30,18 @@ class Trend:
         at_zero: the line's value without payload, in the metric's unit.
         motions: number of motions.
         verdict: `grows` or `falls` where the interval excludes zero, else `undecided`.
+        bend: how much lower a parabola through the motions is at the middle of the payloads than halfway between its
+            values at their ends, in the metric's unit; None with fewer than three payloads.
+        shape: `straight` where the interval of the bend is within a tenth of the change over all payloads, `bends up`
+            (the heavier, the faster) or `bends down` where it excludes zero, else `undecided`.
     """
 
     slope: Estimate
     at_zero: float
     motions: int
     verdict: TrendVerdict
+    bend: Estimate | None = None
+    shape: TrendShape = "undecided"
 
     def to_json(self) -> dict[str, Any]:
         """JSON object."""
@@ -43,13 +51,17 @@ class Trend:
             "at_zero": at_zero,
             "motions": self.motions,
             "verdict": self.verdict,
+            "bend": None if self.bend is None else self.bend.to_json(),
+            "shape": self.shape,
         }
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> Trend:
         """Read back what `to_json` wrote."""
         at_zero = math.nan if data["at_zero"] is None else data["at_zero"]
-        return Trend(Estimate.from_json(data["slope"]), at_zero, data["motions"], data["verdict"])
+        bend = None if data.get("bend") is None else Estimate.from_json(data["bend"])
+        shape = data.get("shape", "undecided")
+        return Trend(Estimate.from_json(data["slope"]), at_zero, data["motions"], data["verdict"], bend, shape)
 
 
 @dataclass(frozen=True)
@@ -80,6 +92,8 @@ class JointPlane:
         envelopes: source (`measured` or a run) -> payload in kg as text (`""`: all motions) -> envelope.
         paths: motion -> source -> thinned (x, y) points.
         payloads: motion -> payload in kg as text, `""` where it was not recorded.
+        conditions: motion -> condition, `""` where it was not recorded.
+        executed: motion -> what was executed; the repetitions of a motion have the same.
     """
 
     joints: tuple[str, ...]
@@ -90,6 +104,8 @@ class JointPlane:
     envelopes: Mapping[str, Mapping[str, Envelope]]
     paths: Mapping[str, Mapping[str, Sequence[tuple[float, float]]]]
     payloads: Mapping[str, str]
+    conditions: Mapping[str, str] = field(default_factory=dict)
+    executed: Mapping[str, str] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """JSON object."""
@@ -115,6 +131,8 @@ class JointPlane:
                 for motion, sources in self.paths.items()
             },
             "payloads": dict(self.payloads),
+            "conditions": dict(self.conditions),
+            "executed": dict(self.executed),
         }
 
     @staticmethod
@@ -136,7 +154,56 @@ class JointPlane:
                 for motion, sources in data["paths"].items()
             },
             payloads=data["payloads"],
+            conditions=data.get("conditions", {}),
+            executed=data.get("executed", {}),
         )
+
+
+@dataclass(frozen=True)
+class Shift:
+    """What changes when motions are repeated under another condition, or with another payload (GapONet 3.3).
+
+    Attributes:
+        by: `condition` or `payload_kg`.
+        first: what is compared with.
+        second: what is compared.
+        motions: number of motions that were executed under both.
+        path: RMS distance of the measured joint path from that under the first, whatever the time at which a posture is
+            passed, per joint.
+        share: that distance over the size of the motion, i.e. the standard deviation of its samples.
+        offset: how far the mean posture moves, per joint.
+        lag: how much later behind the command the robot is than under the first [s].
+        gaps: run -> `SIGNAL.METRIC` -> the metric under the second minus that under the first.
+    """
+
+    by: Repeated
+    first: str
+    second: str
+    motions: int
+    path: Estimate
+    share: Estimate
+    offset: Estimate
+    lag: Estimate
+    gaps: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON object."""
+        numbers = {name: getattr(self, name).to_json() for name in _SHIFTED}
+        gaps = {run: {name: item.to_json() for name, item in items.items()} for run, items in self.gaps.items()}
+        plain = {"by": self.by, "first": self.first, "second": self.second, "motions": self.motions}
+        return {**plain, **numbers, "gaps": gaps}
+
+    @staticmethod
+    def from_json(data: Mapping[str, Any]) -> Shift:
+        """Read back what `to_json` wrote."""
+        gaps = {
+            run: {name: Estimate.from_json(item) for name, item in items.items()} for run, items in data["gaps"].items()
+        }
+        numbers = {name: Estimate.from_json(data[name]) for name in _SHIFTED}
+        return Shift(data["by"], data["first"], data["second"], data["motions"], **numbers, gaps=gaps)
+
+
+_SHIFTED = ("path", "share", "offset", "lag")
 
 
 @dataclass(frozen=True)
@@ -147,11 +214,19 @@ class EngineComparison:
         trends: run -> signal -> metric -> joint (`""`: mean of the scored joints) -> trend; empty unless two or more
             payloads were recorded.
         plane: None where positions of fewer than two joints were measured.
+        shifts: repetitions of motions under other conditions and with other payloads.
+        inside: condition -> share of its samples that lie within the ellipse of all motions in the plane.
+        nearer: payload in kg as text (`""`: all motions) -> engine against engine on the same motions.
+        missing: part of the analysis -> why there is none, and what it would need.
         provenance: versions, git hash, data hash.
     """
 
     trends: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Trend]]]] = field(default_factory=dict)
     plane: JointPlane | None = None
+    shifts: tuple[Shift, ...] = ()
+    inside: Mapping[str, Estimate] = field(default_factory=dict)
+    nearer: Mapping[str, tuple[PairedDifference, ...]] = field(default_factory=dict)
+    missing: Mapping[str, str] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
@@ -167,7 +242,16 @@ class EngineComparison:
             for run, signals in self.trends.items()
         }
         plane = None if self.plane is None else self.plane.to_json()
-        content = {"schema": ENGINES_SCHEMA, "trends": trends, "plane": plane, "provenance": dict(self.provenance)}
+        content = {
+            "schema": ENGINES_SCHEMA,
+            "trends": trends,
+            "plane": plane,
+            "shifts": [item.to_json() for item in self.shifts],
+            "inside": {name: item.to_json() for name, item in self.inside.items()},
+            "nearer": {payload: [item.to_json() for item in items] for payload, items in self.nearer.items()},
+            "missing": dict(self.missing),
+            "provenance": dict(self.provenance),
+        }
         write_json(path, content)
 
     @staticmethod
@@ -196,6 +280,13 @@ class EngineComparison:
                 for run, signals in data["trends"].items()
             },
             plane=None if data["plane"] is None else JointPlane.from_json(data["plane"]),
+            shifts=tuple(Shift.from_json(item) for item in data.get("shifts", ())),
+            inside={name: Estimate.from_json(item) for name, item in data.get("inside", {}).items()},
+            nearer={
+                payload: tuple(PairedDifference.from_json(item) for item in items)
+                for payload, items in data.get("nearer", {}).items()
+            },
+            missing=data.get("missing", {}),
             provenance=data.get("provenance", {}),
         )
 

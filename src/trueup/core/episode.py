@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import PurePosixPath
 from typing import Any
 
 from trueup.core.timeseries import TimeSeries
@@ -69,6 +70,11 @@ class EpisodeMeta:
     source: str = ""
     source_hash: str = ""
     flags: tuple[Flag, ...] = ()
+
+    @property
+    def executed(self) -> str:
+        """What was executed: the same for the repetitions of a motion. A file may hold several motions, a plan one."""
+        return self.id if not self.source or PurePosixPath(self.source).suffix else self.source
 
     @property
     def warned(self) -> bool:

@@ -17,6 +17,9 @@ GRAYBOX_SCHEMA = "trueup.graybox/1"
 Status = Literal["ok", "weak", "not identifiable"]
 IntervalMethod = Literal["cluster", "hac", "none"]
 
+# In place of a split: every motion, predicted by coefficients that were fitted to others.
+HELD_OUT = "held out"
+
 
 @dataclass(frozen=True)
 class Coefficient:
@@ -66,7 +69,8 @@ class BlockFit:
         block: the block that was added last.
         left_out: why the block was not fitted; empty if it was.
         coefficients: name -> coefficient, of this block and of all before it, refitted together.
-        splits: split -> score on its motions; the reduction of `pd` is against a constant torque.
+        splits: split -> score on its motions; the reduction of `pd` is against a constant torque. `held out` is all
+            motions, each predicted by coefficients that were fitted without it and its repetitions.
         payloads: split -> payload in kg, as text -> score on the motions that carry it.
     """
 
@@ -121,12 +125,15 @@ class GrayboxResult:
         joints: joint -> fits.
         settings: what was asked for: delay_s, epsilon, filter and sources.
         notes: what had to be assumed about the episodes.
+        total: mean over the joints that could be fitted, block by block, without coefficients; empty if their torques
+            have different units.
         provenance: versions, git hash, data hash.
     """
 
     joints: Mapping[str, JointFit]
     settings: Mapping[str, Any]
     notes: tuple[str, ...] = ()
+    total: tuple[BlockFit, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:

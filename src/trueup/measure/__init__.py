@@ -4,7 +4,7 @@ from trueup.measure.analysis import AnalysisBuilder, lags_of
 from trueup.measure.bars import Bar, BarFailure, check_bars, parse_bar, refuse_unknown
 from trueup.measure.bins import BinnedError, HorizonError, binned_error, error_against_horizon
 from trueup.measure.comparison import COMMAND_RUN, Comparison
-from trueup.measure.gap import measure_gap
+from trueup.measure.gap import EPISODE_METRICS, measure_gap
 from trueup.measure.metrics import METRICS, metric
 from trueup.measure.metrics.base import Metric, MetricOptions, Samples, metric_unit
 from trueup.measure.metrics.body import position_distance, rotation_distance
@@ -13,12 +13,15 @@ from trueup.measure.metrics.error import mae, mape, max_error, mse, nrmse, rmse
 from trueup.measure.metrics.lag import phase_lag
 from trueup.measure.metrics.shape import robustness, smoothness, trajectory_consistency
 from trueup.measure.metrics.similarity import ccc, cosine, pearson, r2
+from trueup.measure.nearer import nearer_of
 from trueup.measure.plane import PlaneBuilder
+from trueup.measure.repeats import RepeatBuilder, conditions_repeat
 from trueup.measure.trend import trend, trends_of
 from trueup.measure.uncertainty import bootstrap_interval, paired_difference, ratio_interval
 
 __all__ = [
     "COMMAND_RUN",
+    "EPISODE_METRICS",
     "METRICS",
     "AnalysisBuilder",
     "Bar",
@@ -29,11 +32,13 @@ __all__ = [
     "Metric",
     "MetricOptions",
     "PlaneBuilder",
+    "RepeatBuilder",
     "Samples",
     "binned_error",
     "bootstrap_interval",
     "ccc",
     "check_bars",
+    "conditions_repeat",
     "cosine",
     "error_against_horizon",
     "gap_iqr",
@@ -47,6 +52,7 @@ __all__ = [
     "metric",
     "metric_unit",
     "mse",
+    "nearer_of",
     "nrmse",
     "paired_difference",
     "parse_bar",

@@ -12,6 +12,8 @@ from trueup.core.engines import ANY_PAYLOAD, MEASURED, Envelope, JointPlane
 from trueup.measure.comparison import Comparison
 
 _MOST_MOTIONS = 24
+_MOST_REPEATED = 4
+_MOST_REPETITIONS = 48
 _MOST_POINTS = 150
 
 
@@ -54,6 +56,8 @@ class PlaneBuilder:
         self._moments: dict[tuple[str, str], _Moments] = {}
         self._curves: dict[str, dict[str, np.ndarray]] = {}
         self._payloads: dict[str, str] = {}
+        self._conditions: dict[str, str] = {}
+        self._executed: dict[str, str] = {}
 
     def add(self, comparison: Comparison) -> None:
         """Take in one episode; without measured positions it is left out."""
@@ -76,12 +80,17 @@ class PlaneBuilder:
         for source, values in curves.items():
             for group in {ANY_PAYLOAD, payload}:
                 self._moments.setdefault((source, group), _Moments()).add(values)
-        # Every payload has a motion to show, as far as there is room.
+        # Every payload has a motion to show, and the first motions all their repetitions, as far as there is room.
+        executed = comparison.meta.executed
         new = payload not in self._payloads.values()
-        if len(self._curves) < _MOST_MOTIONS // 2 or (new and len(self._curves) < _MOST_MOTIONS):
+        again = executed in list(dict.fromkeys(self._executed.values()))[:_MOST_REPEATED]
+        count = len(self._curves)
+        if count < _MOST_MOTIONS // 2 or (new and count < _MOST_MOTIONS) or (again and count < _MOST_REPETITIONS):
             stride = max(1, -(-len(measured) // _MOST_POINTS))
             self._curves[comparison.meta.id] = {source: values[::stride] for source, values in curves.items()}
             self._payloads[comparison.meta.id] = payload
+            self._conditions[comparison.meta.id] = comparison.meta.condition
+            self._executed[comparison.meta.id] = executed
 
     def result(self) -> JointPlane | None:
         """The plane; None without two joints that move."""
@@ -118,6 +127,8 @@ class PlaneBuilder:
             envelopes=envelopes,
             paths=paths,
             payloads=dict(self._payloads),
+            conditions=dict(self._conditions),
+            executed=dict(self._executed),
         )
 
 

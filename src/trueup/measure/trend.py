@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
 from scipy.special import stdtrit
 
-from trueup.core.engines import Trend, TrendVerdict
+from trueup.core.engines import Trend, TrendShape, TrendVerdict
 from trueup.core.results import Estimate, GapResult
 from trueup.measure.columns import mean
 from trueup.measure.uncertainty import LEVEL
 
-# Signal -> metrics: errors of what a payload changes first, and the lag.
+# Signal -> metrics: errors of what a payload changes first, the lag, and how often motors reach their limit.
 TREND_METRICS: Mapping[str, tuple[str, ...]] = {
-    "position": ("rmse", "phase_lag"),
+    "position": ("rmse", "nrmse", "phase_lag"),
     "velocity": ("rmse",),
-    "torque": ("rmse",),
+    "torque": ("rmse", "saturation_measured", "saturation_simulated"),
 }
 _FEWEST_PAIRS = 3
+# A bend that is surely smaller than this share of the change over all payloads is none.
+_STRAIGHT = 0.1
 
 
 def trend(
@@ -35,8 +38,8 @@ def trend(
     level of its own, which no longer hides what the payload does, and motions without a repetition do not count. Its
     interval is Student's t with a covariance that is robust to what the repetitions of a motion have in common (Liang
     and Zeger 1986). Otherwise the interval is Student's t with the covariance HC3 (MacKinnon and White 1985), since
-    motions with a payload scatter more than those without. A curved dependence is not seen by either; the values per
-    payload are for that.
+    motions with a payload scatter more than those without. Whether the dependence is curved, a parabola through the
+    same motions says, with an interval made in the same way.
 
     Args:
         payload_kg: one per motion, (E,) [kg].
@@ -56,7 +59,12 @@ def trend(
         names = np.asarray(motions, dtype=str)[valid]
         repeated = _within(x, y, names, unit)
         if repeated is not None:
-            return repeated
+            return _bent(repeated, x, y, np.unique(names, return_inverse=True)[1], unit)
+    return _bent(_across(x, y, unit), x, y, None, unit)
+
+
+def _across(x: Float64[np.ndarray, "E"], y: Float64[np.ndarray, "E"], unit: str) -> Trend:
+    """The slope over motions that are no repetitions of each other."""
     centered = x - x.mean()
     spread = float(centered @ centered)
     slope = float(centered @ y) / spread
@@ -94,6 +102,56 @@ def _judged(slope: float, error: float, freedom: int, at_zero: float, motions: i
     low, high = slope - half, slope + half
     verdict: TrendVerdict = "grows" if low > 0 else "falls" if high < 0 else "undecided"
     return Trend(Estimate(slope, per_kg, low, high), at_zero, int(motions), verdict)
+
+
+def _bent(
+    line: Trend, x: Float64[np.ndarray, "E"], y: Float64[np.ndarray, "E"], motion: np.ndarray | None, unit: str
+) -> Trend:
+    """The line with what a parabola says about its shape.
+
+    Args:
+        line: the straight line.
+        x: payloads.
+        y: values.
+        motion: number of the motion that was executed, one per value; None where none is repeated.
+        unit: of the values.
+    """
+    if np.unique(x).size < 3:
+        return line
+    half = 0.5 * float(np.ptp(x))
+    # In these coordinates the coefficient of the square is the bend.
+    scaled = (x - x.min()) / half - 1.0
+    powers = [scaled, scaled**2]
+    if motion is None:
+        design, cluster = np.column_stack([np.ones(x.size), *powers]), np.arange(x.size)
+    else:
+        count = np.bincount(motion)
+        design = np.column_stack([item - (np.bincount(motion, item) / count)[motion] for item in powers])
+        y, cluster = y - (np.bincount(motion, y) / count)[motion], motion
+    gram = design.T @ design
+    freedom = np.unique(cluster[np.abs(design).max(axis=1) > 0.0]).size - (1 if motion is not None else 3)
+    if freedom < 1 or np.linalg.cond(gram) > 1e10:
+        return line
+    inverse = np.linalg.inv(gram)
+    values = inverse @ design.T @ y
+    residual = y - design @ values
+    if motion is None:
+        leverage = np.einsum("ij,jk,ik->i", design, inverse, design)
+        if leverage.max() > 1.0 - 1e-9:
+            return line
+        scores = design * (residual / (1.0 - leverage))[:, None]
+    else:
+        scores = np.stack([np.bincount(cluster, column * residual) for column in design.T], axis=1)
+        scores *= np.sqrt((freedom + 1) / freedom)
+    error = float(np.linalg.norm(scores @ inverse[-1]))
+    reach = float(stdtrit(freedom, 0.5 + 0.5 * LEVEL)) * error
+    bend = float(values[-1])
+    low, high = bend - reach, bend + reach
+    change = 2.0 * half * abs(line.slope.value)
+    shape: TrendShape = "bends up" if low > 0.0 else "bends down" if high < 0.0 else "undecided"
+    if line.verdict != "undecided" and max(-low, high) <= _STRAIGHT * change:
+        shape = "straight"
+    return replace(line, bend=Estimate(bend, unit, low, high), shape=shape)
 
 
 def _per_kg(unit: str) -> str:

@@ -8,19 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from trueup.core.engines import MEASURED, Envelope, JointPlane, Trend
+from trueup.core.engines import ANY_PAYLOAD, MEASURED, Envelope, JointPlane, Trend
 from trueup.core.results import Estimate
 from trueup.report.chooser import Figure
 from trueup.report.figures import hint_of, rounded, whiskers
 from trueup.report.labels import plot_text, run_title
-from trueup.report.palette import Style
+from trueup.report.palette import Style, cycled_styles
 
-_MEASURED_STYLE = Style("#808080", "solid", "circle-open", "")
+MEASURED_STYLE = Style("#808080", "solid", "circle-open", "")
 # Two standard deviations of a normal distribution in the plane hold 86 % of the samples.
 _SIGMAS = 2.0
 # Runs stand beside each other, this share of the axis apart: equal ones would hide each other.
 _BESIDE = 0.015
 _CORNERS = 49
+_DASHES = ("solid", "dot", "dash", "dashdot", "longdash")
 
 
 def payload_figure(
@@ -117,6 +118,36 @@ def path_figure(plane: JointPlane, motion: str, styles: Mapping[str, Style]) -> 
     return {"data": data, "layout": _plane_layout(plane)}
 
 
+def retrace_figure(plane: JointPlane, executed: str) -> Figure:
+    """One motion again and again, as measured: a color per payload, a dash per condition; and the ellipse of all."""
+    data: list[dict[str, Any]] = []
+    shared = plane.envelopes.get(MEASURED, {}).get(ANY_PAYLOAD)
+    if shared is not None:
+        outline = _line("all motions", *_ellipse(shared), Style("#808080", "dot", "circle-open", ""), width=1.5)
+        data.append(outline)
+    repetitions = repetitions_of(plane, executed)
+    loads = list(dict.fromkeys(plane.payloads[motion] for motion in repetitions))
+    conditions = list(dict.fromkeys(plane.conditions[motion] for motion in repetitions))
+    colors = cycled_styles(loads)
+    for motion in repetitions:
+        points = plane.paths[motion][MEASURED]
+        load, condition = plane.payloads[motion], plane.conditions[motion]
+        style = Style(colors[load].color, _DASHES[conditions.index(condition) % len(_DASHES)], "circle", "")
+        name = ", ".join(part for part in (condition, f"{load} kg" if load else "") if part) or motion
+        data.append(_line(name, [x for x, _ in points], [y for _, y in points], style, width=1.5))
+    return {"data": data, "layout": _plane_layout(plane)}
+
+
+def repetitions_of(plane: JointPlane, executed: str) -> list[str]:
+    """The motions whose path was kept that repeat one, by payload and condition."""
+    found = [motion for motion, own in plane.executed.items() if own == executed and plane.paths[motion].get(MEASURED)]
+    return sorted(found, key=lambda motion: (_number(plane.payloads[motion]), plane.conditions[motion], motion))
+
+
+def _number(text: str) -> float:
+    return float(text) if text else -1.0
+
+
 def _ellipse(envelope: Envelope) -> tuple[list[float], list[float]]:
     xx, xy, yy = envelope.covariance
     sizes, axes = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]))
@@ -157,4 +188,4 @@ def _ordered(sources: Mapping[str, object], styles: Mapping[str, Style]) -> list
 
 
 def _style(source: str, styles: Mapping[str, Style]) -> Style:
-    return _MEASURED_STYLE if source == MEASURED else styles[source]
+    return MEASURED_STYLE if source == MEASURED else styles[source]

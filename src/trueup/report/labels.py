@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Iterable
 
+from trueup.core.graybox_result import HELD_OUT
 from trueup.core.results import Metrics
 from trueup.measure import METRICS as KNOWN
 from trueup.report.numbers import pretty_unit
@@ -17,6 +18,7 @@ MAIN_METRIC = "rmse"
 # In the order of menus.
 METRICS = dict.fromkeys(("rmse", "mae", "max", "mse", "nrmse", "mape", "phase_lag", "large_gap_ratio", *KNOWN))
 SPLIT_TITLES = {"train": "train", "val": "validation", "test": "test", "all": "all motions", "": "not assigned"}
+SPLIT_TITLES[HELD_OUT] = "all motions, each held out in turn"
 
 
 def ordered(names: Iterable[str], known: Iterable[str]) -> list[str]:

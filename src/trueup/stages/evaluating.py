@@ -129,7 +129,14 @@ def evaluate(
     labels = [run, *(item.label for item in corrections)]
     chosen = None if split == EVERY_SPLIT else split
     measurement = gap(
-        dataset, runs=labels, split=chosen, drop_flagged=drop_flagged, draws=draws, seed=seed, track=track
+        dataset,
+        runs=labels,
+        split=chosen,
+        drop_flagged=drop_flagged,
+        draws=draws,
+        seed=seed,
+        blocks=False,
+        track=track,
     )
     warnings = _foreign(dataset, run, split, cards)
     notes = [line for item in corrections for line in _failed(item)]

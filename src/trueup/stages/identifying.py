@@ -132,7 +132,7 @@ def fit(
     graybox = _save_graybox(motions, robot, path, out)
     fitted_robot = load_robot(out / "robot.fitted.yaml")
     fitted = replay_unless_same(dataset, fitted_robot, model=None, label=FITTED, jobs=jobs, track=track)
-    measurement = gap(dataset, runs=[STOCK, FITTED], seed=seed, track=track)
+    measurement = gap(dataset, runs=[STOCK, FITTED], seed=seed, blocks=False, track=track)
     seconds = sum(row.seconds for row in result.models) + fitted.seconds
     ladder = ladder_of(measurement, {"stock": (STOCK, stock.seconds), "fitted": (FITTED, seconds)})
     forget_explanation(out, unless_of=None if overwrite else dataset.hash)

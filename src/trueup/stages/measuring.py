@@ -16,20 +16,37 @@ from trueup.core.atomic import make_folder, remove
 from trueup.core.augment_result import AUGMENT_NAME
 from trueup.core.engines import EngineComparison
 from trueup.core.episode import Episode
+from trueup.core.graybox_result import GrayboxResult
 from trueup.core.provenance import provenance
 from trueup.core.quality import Quality
 from trueup.core.results import GapResult
 from trueup.core.traces import TraceSet
 from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError, MissingSignal, TrueupError
-from trueup.measure import COMMAND_RUN, AnalysisBuilder, Comparison, PlaneBuilder, lags_of, measure_gap, trends_of
+from trueup.measure import (
+    COMMAND_RUN,
+    EPISODE_METRICS,
+    AnalysisBuilder,
+    Comparison,
+    PlaneBuilder,
+    RepeatBuilder,
+    conditions_repeat,
+    lags_of,
+    measure_gap,
+    nearer_of,
+    trends_of,
+)
 from trueup.robots import RobotSpec
+from trueup.stages.blocks import blocks_of
 from trueup.stages.comparing import Frame, comparison_of, frame_of
+from trueup.stages.lacking import lacking
 from trueup.stages.progress import Track, silent
 from trueup.stages.suspicions import Signs, far_motions, incomplete, outdated, quality_of, unapplied
 
 # Motions whose curves are kept for the report, those with the largest errors; memory must not grow with the dataset.
 _MOST_TRACED = 300
+# Kept motion by motion, besides the usual ones, where payloads, conditions or engines are compared.
+_COMPARED_METRICS = ("nrmse", "smoothness", "saturation_measured", "saturation_simulated")
 
 
 @dataclass(frozen=True)
@@ -41,8 +58,8 @@ class Measurement:
         analysis: error against velocity, position and load, lags, error against horizon.
         traces: thinned curves for the report.
         quality: the flags of all episodes, in the robot's joint names.
-        engines: trends with the payload, and the joint trajectories on their main axes; None where neither two engines
-            nor two payloads are compared.
+        engines: payloads, conditions and engines side by side; None where there are not two of any of them.
+        graybox: torque block by block, likewise; None if it was not asked for or cannot be.
     """
 
     gap: GapResult
@@ -50,9 +67,13 @@ class Measurement:
     traces: TraceSet
     quality: Quality
     engines: EngineComparison | None = None
+    graybox: GrayboxResult | None = None
 
     def save(self, folder: Path | str) -> None:
-        """Write gap.json, analysis.json, quality.json, traces.json and traces.npz, and engines.json if there is one."""
+        """Write gap.json, analysis.json, quality.json, traces.json and traces.npz; engines.json, graybox.json if any.
+
+        A graybox.json of an identification stays if there is none to replace it.
+        """
         folder = Path(folder)
         make_folder(folder)
         self.traces.save(folder)
@@ -62,6 +83,10 @@ class Measurement:
             self.engines.save(folder / "engines.json")
         else:  # one of an earlier comparison in this folder
             remove(folder / "engines.json")
+        if self.graybox is not None:
+            self.graybox.save(folder / "graybox.json")
+        elif not (folder / "fit.json").is_file():
+            remove(folder / "graybox.json")
         remove(folder / AUGMENT_NAME)  # likewise, of corrections that are not among these runs
         self.gap.save(folder / "gap.json")
 
@@ -80,6 +105,7 @@ def gap(
     tau_rad: float = 0.5,
     draws: int = 2000,
     seed: int = 0,
+    blocks: bool = True,
     track: Track = silent,
 ) -> Measurement:
     """Measure how far simulated runs are from the robot.
@@ -99,6 +125,7 @@ def gap(
         tau_rad: threshold of the large-gap ratio [rad].
         draws: bootstrap resamples.
         seed: of the bootstrap.
+        blocks: take the measured torque apart block by block, where payloads, conditions or engines are compared.
         track: shows progress.
 
     Raises:
@@ -141,6 +168,7 @@ def gap(
         torque_limits=frame.torque_limits,
         tau_rad=tau_rad,
         window_s=frame.window_s,
+        episode_metrics=(*EPISODE_METRICS, *(_COMPARED_METRICS if motions.comparing else ())),
         draws=draws,
         seed=seed,
         provenance=provenance(config=config, seed=seed, data_hash=dataset.hash),
@@ -154,7 +182,7 @@ def gap(
     source = dataset.info.provenance.get("config", {}).get("source")
     names = {"robot": frame.robot or dataset.info.robot, "dataset": source or dataset.path.resolve().name}
     result = replace(result, settings={**result.settings, **names, "warnings": motions.warnings(signals)})
-    return motions.measurement(result, split)
+    return motions.measurement(result, split, blocks=blocks and (signals is None or "torque" in signals))
 
 
 class _Motions:
@@ -172,8 +200,12 @@ class _Motions:
                     hint="Replay them: trueup replay DATASET --robot ROBOT --resume.",
                 )
         self._several_engines = len({label.partition("/")[0] for label in labels}) > 1
-        self._comparing = self._several_engines or _several({meta.id: meta.payload_kg for meta in dataset.metas}, kept)
+        metas = {meta.id: meta for meta in dataset.metas}
+        loads = {name: meta.payload_kg for name, meta in metas.items()}
+        self._repeating = conditions_repeat(metas[name] for name in kept)
+        self.comparing = self._several_engines or self._repeating or _several(loads, kept)
         self._analysis, self._plane = AnalysisBuilder(window_s=frame.window_s), PlaneBuilder(frame.scored)
+        self._repeats = RepeatBuilder(frame.scored)
         self._traces, self._signs = TraceSet(), Signs()
         self._errors: dict[str, float] = {}
         self._payload_kg: dict[str, float | None] = {}
@@ -200,8 +232,9 @@ class _Motions:
         self._traces.add(name, meta.split, comparison.measured, comparison.command, dict(comparison.simulated))
         self._signs.add(comparison)
         self._payload_kg[name] = meta.payload_kg
-        if self._comparing:
+        if self.comparing:
             self._plane.add(comparison)
+            self._repeats.add(comparison)
         if len(self._traces.episodes) > _MOST_TRACED:
             self._traces.episodes.pop(min(self._traces.episodes, key=lambda key: self._errors.get(key, np.inf)))
         if self._labels and self._labels[0] in comparison.simulated and "position" in comparison.measured:
@@ -219,19 +252,35 @@ class _Motions:
             *(self._signs.warnings() if signals is None or "torque" in signals else ()),
         ]
 
-    def measurement(self, result: GapResult, split: str | None) -> Measurement:
+    def measurement(self, result: GapResult, split: str | None, *, blocks: bool) -> Measurement:
         """The numbers with all that was kept beside them."""
         origin = result.provenance
         self._traces.provenance = origin
         analysis = replace(self._analysis.result(lags_of(result)), provenance=origin)
         far = far_motions(self._errors)
         quality = quality_of(self._dataset, set(self._kept), self._frame.joint_map, far, split=split)
-        engines = None
-        if self._several_engines or _several(self._payload_kg, self._payload_kg):
-            executed = {meta.id: meta.source for meta in self._dataset.metas}
-            trends = trends_of(result, self._payload_kg, motions=executed)
-            engines = EngineComparison(trends, self._plane.result(), origin)
-        return Measurement(result, analysis, self._traces, replace(quality, provenance=origin), engines)
+        quality = replace(quality, provenance=origin)
+        if not (self._several_engines or self._repeating or _several(self._payload_kg, self._payload_kg)):
+            return Measurement(result, analysis, self._traces, quality)
+        graybox, why = blocks_of(self._dataset, list(self._payload_kg), self._frame) if blocks else (None, "")
+        engines = self._compared(result, why)
+        if graybox is not None:
+            graybox = replace(graybox, provenance=origin)
+        return Measurement(result, analysis, self._traces, quality, engines, graybox)
+
+    def _compared(self, result: GapResult, without_blocks: str) -> EngineComparison:
+        executed = {meta.id: meta.executed for meta in self._dataset.metas}
+        plane = self._plane.result()
+        found = EngineComparison(
+            trends=trends_of(result, self._payload_kg, motions=executed),
+            plane=plane,
+            shifts=self._repeats.shifts(result),
+            inside={} if plane is None else self._repeats.inside(plane),
+            nearer=nearer_of(result, self._payload_kg, motions=executed),
+            provenance=result.provenance,
+        )
+        missing = lacking(found, result, self._payload_kg)
+        return replace(found, missing={**missing, **({"blocks": without_blocks} if without_blocks else {})})
 
 
 def _several(payload_kg: Mapping[str, float | None], motions: Iterable[str]) -> bool:

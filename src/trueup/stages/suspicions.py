@@ -32,6 +32,8 @@ class Signs:
         if len(series) < 2 or not all("torque" in item for item in series):
             return
         for number, joint in enumerate(comparison.measured.joints):
+            if not np.isfinite(comparison.measured["torque"][:, number]).any():
+                continue  # nothing was measured, not even without a sign
             for lowest, item in zip((self._lowest, self._simulated), series, strict=False):
                 lowest[joint] = min(lowest.get(joint, 0.0), float(np.nanmin(item["torque"][:, number], initial=0.0)))
 

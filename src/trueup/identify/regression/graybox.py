@@ -14,12 +14,15 @@ from trueup.core.graybox_result import BlockFit, Coefficient, GrayboxResult, Int
 from trueup.errors import ConfigError, DataError, MissingSignal
 from trueup.identify.regression import graybox_terms as terms
 from trueup.identify.regression.covariance import Covariance, robust_covariance
-from trueup.identify.regression.graybox_scores import block_scores
+from trueup.identify.regression.graybox_scores import Sums, block_scores, sums_of
 from trueup.identify.regression.graybox_terms import BLOCKS, JointRows
 from trueup.identify.regression.samples import CommandVelocity, Samples, SampleSettings, gather
 from trueup.identify.regression.torque_limit import AT_LIMIT, apparent_limit
 
 _FEWEST = 50  # samples
+_FOLDS = 10
+_FEWEST_FOLDS = 3
+_WORST_CONDITION = 1e12  # of normal equations; beyond it a fold has nothing left to fit a term to
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,13 @@ class _Fit(NamedTuple):
     residual: Float64[np.ndarray, "N"]
 
 
+class _Sums(NamedTuple):
+    """What the errors of a joint sum up to with a block, motion by motion: as fitted to train, and held out."""
+
+    fitted: Sums
+    held_out: Sums
+
+
 def fit_graybox(
     episodes: Iterable[Episode], *, settings: GrayboxSettings | None = None, joints: Sequence[str] | None = None
 ) -> GrayboxResult:
@@ -108,8 +118,53 @@ def fit_graybox(
     if not np.isfinite(samples.command).any():
         raise MissingSignal("the episodes have no commanded position", hint="For torque-driven logs, fit the dynamics.")
     notes, splits = _splits(samples)
-    fits = {joint: _fit_joint(samples, number, splits, settings) for number, joint in enumerate(samples.joints)}
-    return GrayboxResult(joints=fits, settings={**asdict(settings), "blocks": list(settings.blocks)}, notes=notes)
+    folds = _folds(samples)
+    fits, sums = {}, []
+    for number, joint in enumerate(samples.joints):
+        fits[joint], errors = _fit_joint(samples, number, splits, folds, settings)
+        sums.append(errors)
+    return GrayboxResult(
+        joints=fits,
+        settings={**asdict(settings), "blocks": list(settings.blocks)},
+        notes=notes,
+        total=_total(samples, splits, sums, fits),
+    )
+
+
+def _folds(samples: Samples) -> Int[np.ndarray, "E"]:
+    """The fold of each motion; repetitions of a motion are in one, since they would give it away. All 0 if too few."""
+    executed = list(dict.fromkeys(motion.executed for motion in samples.motions))
+    if len(executed) < _FEWEST_FOLDS:
+        return np.zeros(len(samples.motions), dtype=np.int64)
+    fold = {name: number % _FOLDS for number, name in enumerate(executed)}
+    return np.array([fold[motion.executed] for motion in samples.motions], dtype=np.int64)
+
+
+def _total(
+    samples: Samples, splits: tuple[str, ...], joints: Sequence[Mapping[str, _Sums]], fits: Mapping[str, JointFit]
+) -> tuple[BlockFit, ...]:
+    """The blocks over all joints that could be fitted; a joint without a block stays as it was before it."""
+    fitted = [sums for sums in joints if sums]
+    units = {unit for unit, sums in zip(samples.length_units, joints, strict=True) if sums}
+    if len(units) != 1:
+        return ()
+    unit = terms.unit("tau_0", units.pop())
+    result = []
+    latest = [next(iter(sums.values())) for sums in fitted]
+    for own in zip(*(fit.blocks for fit in fits.values()), strict=True):
+        block = own[0].block
+        if not any(block in sums for sums in fitted):
+            result.append(BlockFit(block, next(item.left_out for item in own if item.left_out), {}, {}, {}))
+            continue
+        latest = [
+            sums.get(block, _Sums(*(item._replace(without=item.included) for item in before)))
+            for sums, before in zip(fitted, latest, strict=True)
+        ]
+        by_split, by_payload = block_scores(
+            samples.motions, splits, [item.fitted for item in latest], [item.held_out for item in latest], unit=unit
+        )
+        result.append(BlockFit(block, "", {}, by_split, by_payload))
+    return tuple(result)
 
 
 def _splits(samples: Samples) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -125,7 +180,9 @@ def _splits(samples: Samples) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return notes, splits
 
 
-def _fit_joint(samples: Samples, number: int, splits: tuple[str, ...], settings: GrayboxSettings) -> JointFit:
+def _fit_joint(
+    samples: Samples, number: int, splits: tuple[str, ...], folds: Int[np.ndarray, "E"], settings: GrayboxSettings
+) -> tuple[JointFit, dict[str, _Sums]]:
     length_unit = samples.length_units[number]
     data, notes = _joint_data(samples, number, splits, settings)
     fitted = data.rows.where(data.train)
@@ -133,7 +190,7 @@ def _fit_joint(samples: Samples, number: int, splits: tuple[str, ...], settings:
     why = terms.unusable(fitted)
     if why:
         nothing = tuple(_left_out(block, length_unit, {}, why) for block in settings.blocks)
-        return JointFit(nothing, "none", motions.size, int(data.train.sum()), (*notes, why))
+        return JointFit(nothing, "none", motions.size, int(data.train.sum()), (*notes, why)), {}
     loads = np.array([samples.motions[motion].payload_kg for motion in motions])
     payload_motions = {float(load): int((loads == load).sum()) for load in np.unique(loads)}
     reasons = terms.missing_evidence(fitted, payload_motions)
@@ -141,7 +198,10 @@ def _fit_joint(samples: Samples, number: int, splits: tuple[str, ...], settings:
     method: IntervalMethod = "none"
     # Its columns have the lengths and angles of those of the rows, which is all that least squares are about.
     triangle = np.asarray(np.linalg.qr(np.column_stack([data.columns, data.rows.torque])[data.train], mode="r"))
+    constant = data.columns[:, _index(("tau_0",))]
     previous = data.rows.torque - data.rows.torque[data.train].mean()
+    unseen = _held_out(constant, data, folds)
+    errors: dict[str, _Sums] = {}
     for block in settings.blocks:
         names = terms.term_names(settings.blocks[: settings.blocks.index(block) + 1])
         present = tuple(name for name in names if name not in reasons)
@@ -155,12 +215,41 @@ def _fit_joint(samples: Samples, number: int, splits: tuple[str, ...], settings:
         method = fit.covariance.method
         weak = terms.weak_points(triangle[:, _index(used)], used, fitted, payload_motions)
         coefficients = _coefficients(names, used, fit, length_unit, reasons, weak)
+        predicted = _held_out(data.columns[:, _index(used)], data, folds)
+        count = len(samples.motions)
+        errors[block] = _Sums(
+            sums_of(data.motion, previous, fit.residual, motions=count),
+            sums_of(data.motion, unseen, predicted, motions=count),
+        )
         by_split, by_payload = block_scores(
-            samples.motions, splits, data.motion, (previous, fit.residual), unit=terms.unit("tau_0", length_unit)
+            samples.motions,
+            splits,
+            [errors[block].fitted],
+            [errors[block].held_out],
+            unit=terms.unit("tau_0", length_unit),
         )
         fits.append(BlockFit(block, "", coefficients, by_split, by_payload))
-        previous = fit.residual
-    return JointFit(tuple(fits), method, motions.size, int(data.train.sum()), tuple(notes))
+        previous, unseen = fit.residual, predicted
+    return JointFit(tuple(fits), method, motions.size, int(data.train.sum()), tuple(notes)), errors
+
+
+def _held_out(table: Float64[np.ndarray, "N K"], data: _Data, folds: Int[np.ndarray, "E"]) -> Float64[np.ndarray, "N"]:
+    """The residual of each row under coefficients that were fitted without its fold; NaN where that cannot be."""
+    own = folds[data.motion]
+    scale = 1.0 / np.maximum(np.linalg.norm(table, axis=0), 1e-300)
+    scaled = table * scale
+    numbers = np.unique(own)
+    grams = {fold: scaled[own == fold].T @ scaled[own == fold] for fold in numbers}
+    moments = {fold: scaled[own == fold].T @ data.rows.torque[own == fold] for fold in numbers}
+    gram, moment = sum(grams.values()), sum(moments.values())
+    residual = np.full(own.size, np.nan)
+    for fold in numbers if numbers.size > 1 else ():
+        rest = gram - grams[fold]
+        if np.linalg.cond(rest) < _WORST_CONDITION:
+            inside = own == fold
+            values = np.linalg.solve(rest, moment - moments[fold])
+            residual[inside] = data.rows.torque[inside] - scaled[inside] @ values
+    return residual
 
 
 def _joint_data(

@@ -29,11 +29,13 @@ class Motion:
         id: the episode's id.
         split: `train`, `val`, `test` or empty.
         payload_kg: payload [kg]; 0 where it was not recorded.
+        executed: what was executed; repetitions have the same.
     """
 
     id: str
     split: str
     payload_kg: float
+    executed: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +136,8 @@ def gather(episodes: Iterable[Episode], settings: SampleSettings, *, joints: Seq
         parts.append(_rows(episode, measured, settings))
         if episode.meta.payload_kg is None:
             notes.append("payload not recorded: taken as 0 kg")
-        motions.append(Motion(episode.id, episode.meta.split, float(episode.meta.payload_kg or 0.0)))
+        meta = episode.meta
+        motions.append(Motion(meta.id, meta.split, float(meta.payload_kg or 0.0), meta.executed))
     if names is None or units is None:
         raise DataError("there are no episodes to fit", expected="at least one")
     stacked = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from trueup.core.graybox_result import BlockFit, GrayboxResult, Score
+from trueup.core.graybox_result import HELD_OUT, BlockFit, GrayboxResult, Score
 from trueup.core.results import Estimate
 from trueup.report.chooser import Cell, Chooser, Menu, Table, TableRow, Variant, make_chooser
 from trueup.report.figures import bars_figure
@@ -19,6 +19,7 @@ from trueup.report.sections.groups import group_order
 
 # In place of a payload: all motions of a split together.
 ALL_MOTIONS = ""
+_MEAN = ""
 # Short enough for the figure on a phone, and what is meant.
 BLOCKS = {
     "pd": ("PD servo", "position and velocity error, constant torque"),
@@ -30,8 +31,8 @@ BLOCKS = {
 
 
 def graybox_section(run: RunFolder) -> Section | None:
-    """Only where a gray-box regression was made."""
-    if run.graybox is None:
+    """Only where a gray-box regression was made; beside a gap analysis it is a part of that."""
+    if run.graybox is None or run.engines is not None:
         return None
     chooser = graybox_chooser(run.graybox, run.gap.joints)
     if chooser is None:
@@ -41,11 +42,12 @@ def graybox_section(run: RunFolder) -> Section | None:
 
 def graybox_chooser(graybox: GrayboxResult, joints: Sequence[str]) -> Chooser | None:
     """Figure and table per joint and split."""
-    splits = ordered({s for fit in graybox.joints.values() for block in fit.blocks for s in block.splits}, SPLITS)
+    by_joint = {joint: fit.blocks for joint, fit in graybox.joints.items()}
+    splits = ordered({s for blocks in by_joint.values() for block in blocks for s in block.splits}, (HELD_OUT, *SPLITS))
     names = ordered(graybox.joints, joints)
 
     def make(joint: str, split: str) -> Variant | None:
-        blocks = graybox.joints[joint].blocks
+        blocks = by_joint[joint] if joint else graybox.total
         if not any(split in block.splits for block in blocks):
             return None
         bars = payload_bars(blocks, split)
@@ -58,10 +60,11 @@ def graybox_chooser(graybox: GrayboxResult, joints: Sequence[str]) -> Chooser | 
         return Variant(tables={"graybox": reductions_table(blocks, split)}, figures={"graybox": figure})
 
     menus = [
-        Menu("Joint", [(name, name) for name in names]),
+        Menu("Joint", [*([(_MEAN, "mean of joints")] if graybox.total else []), *((name, name) for name in names)]),
         Menu("Split", [(split, split_title(split)) for split in splits]),
     ]
-    preferred = (names[0], next((split for split in ("test", "val") if split in splits), "")) if names else ("", "")
+    best = next((split for split in (HELD_OUT, "test", "val") if split in splits), "")
+    preferred = (_MEAN if graybox.total else names[0], best) if names else ("", "")
     return make_chooser("graybox-chooser", menus, make, preferred=preferred)
 
 

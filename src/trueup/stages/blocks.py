@@ -1,0 +1,123 @@
+"""Torque block by block: the gray-box regression of a dataset's motions (GapONet 3.1, eq. 1)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trueup.core.episode import Episode, EpisodeMeta
+from trueup.core.graybox_result import HELD_OUT, GrayboxResult
+from trueup.dataset import Dataset
+from trueup.errors import TrueupError
+from trueup.stages.comparing import Frame
+
+if TYPE_CHECKING:
+    from trueup.identify.regression import GrayboxSettings
+
+# Rows that are held at once take some 800 bytes for ten joints; of a longer dataset every n-th motion is used.
+_MOST_SAMPLES = 400_000
+_MOST_FOR_DELAY = 12
+_COARSE_S = (0.0, 0.01, 0.02, 0.03, 0.04)
+_FINE_S = (0.005, 0.0025)
+_NEEDED = "It needs measured torque and position, and the commanded position, of whole motions."
+
+
+def blocks_of(dataset: Dataset, names: Sequence[str], frame: Frame) -> tuple[GrayboxResult | None, str]:
+    """The regression over these episodes in the robot's names.
+
+    The delay of the command is the one with which the servo alone explains the train motions best: friction would
+    otherwise stand for a delay that nobody knew of.
+
+    Args:
+        dataset: with the episodes.
+        names: those that are measured.
+        frame: joint map, scored joints and torque limits.
+
+    Returns:
+        The result and an empty text, or None and a sentence that says why there is none and what it needs.
+    """
+    from trueup.identify.regression import GrayboxSettings, fit_graybox
+
+    metas = {meta.id: meta for meta in dataset.metas}
+    chosen = _thinned(dataset, [metas[name] for name in names])
+    refused: dict[str, str] = {}
+    limits = frame.torque_limits or {}
+    settings = GrayboxSettings(torque_limits=limits)
+    try:
+        few = list(_episodes(dataset, _spread(chosen), frame, refused))
+        if not few:
+            return None, f"Torque was not taken apart: {next(iter(refused.values()), 'no motion is left')}. {_NEEDED}"
+        settings = replace(settings, delay_s=_delay(few, frame, settings))
+        result = fit_graybox(_episodes(dataset, chosen, frame, refused), settings=settings, joints=frame.scored)
+    except TrueupError as error:
+        return None, f"Torque was not taken apart: {error.what}. {_NEEDED}"
+    if not result.total:
+        why = next((note for joint in result.joints.values() for note in reversed(joint.notes)), "no joint can be used")
+        return None, f"Torque was not taken apart: {why}. {_NEEDED}"
+    notes = [*result.notes, f"commands are taken to act {1e3 * settings.delay_s:g} ms late, which fits train best"]
+    if len(chosen) < len(names):
+        notes.append(f"{len(chosen)} of {len(names)} motions were used, spread over the dataset")
+    if refused:
+        notes.append(f"{len(refused)} motions were left out: {next(iter(refused.values()))}")
+    if HELD_OUT not in result.total[0].splits:
+        notes.append("fewer than three motions: nothing can be held out, and each block looks better than it is")
+    return replace(result, notes=tuple(notes)), ""
+
+
+def _thinned(dataset: Dataset, metas: Sequence[EpisodeMeta]) -> list[str]:
+    """Every n-th executed motion with all its repetitions, so that the samples can be held at once."""
+    samples = dict(zip(dataset.ids, dataset.index.column("measured_samples").to_pylist(), strict=True))
+    total = sum(samples[meta.id] for meta in metas)
+    every = max(1, -(-total // _MOST_SAMPLES))
+    executed = {name: number for number, name in enumerate(dict.fromkeys(meta.executed for meta in metas))}
+    return [meta.id for meta in metas if executed[meta.executed] % every == 0]
+
+
+def _spread(names: Sequence[str]) -> Sequence[str]:
+    return names[:: max(1, len(names) // _MOST_FOR_DELAY)]
+
+
+def _episodes(dataset: Dataset, names: Sequence[str], frame: Frame, refused: dict[str, str]) -> Iterator[Episode]:
+    """Episodes in the robot's names that have what the regression needs."""
+    for name in names:
+        try:
+            episode = dataset.episode(name)
+            episode = episode if frame.joint_map is None else frame.joint_map.of_episode(episode)
+        except TrueupError as error:
+            refused[name] = error.what
+            continue
+        if "torque" not in episode.measured:
+            refused[name] = "no torque was measured"
+        elif not np.isfinite(episode.measured["torque"]).any():
+            refused[name] = "the measured torque has no finite sample"
+        elif episode.command is None or "position" not in episode.command:
+            refused[name] = "no position was commanded"
+        else:
+            yield episode
+
+
+def _delay(episodes: Sequence[Episode], frame: Frame, settings: GrayboxSettings) -> float:
+    """The delay of the command [s] with the least error of the servo on the motions that are fitted.
+
+    Beside friction, viscous terms can stand for a delay, so that every delay would do.
+    """
+    from trueup.identify.regression import fit_graybox
+
+    errors: dict[float, float] = {}
+
+    def error(delay_s: float) -> float:
+        delay_s = round(max(delay_s, 0.0), 6)
+        if delay_s not in errors:
+            chosen = replace(settings, delay_s=delay_s, blocks=("pd",))
+            total = fit_graybox(episodes, settings=chosen, joints=frame.scored).total
+            last = [block for block in total if not block.left_out]
+            errors[delay_s] = last[-1].splits["train"].rmse.value if last else np.inf
+        return errors[delay_s]
+
+    best = min(_COARSE_S, key=error)
+    for step in _FINE_S:
+        best = min((best, best - step, best + step), key=error)
+    return round(max(best, 0.0), 6)
