@@ -165,8 +165,8 @@ class Policy(ActorCriticPolicy):
             layers += [nn.Linear(wide, width), nn.ELU()]
             wide = width
         self.mlp_extractor = nn.Identity()  # type: ignore[assignment]
-        self.action_net = nn.Identity()  # type: ignore[assignment]
-        self.value_net = nn.Sequential(*layers, nn.Linear(wide, 1))
+        self.action_net = nn.Identity()
+        self.value_net = nn.Sequential(*layers, nn.Linear(wide, 1))  # type: ignore[assignment]
         self.log_std = nn.Parameter(torch.full((corrector.network.outputs,), float(np.log(config.noise))))
         self.optimizer = torch.optim.Adam(self.parameters(), lr_schedule(1), eps=_EPSILON)
 

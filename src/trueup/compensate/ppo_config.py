@@ -43,14 +43,14 @@ class PpoConfig:
     samples: int = 1_000_000
     robots: int = 128
     steps: int = 32
-    batch: int = 1024
+    batch: int = 512
     epochs: int = 5
-    rate: float = 5e-4
+    rate: float = 1e-3
     decays: bool = True
     clip: float = 0.2
-    gamma: float = 0.99
+    gamma: float = 0.9
     trace: float = 0.95
-    noise: float = 0.3
+    noise: float = 0.5
     critic: tuple[int, ...] = (128, 128)
     episode: int = 300
     leave_rad: float = 1.0
@@ -89,5 +89,6 @@ PAPER = PpoConfig(
     batch=4096,
     rate=1e-4,
     decays=False,
+    gamma=0.99,
     reward="change",
 )

@@ -59,7 +59,7 @@ def corrector_for(config: CompensateConfig, windows: Windows, *, rate_hz: float,
     relative = np.full(3 * joints + 1, -1)
     if config.relative:
         relative[base] = np.arange(joints)
-    network = build_network(config.network, inputs=3 * joints + 1, base=base, rate_hz=rate_hz)
+    network = build_network(config.network, inputs=3 * joints + 1, base=base.tolist(), rate_hz=rate_hz)
     out = np.full(joints, size)
     scaling = Scaling(center, scale, np.zeros(joints), out, out)
     return Corrector(network, scaling, base, target="residual", relative=relative)

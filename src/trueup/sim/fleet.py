@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
@@ -16,6 +16,7 @@ from trueup.sim.transitions import Transitions, refuse_others
 from trueup.sim.warp_fleet import WarpFleet
 
 
+@runtime_checkable
 class Fleet(Protocol):
     """N robots of J joints, numbered from 0."""
 
