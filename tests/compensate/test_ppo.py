@@ -16,7 +16,7 @@ pytest.importorskip("stable_baselines3")
 from trueup.compensate.environment import TrackingEnvironment
 from trueup.compensate.ppo import Learner, train_ppo
 
-OFFSET = np.array([0.1, 0.0])
+OFFSET = np.array([0.06, 0.0])
 SHORT = PpoConfig(samples=4 * 64, robots=8, steps=8, batch=32, epochs=2, critic=(16,))
 
 
@@ -39,19 +39,17 @@ def same(one, two):
 
 def test_it_finds_a_constant_offset(motions):
     network = corrector(motions)
-    config = PpoConfig(
-        samples=24 * 512, robots=32, steps=16, batch=128, gamma=0.9, rate=5e-3, noise=0.3, critic=(32, 32)
-    )
+    config = PpoConfig(samples=24 * 512, robots=32, steps=16, batch=128, gamma=0.8, rate=1e-2, critic=(32, 32))
     history = train_ppo(network, motions, transitions, config)
     assert len(history) == 24
     assert history[-1].samples == 24 * 512
     rewards = [line.reward for line in history]
-    assert np.mean(rewards[-5:]) > 0.5 * np.mean(rewards[:3])  # they are negative
+    assert np.mean(rewards[-3:]) > 0.2 * np.mean(rewards[:3])  # they are negative
     track = motions[0]
     rows = np.concatenate([track.state, track.command, np.zeros((len(track), 1), np.float32)], axis=1)
     with torch.no_grad():
         found = torch.stack([delta_of(network, torch.from_numpy(rows[k - 1 : k + 1, None])) for k in range(5, 100)])
-    assert found.numpy()[:, 0].mean(axis=0) == pytest.approx(OFFSET, abs=0.04)
+    assert found.numpy()[:, 0].mean(axis=0) == pytest.approx(OFFSET, abs=0.015)
     assert not network.training
 
 
