@@ -38,6 +38,7 @@ NAMES = (
     "sat_robustness",
     "sat_training",
     "compensation",
+    "compensate_env",
 )
 
 

@@ -10,6 +10,7 @@ from typing import Literal
 
 from trueup.augment.config import NetworkConfig
 from trueup.augment.networks.operator import OperatorConfig
+from trueup.compensate.ppo_config import PAPER, PpoConfig
 from trueup.core.config import build, read_yaml
 from trueup.errors import ConfigError
 
@@ -91,6 +92,7 @@ class CompensateConfig:
         network: its kind and sizes.
         loss: what counts.
         training: how it learns.
+        ppo: and by reinforcement, where that is its way.
         relative: whether commands are read as how far they are from the position; else as they are.
     """
 
@@ -98,6 +100,7 @@ class CompensateConfig:
     network: NetworkConfig = field(default_factory=OperatorConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     training: TrainConfig = field(default_factory=TrainConfig)
+    ppo: PpoConfig = field(default_factory=PpoConfig)
     relative: bool = True
 
     @staticmethod
@@ -118,6 +121,7 @@ METHODS: Mapping[str, CompensateConfig] = {
         OperatorConfig(hidden=(256, 256, 256), features=160, trunk=(128, 128), predictor=(256,), current=("position",)),
         relative=False,
         training=TrainConfig("ppo"),
+        ppo=PAPER,
     ),
     # What the paper compares with: an MLP of the present state and action (ASAP), and a transformer with a history.
     "mlp": CompensateConfig("mlp", NetworkConfig("mlp", (256, 256), history=1)),

@@ -177,7 +177,7 @@ class MujocoSimulator(CompiledRobot):
         if self._batch is None or self._batch.nsim != count:
             self._batch = batch.Batch(self.model, nsim=count, nthread=self.threads)
         self._batch.reset()
-        self._place(self._batch.bind("qpos"), self._batch.bind("qvel"), position, velocity)
+        self.place(self._batch.bind("qpos"), self._batch.bind("qvel"), position, velocity)
         for activation, column in self._layout.integrators:
             self._batch.bind("act")[:, activation] = position[:, column]
 
@@ -203,18 +203,23 @@ class MujocoSimulator(CompiledRobot):
             "torque": sensors[:, self._layout.torque],
         }
 
+    @property
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the joints are in MuJoCo's vectors of positions and of velocities, (J,) each."""
+        return self._layout.qpos, self._layout.qvel
+
     def _states(self, request: RolloutRequest) -> Float64[np.ndarray, "B S"]:
         mujoco.mj_resetData(self.model, self._data[0])
         template = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self._data[0], template, _STATE)
         states = np.tile(template, (request.position.shape[0], 1))
         qpos, qvel = states[:, 1 : 1 + self.model.nq], states[:, 1 + self.model.nq : 1 + self.model.nq + self.model.nv]
-        self._place(qpos, qvel, request.position, request.velocity)
+        self.place(qpos, qvel, request.position, request.velocity)
         for activation, column in self._layout.integrators:
             states[:, 1 + self.model.nq + self.model.nv + activation] = request.position[:, column]
         return states
 
-    def _place(
+    def place(
         self,
         qpos: Float64[np.ndarray, "B Q"],
         qvel: Float64[np.ndarray, "B V"],

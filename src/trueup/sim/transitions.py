@@ -95,6 +95,11 @@ class Transitions:
         """Whether the command before matters."""
         return bool(self._late.any())
 
+    def held(self, before: Float[np.ndarray, "B J"], command: Float[np.ndarray, "B J"]) -> Float64[np.ndarray, "B N J"]:
+        """What acts in each of the N physics steps of a control step."""
+        acting: Float64[np.ndarray, "B N J"] = self._late * before[:, None] + (1.0 - self._late) * command[:, None]
+        return acting
+
     def next(
         self,
         state: Float[np.ndarray, "B S"],
@@ -115,7 +120,7 @@ class Transitions:
         for start in range(0, len(state), _AT_ONCE):
             part = slice(start, start + _AT_ONCE)
             position, velocity = np.split(np.asarray(state[part], np.float64), 2, axis=1)
-            held = self._late * before[part, None] + (1.0 - self._late) * command[part, None]
+            held = self.held(before[part], command[part])
             result = self.simulator.rollout(RolloutRequest(position, velocity, {"position": held}))
             out[part] = np.concatenate([result.position[:, -1], result.velocity[:, -1]], axis=1)
         return out
@@ -140,3 +145,16 @@ class Transitions:
         slopes = ((after[:, 0] - after[:, 1]) / (2.0 * size)).transpose(0, 2, 1)
         late = slopes[:, :, own : own + joints] if self.delayed else np.zeros((count, own, joints))
         return Slopes(slopes[:, :, :own], late, slopes[:, :, -joints:])
+
+
+def refuse_others(transitions: Sequence[Transitions]) -> None:
+    """Refuse, by ConfigError, robots whose control steps or delays differ from those of the first."""
+    first = transitions[0]
+    zero, one = np.zeros((1, len(first.joints))), np.ones((1, len(first.joints)))
+    for other in {id(each): each for each in transitions}.values():
+        same = other.steps == first.steps and other.joints == first.joints
+        if not (same and np.array_equal(other.held(zero, one), first.held(zero, one))):
+            raise ConfigError(
+                "robots side by side have the same joints, control step and delays",
+                got=f"{other.control_s:g} s and {first.control_s:g} s",
+            )
