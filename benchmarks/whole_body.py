@@ -5,8 +5,8 @@ the simulated arms are where they are told to be; a compensation carries their w
 under the same PD and the same payload as the real ones, as in a replay; a compensation takes away what the simulator
 does not know.
 
-Trajectories are reduced to figures under runs/whole_body, one file per payload, from which an interrupted run goes on;
-`benchmarks/results/whole_body.json` has what came of them.
+Trajectories are kept under runs/whole_body, and an interrupted run goes on from there; what came of them is
+`benchmarks/results/whole_body.json`.
 
     python -m benchmarks whole_body    # half an hour on one core
 """
@@ -14,7 +14,7 @@ Trajectories are reduced to figures under runs/whole_body, one file per payload,
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from jaxtyping import Float64
 
 from benchmarks.table import Row, at_most, rounded, shown
 from benchmarks.whole_body_motions import MOTIONS, SECONDS, targets_of
-from trueup.core.atomic import make_folder, read_json, without_nan, write_json, write_text
+from trueup.core.atomic import make_folder, replacing, without_nan, write_text
 from trueup.core.provenance import provenance
 from trueup.lab import draw_truth, load_lab
 from trueup.measure import bootstrap_interval, paired_difference
@@ -35,6 +35,7 @@ from trueup.whole_body import (
     Compensator,
     DrivingSettings,
     GravityFeedForward,
+    Trajectory,
     Trial,
     VirtualBody,
     body_gap,
@@ -45,7 +46,7 @@ RESULT = Path(__file__).parent / "results" / "whole_body.json"
 FOLDER = Path("runs") / "whole_body"
 PAYLOADS_KG = (0.0, 1.0, 2.0, 3.0)
 # Individuals that nothing was trained or designed on.
-BODIES = (4, 5, 6)
+BODIES = (4, 5)
 SEED = 1
 
 
@@ -101,46 +102,64 @@ def run() -> list[Row]:
 
 
 def figures_of(payload_kg: float) -> Figures:
-    """Every figure of one payload; what is stored is not made again."""
-    path = FOLDER / f"{payload_kg:g}kg.json"
-    known: dict[str, dict[str, float]] = read_json(path) if path.is_file() else {}
-    wanted = [f"{way}|{unit}|{motion}" for way in WAYS for unit in BODIES for motion in MOTIONS]
-    if not set(wanted) <= set(known):
-        make_folder(FOLDER)
-        for key, gap in _driven(payload_kg, set(known)):
-            known[key] = gap
-            write_json(path, without_nan(known))
+    """Every figure of one payload; motions whose trajectories are there are not driven again."""
+    drive_all(payload_kg)
+    gaps = {
+        (name, unit, motion): body_gap(
+            _load(_path(payload_kg, name, unit, motion)), _load(_path(payload_kg, way.reference, 0, motion))
+        )
+        for name, way in WAYS.items()
+        for unit in BODIES
+        for motion in MOTIONS
+    }
     return {
-        way: {
-            metric: np.array(
-                [[_number(known[f"{way}|{unit}|{motion}"][metric]) for motion in MOTIONS] for unit in BODIES]
-            )
+        name: {
+            metric: np.array([[gaps[name, unit, motion][metric] for motion in MOTIONS] for unit in BODIES])
             for metric in UNITS
         }
-        for way in WAYS
+        for name in WAYS
     }
 
 
-def _driven(payload_kg: float, known: set[str]) -> Iterator[tuple[str, dict[str, float]]]:
-    trial, lab = Trial(payload_kg), load_lab("upper_body")
-    carried = GravityFeedForward()
+def drive_all(payload_kg: float) -> None:
+    """Drive whatever is not there yet with one payload."""
+    trial, lab, carried = Trial(payload_kg), load_lab("upper_body"), GravityFeedForward()
     bodies = {
         unit: VirtualBody(draw_truth(lab, unit=unit), draw_base(unit=unit), payload_kg=payload_kg) for unit in BODIES
     }
     for motion in MOTIONS:
-        targets = targets_of(motion)
-        simulated = {
-            "follows": trial.simulated(targets, compensator=carried),
-            "hangs": trial.simulated(targets),
-        }
+        targets, simulated = targets_of(motion), {}
+        for reference in PLAIN:
+            path = _path(payload_kg, reference, 0, motion)
+            if not path.is_file():
+                _save(path, trial.simulated(targets, compensator=carried if reference == "follows" else None))
+            simulated[reference] = _load(path)
         for name, way in WAYS.items():
             for unit, body in bodies.items():
-                key = f"{name}|{unit}|{motion}"
-                if key in known:
-                    continue
-                reference = simulated[way.reference]
-                done = trial.real(body, targets, reference, compensator=way.make() if way.make else None, seed=SEED)
-                yield key, body_gap(done, reference)
+                path = _path(payload_kg, name, unit, motion)
+                if not path.is_file():
+                    own = way.make() if way.make else None
+                    _save(path, trial.real(body, targets, simulated[way.reference], compensator=own, seed=SEED))
+
+
+def _path(payload_kg: float, name: str, unit: int, motion: str) -> Path:
+    """Where a trajectory is kept; that of the simulated body as unit 0."""
+    return FOLDER / f"{payload_kg:g}kg" / name / f"{motion}-{unit}.npz"
+
+
+def _save(path: Path, trajectory: Trajectory) -> None:
+    make_folder(path.parent)
+    parts = {name: value for name, value in vars(trajectory).items() if name != "fallen_s"}
+    fallen_s = np.nan if trajectory.fallen_s is None else trajectory.fallen_s
+    with replacing(path) as there, there.open("wb") as file:
+        np.savez_compressed(file, fallen_s=fallen_s, **parts)
+
+
+def _load(path: Path) -> Trajectory:
+    with np.load(path, allow_pickle=False) as file:
+        parts = {name: file[name] for name in file.files}
+    fallen_s = float(parts.pop("fallen_s"))
+    return Trajectory(**parts, fallen_s=None if np.isnan(fallen_s) else fallen_s)
 
 
 def _stored(figures: Figures) -> dict[str, Any]:
@@ -181,10 +200,6 @@ def _difference(
     return paired_difference(
         own, base, run=name, baseline="plain PD", split="all", signal=signal, metric=metric, unit=UNITS[metric]
     ).to_json()
-
-
-def _number(value: float | None) -> float:
-    return np.nan if value is None else value
 
 
 def _rows(result: Mapping[str, Any]) -> list[Row]:

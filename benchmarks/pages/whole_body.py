@@ -26,15 +26,15 @@ PARTS = {"arms": "arms [rad]", "base": "base [m]", "tilt": "tilt [rad]"}
 
 TEXT = """## What a payload does
 
-{motions} motions of {seconds:g} s ({names}), each on {bodies} individuals that nothing was designed on, with a payload in
-each hand.
+{motions} motions of {seconds:g} s ({names}), each on {bodies} individuals that nothing was designed on, with a payload
+in each hand.
 
 ```sh
 python -m benchmarks whole_body
 ```
 
-Means with 95 % intervals over whole motions, individuals averaged. `~`: the paired interval of the difference to plain PD
-holds zero; **worse**: it lies above.
+Means with 95 % intervals over whole motions, individuals averaged. `~`: the paired interval of the difference to
+plain PD holds zero; **worse**: it lies above.
 
 {sections}
 

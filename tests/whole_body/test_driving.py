@@ -154,26 +154,37 @@ def test_a_fall_is_seen_and_counts_as_nothing_but_a_fall():
         Trial(balance=BalanceSettings(torque_limit_nm=1.0)).simulated(targets)
 
 
+def test_who_falls_before_the_motion_begins_has_fallen():
+    weak = design_balance(SimulatedBody().model, home(), BalanceSettings(torque_limit_nm=1e-3))
+    fallen = drive(
+        SimulatedBody(), weak, reaching(1.0), lean=np.full(200, 0.05), settings=DrivingSettings(settle_s=3.0)
+    )
+    assert fallen.fallen_s < 0.0
+    assert fallen.arms.shape == (0, 10)
+    assert fallen.tilt.shape == (0, 2)
+
+
 def test_the_figures_are_those_of_a_body_that_was_moved_by_hand():
     simulated = Trial(driving=STANDING).simulated(reaching(1.0))
     turn = np.radians(2.0)
     leaning = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
     moved = replace(
         simulated,
-        position=simulated.position + np.array([0.03, 0.04, 0.5]),
+        position=simulated.position + np.array([[7.0, 8.0, 0.5]]) + np.linspace(0, 1, 50)[:, None] * [0.03, 0.04, 0.0],
         rotation=simulated.rotation @ leaning,
         arms=simulated.arms + 0.01,
     )
     gap = body_gap(moved, simulated)
-    assert gap["drift_mean"] == pytest.approx(0.05)
+    assert gap["drift_mean"] == pytest.approx(0.025)
     assert gap["drift_end"] == pytest.approx(0.05)
     assert gap["tilt_rms"] == pytest.approx(2.0, rel=1e-3)
     assert gap["tilt_max"] == pytest.approx(2.0, rel=1e-3)
     assert gap["arms_mae"] == pytest.approx(0.01)
     assert gap["base_smoothness"] == pytest.approx(0.0, abs=1e-9)
     headed = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    turned = replace(simulated, rotation=headed @ simulated.rotation)
+    turned = replace(simulated, position=simulated.position @ headed.T, rotation=headed @ simulated.rotation)
     np.testing.assert_allclose(turned.tilt, simulated.tilt, atol=1e-12)
+    np.testing.assert_allclose(turned.way, simulated.way, atol=1e-12)
 
 
 def test_a_base_is_its_own_and_without_effects_that_of_the_model():

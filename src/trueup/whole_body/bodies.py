@@ -112,7 +112,5 @@ def whole_steps(time_s: float, step_s: float) -> int:
     """
     steps = round(time_s / step_s)
     if steps < 1 or abs(steps * step_s - time_s) > 1e-9:
-        raise ConfigError(
-            "a step of the balance is a whole number of the body's own steps", got=time_s, expected=f"n * {step_s:g}"
-        )
+        raise ConfigError("this time is no whole number of steps", got=f"{time_s:g} s", expected=f"n * {step_s:g} s")
     return steps

@@ -37,7 +37,7 @@ class DrivingSettings:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """What came of it, at each target: T rows, fewer if the body fell.
+    """What came of it, at each target: T rows, fewer if the body fell, none if it fell before the motion began.
 
     Attributes:
         time_s: since the motion began [s].
@@ -46,7 +46,7 @@ class Trajectory:
         rotation: likewise, (T, 3, 3).
         torque: of the wheels, (T, 2) [Nm].
         lean: aim of the pitch from the beginning of the settling on, (S + T,) [rad].
-        fallen_s: when it fell, None if it did not [s].
+        fallen_s: when it fell, None if it did not; negative while it settled [s].
     """
 
     time_s: Float64[np.ndarray, "T"]
@@ -56,6 +56,14 @@ class Trajectory:
     torque: Float64[np.ndarray, "T 2"]
     lean: Float64[np.ndarray, "L"]
     fallen_s: float | None
+
+    @property
+    def way(self) -> Float64[np.ndarray, "T 2"]:
+        """How far the base has come since the motion began, ahead and to the left of where it was then [m]."""
+        moved, ahead = (self.position - self.position[:1])[:, :2], self.rotation[:1, :2, 0]
+        ahead = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+        left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+        return np.stack([(moved * ahead).sum(axis=1), (moved * left).sum(axis=1)], axis=1)
 
     @property
     def tilt(self) -> Float64[np.ndarray, "T 2"]:
@@ -104,7 +112,7 @@ def drive(
     way, speed = settings.profile.way((times[:, None] + step_s * np.arange(ticks)).ravel())
     first = lean(targets[0]) if isinstance(lean, Lean) else float(lean[0])
     body.restart(targets[0], first, seed=seed)
-    rows, aims = _Rows(), []
+    rows, aims = _Rows(targets.shape[1]), []
     fallen_s = None
     for row in range(count):
         position, velocity = body.arms()
@@ -130,14 +138,16 @@ def drive(
 class _Rows:
     """What is kept of each target's beginning."""
 
-    def __init__(self) -> None:
-        self._kept: list[tuple[np.ndarray, ...]] = []
+    def __init__(self, joints: int) -> None:
+        self._shapes = ((joints,), (3,), (3, 3), (2,))
+        self._kept: tuple[list[np.ndarray], ...] = ([], [], [], [])
 
     def add(self, arms: Arms, body: WholeBody, torque: Float64[np.ndarray, "2"]) -> None:
-        self._kept.append((arms, body.chassis.position(), body.chassis.rotation(), torque))
+        found = (arms, body.chassis.position(), body.chassis.rotation(), torque)
+        for kept, own in zip(self._kept, found, strict=True):
+            kept.append(own)
 
     def trajectory(self, lean: Float64[np.ndarray, "L"], fallen_s: float | None) -> Trajectory:
-        if not self._kept:
-            raise DataError("the body fell before the motion began", got=f"{fallen_s} s")
-        arms, position, rotation, torque = (np.stack(part) for part in zip(*self._kept, strict=True))
+        parts = zip(self._kept, self._shapes, strict=True)
+        arms, position, rotation, torque = (np.reshape(own, (len(own), *shape)) for own, shape in parts)
         return Trajectory(TARGET_S * np.arange(len(arms)), arms, position, rotation, torque, lean, fallen_s)

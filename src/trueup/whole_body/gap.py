@@ -31,9 +31,9 @@ UNITS: Mapping[str, str] = {
 def body_gap(real: Trajectory, simulated: Trajectory) -> dict[str, float]:
     """The figures of `UNITS`; all NaN if the real body fell, which is to be counted.
 
-    `drift_mean` and `drift_end`: how far the middle of the axle is from where the simulated one is, on the floor.
-    `tilt_max` and `tilt_rms`: the angle between the two uprights, each seen in its own heading. `arms_mae` and
-    `arms_max`: of the joints of the arms.
+    `drift_mean` and `drift_end`: how far the middle of the axle is from where the simulated one is, on the floor, if
+    both begin the motion in one place (GapONet, A.6.2: a fixed start pose and heading). `tilt_max` and `tilt_rms`: the
+    angle between the two uprights, each seen in its own heading. `arms_mae` and `arms_max`: of the joints of the arms.
 
     Args:
         real: what the real body did.
@@ -48,7 +48,7 @@ def body_gap(real: Trajectory, simulated: Trajectory) -> dict[str, float]:
         return dict.fromkeys(UNITS, np.nan)
     if real.arms.shape != simulated.arms.shape:
         raise DataError("these are trajectories of two motions", got=real.arms.shape, expected=simulated.arms.shape)
-    drift = np.linalg.norm((real.position - simulated.position)[:, :2], axis=1)
+    drift = np.linalg.norm(real.way - simulated.way, axis=1)
     tilt = np.degrees(np.linalg.norm(real.tilt - simulated.tilt, axis=1))
     apart = np.abs(real.arms - simulated.arms)
     figures = {
@@ -61,7 +61,7 @@ def body_gap(real: Trajectory, simulated: Trajectory) -> dict[str, float]:
     }
     for part, own, other in (
         ("arms", real.arms, simulated.arms),
-        ("base", real.position[:, :2], simulated.position[:, :2]),
+        ("base", real.way, simulated.way),
         ("tilt", real.tilt, simulated.tilt),
     ):
         figures |= _table_2(part, own, other, real.time_s)
