@@ -39,6 +39,7 @@ NAMES = (
     "sat_training",
     "compensation",
     "compensate_env",
+    "whole_body",
 )
 
 

@@ -23,6 +23,7 @@ ARROWS = {
     "robots": set(),
     "sim": {"robots"},
     "lab": {"sim", "robots"},
+    "whole_body": {"lab", "measure", "robots", "sim"},
     "record": {"dataset", "robots"},
     "identify": {"align", "measure", "robots", "sim"},
     "deploy": set(),

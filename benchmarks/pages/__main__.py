@@ -19,9 +19,12 @@ NAMES = {
     "acceptance": "acceptance.md",
 }
 # Results that make a section of a page that is otherwise written by hand.
-PARTS = dict.fromkeys(
-    ("sat", "sat_bodies", "sat_robustness", "sat_so101", "sat_training", "sat_speed"), "building-blocks.md"
-)
+PARTS = {
+    **dict.fromkeys(
+        ("sat", "sat_bodies", "sat_robustness", "sat_so101", "sat_training", "sat_speed"), "building-blocks.md"
+    ),
+    "whole_body": "whole-body.md",
+}
 
 
 def is_stored(name: str) -> bool:

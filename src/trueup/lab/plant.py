@@ -40,7 +40,9 @@ class Engine(NamedTuple):
     xmat: np.ndarray  # (B, 9)
     anchor: np.ndarray  # (J, 3), of MuJoCo's joints
     axis: np.ndarray  # (J, 3)
-    column: np.ndarray  # which of MuJoCo's joints, and of its coordinates, is the robot's
+    column: np.ndarray  # which of MuJoCo's joints is the robot's
+    place: np.ndarray  # its coordinate
+    freedom: np.ndarray  # its degree of freedom
     hinge: np.ndarray
     carries: np.ndarray  # (J, B), whether a joint carries a body
     known_mass: np.ndarray  # (B,), what the compensation takes the bodies for
@@ -305,8 +307,8 @@ def _joint_of(friction: Any) -> Any:
         engine: Engine, numbers: np.ndarray, settings: Settings, state: State, j: int, brake: float
     ) -> tuple[float, float]:
         """One joint's motor through one physics step; returns the torque on the link and the power lost."""
-        dt, i = settings.physics_step_s, engine.column[j]
-        v = engine.qvel[i]
+        dt = settings.physics_step_s
+        q, v = engine.qpos[engine.place[j]], engine.qvel[engine.freedom[j]]
         elastic = numbers[j].stiffness > 0.0
         if settings.servo:
             against = numbers[j].back_emf_v_s_rad * state.joints[j].motor_velocity
@@ -338,7 +340,7 @@ def _joint_of(friction: Any) -> Any:
         )
         lost = 0.0
         if elastic:
-            pull = numbers[j].stiffness * (state.joints[j].motor_position - engine.qpos[i]) + numbers[j].damping * (
+            pull = numbers[j].stiffness * (state.joints[j].motor_position - q) + numbers[j].damping * (
                 state.joints[j].motor_velocity - v
             )
             state.joints[j].spring = pull
@@ -407,26 +409,26 @@ def _loop(step: Any, weigh: Any, receive: Any, control: Any, joint: Any) -> Any:
             control(engine, numbers, settings, state, stopped)
             for _ in range(settings.steps):
                 for j in range(joints):
-                    engine.applied[engine.column[j]], lost = joint(engine, numbers, settings, state, j, brake[j])
+                    engine.applied[engine.freedom[j]], lost = joint(engine, numbers, settings, state, j, brake[j])
                     power[j] += lost / settings.steps
                 step(engine.model, engine.data)
                 for j in range(joints):
                     if numbers[j].stiffness == 0.0:
-                        i = engine.column[j]
+                        i = engine.freedom[j]
                         state.joints[j].spring -= numbers[j].motor_inertia * engine.qacc[i]
-                        state.joints[j].motor_position = engine.qpos[i]
+                        state.joints[j].motor_position = engine.qpos[engine.place[j]]
                         state.joints[j].motor_velocity = engine.qvel[i]
             for j in range(joints):
-                i = engine.column[j]
+                q, v = engine.qpos[engine.place[j]], engine.qvel[engine.freedom[j]]
                 if numbers[j].stiffness > 0.0:
-                    state.joints[j].spring = numbers[j].stiffness * (
-                        state.joints[j].motor_position - engine.qpos[i]
-                    ) + (numbers[j].damping * (state.joints[j].motor_velocity - engine.qvel[i]))
+                    state.joints[j].spring = numbers[j].stiffness * (state.joints[j].motor_position - q) + (
+                        numbers[j].damping * (state.joints[j].motor_velocity - v)
+                    )
                 watts = power[j] + numbers[j].copper * state.joints[j].drive ** 2
                 warm = settings.rise_k_per_w * watts - state.joints[j].rise
                 state.joints[j].rise += dt * settings.steps / settings.time_constant_s * warm
-                log[k, POSITION, j] = engine.qpos[i]
-                log[k, VELOCITY, j] = engine.qvel[i]
+                log[k, POSITION, j] = q
+                log[k, VELOCITY, j] = v
                 log[k, TORQUE, j] = state.joints[j].spring
                 log[k, MOTOR_POSITION, j] = state.joints[j].motor_position
                 log[k, MOTOR_TORQUE, j] = state.joints[j].drive

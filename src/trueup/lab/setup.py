@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -18,6 +18,8 @@ from trueup.robots.model import compile_spec, load_spec
 from trueup.sim.closed_chains import open_by
 from trueup.sim.stepping import addresses
 
+# Makes an editable model of something that carries the robot, in which the robot has its own names.
+Carrier = Callable[[], mujoco.MjSpec]
 # Ends of closed chains that are no further apart are together [m or rad].
 _CLOSED = 1e-4
 # Explicit springs are stable up to frequency times step = 2; half of that is still accurate.
@@ -48,11 +50,11 @@ class Plant:
 
     def position(self) -> Float64[np.ndarray, "J"]:
         """Of the links [rad or m]."""
-        return np.asarray(self.data.qpos[self.engine.column])
+        return np.asarray(self.data.qpos[self.engine.place])
 
     def velocity(self) -> Float64[np.ndarray, "J"]:
         """Of the links [rad/s or m/s]."""
-        return np.asarray(self.data.qvel[self.engine.column])
+        return np.asarray(self.data.qvel[self.engine.freedom])
 
     def place(self, position: Float64[np.ndarray, "J"]) -> None:
         """Put links and motors at rest into a pose, with springs that carry the weight.
@@ -61,15 +63,15 @@ class Plant:
             ConfigError: the pose would open a closed chain.
         """
         mujoco.mj_resetData(self.model, self.data)
-        column, state = self.engine.column, self.state
-        self.data.qpos[column] = position
+        state = self.state
+        self.data.qpos[self.engine.place] = position
         mujoco.mj_forward(self.model, self.data)
         apart = open_by(self.data)
         if apart > _CLOSED:
             raise ConfigError(
                 "this pose opens a closed chain", got=f"{apart:.3g} m or rad", hint="Start from the model's own pose."
             )
-        state.joints["spring"][:] = self.data.qfrc_bias[column]
+        state.joints["spring"][:] = self.data.qfrc_bias[self.engine.freedom]
         stiffness = self.numbers["stiffness"]
         twist = np.divide(state.joints["spring"], stiffness, out=np.zeros_like(stiffness), where=stiffness > 0)
         state.joints["motor_position"][:] = position + twist
@@ -95,7 +97,7 @@ class Plant:
             return
         inverse = np.empty((self.model.nv, self.model.nv))
         mujoco.mj_solveM(self.model, self.data, inverse, np.eye(self.model.nv))
-        mobility = inverse[np.ix_(self.engine.column, self.engine.column)]
+        mobility = inverse[np.ix_(self.engine.freedom, self.engine.freedom)]
         link = np.linalg.eigvals(mobility * numbers["stiffness"]).real.max()
         motor = ((numbers["stiffness"] + numbers["kp"]) / numbers["motor_inertia"]).max()
         if dt * np.sqrt(max(link, motor)) > _STIFFEST:
@@ -107,8 +109,13 @@ class Plant:
             )
 
 
-def build_plant(truth: Truth, payload_kg: float) -> Plant:
+def build_plant(truth: Truth, payload_kg: float, *, carrier: Carrier | None = None) -> Plant:
     """The robot of a truth, with a payload.
+
+    Args:
+        truth: the individual.
+        payload_kg: [kg].
+        carrier: makes a model of the robot on something that moves; held as in its own model if None.
 
     Raises:
         ConfigError: truth and model do not fit together, or the payload is out of range.
@@ -116,7 +123,7 @@ def build_plant(truth: Truth, payload_kg: float) -> Plant:
     spec = truth.spec
     robot = load_robot(spec.robot)
     path = find_model(robot)
-    editable = load_spec(path)
+    editable = carrier() if carrier else load_spec(path)
     plain = compile_spec(load_spec(path), path)
     _refuse_other_robot(truth, robot, plain)
     bodies = loaded(truth, plain, payload_kg)
@@ -139,20 +146,22 @@ def build_plant(truth: Truth, payload_kg: float) -> Plant:
         own.armature = 0.0 if joint.stiffness else joint.motor_inertia
     editable.option.timestep = spec.physics_step_s
     editable.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    editable.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    editable.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    if not carrier:
+        editable.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     model = compile_spec(editable, path)
     _mount(model, truth)
     data = mujoco.MjData(model)
-    homes = {model.key(index).name: model.key_qpos[index] for index in range(model.nkey)}
-    column = np.array([model.joint(name).qposadr[0] for name in truth.joints])
+    homes = {plain.key(index).name: plain.key_qpos[index] for index in range(plain.nkey)}
+    own = np.array([plain.joint(name).qposadr[0] for name in truth.joints])
     return Plant(
         model=model,
         data=data,
-        engine=_engine(model, data, column, known),
+        engine=_engine(model, data, tuple(truth.joints), known),
         numbers=_numbers(truth, robot),
         settings=_settings(spec),
         state=_state(spec, len(truth.joints)),
-        home=np.array(homes["home"][column] if "home" in homes else np.zeros(column.size)),
+        home=np.array(homes["home"][own] if "home" in homes else np.zeros(own.size)),
     )
 
 
@@ -196,7 +205,10 @@ def _refuse_other_robot(truth: Truth, robot: RobotSpec, model: mujoco.MjModel) -
         )
 
 
-def _engine(model: mujoco.MjModel, data: mujoco.MjData, column: np.ndarray, known: Mapping[str, BodyTruth]) -> Engine:
+def _engine(
+    model: mujoco.MjModel, data: mujoco.MjData, joints: tuple[str, ...], known: Mapping[str, BodyTruth]
+) -> Engine:
+    column = np.array([model.joint(name).id for name in joints])
     mass, com = np.zeros(model.nbody), np.zeros((model.nbody, 3))
     for name, body in known.items():
         mass[model.body(name).id], com[model.body(name).id] = body.mass, body.com
@@ -213,6 +225,8 @@ def _engine(model: mujoco.MjModel, data: mujoco.MjData, column: np.ndarray, know
         anchor=data.xanchor,
         axis=data.xaxis,
         column=column,
+        place=model.jnt_qposadr[column].astype(np.int64),
+        freedom=model.jnt_dofadr[column].astype(np.int64),
         hinge=np.array(model.jnt_type[column] == int(mujoco.mjtJoint.mjJNT_HINGE)),
         carries=_carries(model)[column],
         known_mass=mass,

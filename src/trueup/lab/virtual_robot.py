@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Float64, Int
 
@@ -28,7 +29,7 @@ from trueup.lab.plant import (
     Orders,
     compiled,
 )
-from trueup.lab.setup import Plant, build_plant
+from trueup.lab.setup import Carrier, Plant, build_plant
 from trueup.lab.simulated_robot import Sensors, ticks_until
 from trueup.lab.truth import Truth, draw_truth
 from trueup.sim.compiled_robot import ABSURD
@@ -94,6 +95,8 @@ class VirtualRobot:
         seed: of sensor noise, jitter and lost readings.
         faults: what will go wrong.
         real_time: waiting takes as long as it says; otherwise the robot runs as fast as it can.
+        carrier: makes a model of the robot on something that moves, such as a base on wheels, which is driven through
+            `engine`; held as in its own model if None.
 
     Raises:
         ConfigError: a truth, payload or fault that does not fit the robot's model.
@@ -108,6 +111,7 @@ class VirtualRobot:
         seed: int = 0,
         faults: Sequence[Fault] = (),
         real_time: bool = False,
+        carrier: Carrier | None = None,
     ) -> None:
         self.truth = truth or draw_truth()
         spec = self.truth.spec
@@ -116,7 +120,8 @@ class VirtualRobot:
         self.command_signals = _COMMANDS[spec.controller.kind]
         self._measured = _OF_SERVOS if spec.controller.kind == "servo" else _MEASURED
         self.payload_kg = payload_kg
-        self._plant: Plant = build_plant(self.truth, payload_kg)
+        self._carrier = carrier
+        self._plant: Plant = build_plant(self.truth, payload_kg, carrier=carrier)
         self._sensors = spec.readings.sensors if spec.readings.enabled else Sensors()
         self._bias = np.array([joint.torque_bias_nm for joint in self.truth.joints.values()])
         self._capture = MotionCapture(self._plant.model, spec.markers)
@@ -159,6 +164,11 @@ class VirtualRobot:
         self._plant.state.joints["rise"][:] = self._plant.warmth(_USUAL_SPEED, worked_s)
         if position is not None:
             self.place(position)
+
+    @property
+    def engine(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """MuJoCo's model and data, for what carries the robot: whoever steps or resets them breaks it."""
+        return self._plant.model, self._plant.data
 
     @property
     def stopped(self) -> bool:
@@ -318,7 +328,7 @@ class VirtualRobot:
             ConfigError: the payload is out of range.
         """
         pose, old = self._plant.position(), self._plant
-        self._plant = build_plant(self.truth, payload_kg)
+        self._plant = build_plant(self.truth, payload_kg, carrier=self._carrier)
         self._capture = MotionCapture(self._plant.model, self.truth.spec.markers)
         self._plant.state.joints["rise"][:] = old.state.joints["rise"]
         self._plant.state.counters[:] = old.state.counters

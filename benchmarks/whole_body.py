@@ -1,0 +1,217 @@
+"""Arms that hang and lag under what they hold, on a base that has to balance: with compensation and without.
+
+Two references, since what a compensation should bring about depends on what the balance was designed for. `follows`:
+the simulated arms are where they are told to be; a compensation carries their weight. `hangs`: the simulated arms hang
+under the same PD and the same payload as the real ones, as in a replay; a compensation takes away what the simulator
+does not know.
+
+Trajectories are kept under runs/whole_body, and an interrupted run goes on from there; what came of them is
+`benchmarks/results/whole_body.json`.
+
+    python -m benchmarks whole_body    # half an hour on one core
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from benchmarks.table import Row, at_most, rounded, shown
+from benchmarks.whole_body_motions import MOTIONS, SECONDS, targets_of
+from trueup.core.atomic import make_folder, replacing, without_nan, write_text
+from trueup.core.provenance import provenance
+from trueup.lab import draw_truth, load_lab
+from trueup.measure import bootstrap_interval, paired_difference
+from trueup.whole_body import (
+    UNITS,
+    BalanceSettings,
+    BaseSpec,
+    Compensator,
+    DrivingSettings,
+    GravityFeedForward,
+    Trajectory,
+    Trial,
+    VirtualBody,
+    body_gap,
+    draw_base,
+)
+
+RESULT = Path(__file__).parent / "results" / "whole_body.json"
+FOLDER = Path("runs") / "whole_body"
+PAYLOADS_KG = (0.0, 1.0, 2.0, 3.0)
+# Individuals that nothing was trained or designed on.
+BODIES = (4, 5)
+SEED = 1
+
+
+@dataclass(frozen=True)
+class Way:
+    """One way to command the arms of the real body.
+
+    Attributes:
+        reference: what the simulated arms do, `follows` or `hangs`.
+        make: a compensator for one motion; None for plain PD.
+    """
+
+    reference: str
+    make: Callable[[], Compensator] | None = None
+
+
+# A trained network stands here as one more line, with a function that loads its folder: it makes a robot move like its
+# simulator under the same PD, so its reference is `hangs`.
+WAYS: Mapping[str, Way] = {
+    "plain PD, follows": Way("follows"),
+    "weight fed forward": Way("follows", GravityFeedForward),
+    "plain PD, hangs": Way("hangs"),
+}
+PLAIN = {"follows": "plain PD, follows", "hangs": "plain PD, hangs"}
+# Way -> metric -> (bodies, motions), NaN where a body fell.
+Figures = Mapping[str, Mapping[str, Float64[np.ndarray, "U M"]]]
+
+
+def run() -> list[Row]:
+    """Drive every body along every motion, and write the result file."""
+    figures = {payload_kg: figures_of(payload_kg) for payload_kg in PAYLOADS_KG}
+    result = {
+        "schema": "trueup.whole_body/1",
+        "motions": list(MOTIONS),
+        "bodies": list(BODIES),
+        "seconds": SECONDS,
+        "units": dict(UNITS),
+        "references": {name: way.reference for name, way in WAYS.items()},
+        "payloads": {f"{payload_kg:g}": _stored(own) for payload_kg, own in figures.items()},
+        "provenance": provenance(
+            config={
+                "driving": asdict(DrivingSettings()),
+                "balance": asdict(BalanceSettings()),
+                "base": asdict(BaseSpec()),
+                "lab": asdict(load_lab("upper_body")),
+            },
+            seed=SEED,
+        ),
+    }
+    make_folder(RESULT.parent)
+    write_text(RESULT, json.dumps(without_nan(rounded(result)), allow_nan=False, separators=(",", ":")) + "\n")
+    return _rows(result)
+
+
+def figures_of(payload_kg: float) -> Figures:
+    """Every figure of one payload; motions whose trajectories are there are not driven again."""
+    drive_all(payload_kg)
+    gaps = {
+        (name, unit, motion): body_gap(
+            _load(_path(payload_kg, name, unit, motion)), _load(_path(payload_kg, way.reference, 0, motion))
+        )
+        for name, way in WAYS.items()
+        for unit in BODIES
+        for motion in MOTIONS
+    }
+    return {
+        name: {
+            metric: np.array([[gaps[name, unit, motion][metric] for motion in MOTIONS] for unit in BODIES])
+            for metric in UNITS
+        }
+        for name in WAYS
+    }
+
+
+def drive_all(payload_kg: float) -> None:
+    """Drive whatever is not there yet with one payload."""
+    trial, lab, carried = Trial(payload_kg), load_lab("upper_body"), GravityFeedForward()
+    bodies = {
+        unit: VirtualBody(draw_truth(lab, unit=unit), draw_base(unit=unit), payload_kg=payload_kg) for unit in BODIES
+    }
+    for motion in MOTIONS:
+        targets, simulated = targets_of(motion), {}
+        for reference in PLAIN:
+            path = _path(payload_kg, reference, 0, motion)
+            if not path.is_file():
+                _save(path, trial.simulated(targets, compensator=carried if reference == "follows" else None))
+            simulated[reference] = _load(path)
+        for name, way in WAYS.items():
+            for unit, body in bodies.items():
+                path = _path(payload_kg, name, unit, motion)
+                if not path.is_file():
+                    own = way.make() if way.make else None
+                    _save(path, trial.real(body, targets, simulated[way.reference], compensator=own, seed=SEED))
+
+
+def _path(payload_kg: float, name: str, unit: int, motion: str) -> Path:
+    """Where a trajectory is kept; that of the simulated body as unit 0."""
+    return FOLDER / f"{payload_kg:g}kg" / name / f"{motion}-{unit}.npz"
+
+
+def _save(path: Path, trajectory: Trajectory) -> None:
+    make_folder(path.parent)
+    parts = {name: value for name, value in vars(trajectory).items() if name != "fallen_s"}
+    fallen_s = np.nan if trajectory.fallen_s is None else trajectory.fallen_s
+    with replacing(path) as there, there.open("wb") as file:
+        np.savez_compressed(file, fallen_s=fallen_s, **parts)
+
+
+def _load(path: Path) -> Trajectory:
+    with np.load(path, allow_pickle=False) as file:
+        parts = {name: file[name] for name in file.files}
+    fallen_s = float(parts.pop("fallen_s"))
+    return Trajectory(**parts, fallen_s=None if np.isnan(fallen_s) else fallen_s)
+
+
+def _stored(figures: Figures) -> dict[str, Any]:
+    """Of each way the figures, its falls, and what it is against plain PD; whole motions are drawn again."""
+    found: dict[str, Any] = {}
+    for name, own in figures.items():
+        plain = PLAIN[WAYS[name].reference]
+        found[name] = {
+            "falls": int(np.isnan(own["drift_mean"]).sum()),
+            "figures": {metric: _estimate(values, UNITS[metric]) for metric, values in own.items()},
+            "differences": {}
+            if name == plain
+            else {metric: _difference(values, figures[plain][metric], name, metric) for metric, values in own.items()},
+        }
+    return found
+
+
+def _of_motions(values: Float64[np.ndarray, "U M"]) -> Float64[np.ndarray, "M"]:
+    """Means over the bodies that stood; one motion on several bodies is no independent sample."""
+    stood = ~np.isnan(values)
+    count = stood.sum(axis=0)
+    return np.where(count > 0, np.where(stood, values, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
+
+
+def _estimate(values: Float64[np.ndarray, "U M"], unit: str) -> dict[str, Any]:
+    means = _of_motions(values)
+    low, high = bootstrap_interval(means[:, None])
+    mean = float(np.nanmean(means)) if np.isfinite(means).any() else np.nan
+    return {"value": mean, "low": float(low[0]), "high": float(high[0]), "unit": unit}
+
+
+def _difference(
+    values: Float64[np.ndarray, "U M"], plain: Float64[np.ndarray, "U M"], name: str, metric: str
+) -> dict[str, Any]:
+    both = np.isnan(values) | np.isnan(plain)
+    own, base = (_of_motions(np.where(both, np.nan, part)) for part in (values, plain))
+    signal = "base" if metric.startswith(("drift", "base", "tilt")) else "arms"
+    return paired_difference(
+        own, base, run=name, baseline="plain PD", split="all", signal=signal, metric=metric, unit=UNITS[metric]
+    ).to_json()
+
+
+def _rows(result: Mapping[str, Any]) -> list[Row]:
+    rows = []
+    for payload, ways in result["payloads"].items():
+        for name, own in ways.items():
+            rows.append(shown(f"{payload} kg, {name}: falls", own["falls"], "1"))
+            for metric in ("drift_mean", "tilt_rms"):
+                rows.append(shown(f"{payload} kg, {name}: {metric}", own["figures"][metric]["value"], UNITS[metric]))
+                if own["differences"] and float(payload) > 0:
+                    high = own["differences"][metric]["difference"]["high"]
+                    rows.append(
+                        at_most(f"{payload} kg, {name} - plain PD: {metric}, upper end", high, 0.0, UNITS[metric])
+                    )
+    return rows
