@@ -54,11 +54,13 @@ class Network(nn.Module, ABC):
         stepwise: whether its graph takes one sample at a time.
         one_by_one: whether `forward` does, too.
         tanh: whether the output is bounded.
+        mixes: whether `draw_scaled` takes a matrix for the inputs.
     """
 
     Config: ClassVar[type[NetworkConfig]] = NetworkConfig
     trained: ClassVar[bool] = True
     both_ends: ClassVar[bool] = False
+    mixes: ClassVar[bool] = False
     causal: bool = True
     past: int = 0
     stepwise: bool = False
@@ -119,6 +121,8 @@ class Network(nn.Module, ABC):
         self, graph: Graph, x: str, states: Sequence[str], inputs: Tensor, shift: Tensor, outputs: Tensor
     ) -> tuple[str, tuple[str, ...]]:
         """`draw` of `x * inputs + shift`, both (I,), with its output multiplied by `outputs`, (K,).
+
+        Networks with `mixes` get a matrix, (I, I), and draw `x @ inputs + shift`.
 
         Networks that are run in a control loop have all of it in their weights: there, every node counts.
         """

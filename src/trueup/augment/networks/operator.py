@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from trueup.augment.config import Method, NetworkConfig
 from trueup.augment.graph import Graph
-from trueup.augment.networks.base import Windowed, draw_linear
+from trueup.augment.networks.base import Windowed
 from trueup.errors import ConfigError
 
 
@@ -69,6 +69,7 @@ class Operator(Windowed):
     """See the module."""
 
     Config = OperatorConfig
+    mixes = True
 
     reads_branch: Tensor
     reads_trunk: Tensor
@@ -76,6 +77,7 @@ class Operator(Windowed):
     def __init__(self, config: NetworkConfig, inputs: int, base: Sequence[int], rate_hz: float) -> None:
         super().__init__(config, inputs, base, rate_hz)
         assert isinstance(config, OperatorConfig)
+        self.stepwise = self.past > 0
         joints = len(base)
         self.senses, self.features = config.senses, config.features
         self.responses = config.sensors * 2 * joints
@@ -144,28 +146,53 @@ class Operator(Windowed):
 
     def draw_inner(self, graph: Graph, x: str) -> str:
         """See `Windowed.draw_inner`."""
-        turned = graph.add("Transpose", x, perm=[1, 2, 0])
-        weight = (self.window.weight * self.reads_branch).detach().numpy()
+        return self._drawn(graph, x, torch.eye(self.inputs), torch.zeros(self.inputs), torch.ones(self.outputs))
+
+    def draw_scaled(
+        self, graph: Graph, x: str, states: Sequence[str], inputs: Tensor, shift: Tensor, outputs: Tensor
+    ) -> tuple[str, tuple[str, ...]]:
+        """See `Network.draw_scaled`; everything linear around the network goes into its weights."""
+        del states
+        return self._drawn(graph, x, inputs, shift, outputs), ()
+
+    def _drawn(self, graph: Graph, x: str, inputs: Tensor, shift: Tensor, outputs: Tensor) -> str:
+        """Nodes for `x @ inputs + shift`; of one sample with its history, (past + 1, B, I), as rows (B, ...).
+
+        A convolution would take the B windows one after the other.
+        """
+        read = torch.zeros(self.past + 1, self.inputs, len(self.query.weight))
+        read[-1] = (self.query.weight * self.reads_trunk).detach().T
+        window = (self.window.weight * self.reads_branch).detach().permute(2, 1, 0)
+        flat = x
+        if self.past:
+            turned = graph.add("Transpose", x, perm=[1, 0, 2])
+            flat = graph.add("Reshape", turned, graph.integers([-1, (self.past + 1) * self.inputs]))
         assert self.window.bias is not None
-        seen = graph.add("Conv", turned, graph.floats(weight), graph.floats(self.window.bias.detach().numpy()))
-        seen = graph.add("Transpose", seen, perm=[2, 0, 1])
+        seen = self._first(graph, flat, window, self.window.bias, inputs, shift)
+        query = self._first(graph, flat, read, self.query.bias, inputs, shift)
         layers = list(self.branch)
         if self.predictor is not None:
             *before, last = self.predictor
             layers = [*before, _merged(last, layers[0]), *layers[1:]]
         for layer in layers:
-            seen = draw_linear(graph, layer, graph.add("Elu", seen))
-        now = x
-        if self.past:
-            end = graph.integers([np.iinfo(np.int64).max])
-            now = graph.add("Slice", x, graph.integers([self.past]), end, graph.integers([0]))
-        query = graph.add("MatMul", now, graph.floats((self.query.weight * self.reads_trunk).detach().T.numpy()))
-        query = graph.add("Add", query, graph.floats(self.query.bias.detach().numpy()))
+            seen = self._dense(graph, layer.weight.T, layer.bias, graph.add("Elu", seen))
         for layer in self.trunk:
-            query = draw_linear(graph, layer, graph.add("Elu", query))
+            query = self._dense(graph, layer.weight.T, layer.bias, graph.add("Elu", query))
         # A sum over the features of each joint as one product with ones and zeros.
         ones = np.kron(np.eye(self.outputs), np.ones((self.features, 1))) / self.features**0.5
-        return graph.add("MatMul", graph.add("Mul", seen, query), graph.floats(ones))
+        return graph.add("MatMul", graph.add("Mul", seen, query), graph.floats(ones * outputs.numpy()))
+
+    def _first(self, graph: Graph, x: str, weight: Tensor, bias: Tensor, inputs: Tensor, shift: Tensor) -> str:
+        """A first layer, (past + 1, I, H), of all samples at once."""
+        mixed = (inputs.double() @ weight.double()).flatten(0, 1)
+        return self._dense(graph, mixed, bias + shift @ weight.sum(0), x)
+
+    def _dense(self, graph: Graph, weight: Tensor, bias: Tensor, x: str) -> str:
+        """A dense layer, (I, H): one node for rows, two where samples are an axis."""
+        matrix, constant = (graph.floats(part.detach().numpy()) for part in (weight, bias))
+        if self.past:
+            return graph.add("Gemm", x, matrix, constant)
+        return graph.add("Add", graph.add("MatMul", x, matrix), constant)
 
 
 def _layers(*widths: int) -> nn.ModuleList:
