@@ -42,6 +42,14 @@ class Why(IntFlag):
     """Samples come at another rate than the network was trained at."""
     DIVERGED = 32
     """The network's output is not finite; its state was thrown away."""
+    LIMITED = 64
+    """Of a compensator: what the network adds is larger or faster than it may be, or leads out of the limits."""
+    TARGET = 128
+    """Of a compensator: the target itself is not finite, or out of the robot's limits."""
+    PAYLOAD = 256
+    """Of a compensator: training covered no such payload."""
+    NO_PAYLOAD = 512
+    """Of a compensator: nobody has said what the robot carries, and the network reads it."""
 
 
 class Step:

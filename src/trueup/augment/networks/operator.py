@@ -175,9 +175,9 @@ class Operator(Windowed):
             *before, last = self.predictor
             layers = [*before, _merged(last, layers[0]), *layers[1:]]
         for layer in layers:
-            seen = self._dense(graph, layer.weight.T, layer.bias, graph.add("Elu", seen))
+            seen = self._layer(graph, layer, graph.add("Elu", seen))
         for layer in self.trunk:
-            query = self._dense(graph, layer.weight.T, layer.bias, graph.add("Elu", query))
+            query = self._layer(graph, layer, graph.add("Elu", query))
         # A sum over the features of each joint as one product with ones and zeros.
         ones = np.kron(np.eye(self.outputs), np.ones((self.features, 1))) / self.features**0.5
         return graph.add("MatMul", graph.add("Mul", seen, query), graph.floats(ones * outputs.numpy()))
@@ -186,6 +186,10 @@ class Operator(Windowed):
         """A first layer, (past + 1, I, H), of all samples at once."""
         mixed = (inputs.double() @ weight.double()).flatten(0, 1)
         return self._dense(graph, mixed, bias + shift @ weight.sum(0), x)
+
+    def _layer(self, graph: Graph, layer: nn.Module, x: str) -> str:
+        assert isinstance(layer, nn.Linear)
+        return self._dense(graph, layer.weight.T, layer.bias, x)
 
     def _dense(self, graph: Graph, weight: Tensor, bias: Tensor, x: str) -> str:
         """A dense layer, (I, H): one node for rows, two where samples are an axis."""
