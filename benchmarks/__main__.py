@@ -37,6 +37,7 @@ NAMES = (
     "sat_bodies",
     "sat_robustness",
     "sat_training",
+    "compensate_speed",
 )
 
 

@@ -14,6 +14,7 @@ from trueup.augment.graph import Graph
 from trueup.augment.networks.base import Network
 from trueup.augment.scaling import Scaling, Stops
 from trueup.core.model_card import State
+from trueup.deploy.operator_weights import OperatorWeights
 from trueup.deploy.sat_weights import SatWeights, Sizes
 
 # How deep a joint can lean into its stop, in widths beyond the one before it.
@@ -126,9 +127,9 @@ class Corrector(nn.Module):
         scale = torch.cat([1.0 / self.scale, self.stop_slope])
         origin = torch.cat([self.center, self.stop_edge])
         # x scale - origin scale is (x - origin) scale as long as both are not much larger than their difference.
-        near = bool((origin * scale).abs().max() <= _NEAR)
+        near = self._near
         left = origin if near else torch.zeros_like(origin)
-        if network.mixes and near and self._mixable:
+        if self._mixable:
             read, factors = seen, self._mixed()
         else:
             read = self._bounded(graph, seen, origin - left)
@@ -139,8 +140,10 @@ class Corrector(nn.Module):
             graph.output(name, f"{state.name}_out", shape)
         return graph.serialized(metadata)
 
-    def step_weights(self) -> SatWeights | None:
-        """The weights as the machine code of `deploy.sat_machine` reads them; None where it cannot run the network."""
+    def step_weights(self) -> SatWeights | OperatorWeights | None:
+        """The weights as machine code reads them; None where there is none that can run the network."""
+        if self._mixable and self.target == "residual":
+            return self.network.mixed_step(self._mixed(), -self.center / self.scale, self.gate * self.out_scale)
         own = self.network.step_weights()
         if own is None:
             return None
@@ -163,9 +166,15 @@ class Corrector(nn.Module):
         return SatWeights.of(sizes, {**own.parts, **given})
 
     @property
+    def _near(self) -> bool:
+        """Whether float32 keeps five digits of inputs that are scaled before their origin is subtracted."""
+        edges = self.stop_edge * self.stop_slope
+        return bool(torch.cat([self.center / self.scale, edges]).abs().max() <= _NEAR)
+
+    @property
     def _mixable(self) -> bool:
         """Whether float32 keeps four digits of differences of inputs whose parts go through weights one by one."""
-        if len(self.stop_edge):
+        if not (self.network.mixes and self._near) or len(self.stop_edge):
             return False
         largest = (self.center.abs() + 3.0 * self.scale)[self.other] * self.has_other
         return bool((largest / self.scale).max() <= _FAR)

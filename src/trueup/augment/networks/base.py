@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from trueup.augment.config import NetworkConfig
 from trueup.augment.graph import Graph
 from trueup.core.model_card import State
+from trueup.deploy.operator_weights import OperatorWeights
 from trueup.errors import ConfigError
 
 States = tuple[Tensor, ...]
@@ -134,6 +135,11 @@ class Network(nn.Module, ABC):
 
     def step_weights(self) -> StepWeights | None:
         """What machine code for its step needs; None where there is none, and the graph is all."""
+        return None
+
+    def mixed_step(self, inputs: Tensor, shift: Tensor, outputs: Tensor) -> OperatorWeights | None:
+        """The same of networks with `mixes`, for inputs and outputs as in `draw_scaled`."""
+        del inputs, shift, outputs
         return None
 
     def initial(self, first: Tensor) -> States:

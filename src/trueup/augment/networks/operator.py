@@ -22,7 +22,10 @@ from torch import Tensor, nn
 from trueup.augment.config import Method, NetworkConfig
 from trueup.augment.graph import Graph
 from trueup.augment.networks.base import Windowed
+from trueup.deploy.operator_weights import OperatorWeights
 from trueup.errors import ConfigError
+
+_Dense = tuple[Tensor, Tensor]
 
 
 @dataclass(frozen=True)
@@ -155,48 +158,64 @@ class Operator(Windowed):
         del states
         return self._drawn(graph, x, inputs, shift, outputs), ()
 
+    def mixed_step(self, inputs: Tensor, shift: Tensor, outputs: Tensor) -> OperatorWeights:
+        """See `Network.mixed_step`."""
+        branch, trunk = self._dense_layers(inputs, shift)
+        # The trunk reads the present sample only.
+        trunk[0] = (trunk[0][0][-self.inputs :], trunk[0][1])
+        arrays = {
+            name: [(weight.detach().numpy(), bias.detach().numpy()) for weight, bias in layers]
+            for name, layers in (("branch", branch), ("trunk", trunk))
+        }
+        return OperatorWeights.of(arrays, outputs.numpy() / self.features**0.5)
+
     def _drawn(self, graph: Graph, x: str, inputs: Tensor, shift: Tensor, outputs: Tensor) -> str:
         """Nodes for `x @ inputs + shift`; of one sample with its history, (past + 1, B, I), as rows (B, ...).
 
         A convolution would take the B windows one after the other.
         """
-        read = torch.zeros(self.past + 1, self.inputs, len(self.query.weight))
-        read[-1] = (self.query.weight * self.reads_trunk).detach().T
-        window = (self.window.weight * self.reads_branch).detach().permute(2, 1, 0)
         flat = x
         if self.past:
             turned = graph.add("Transpose", x, perm=[1, 0, 2])
             flat = graph.add("Reshape", turned, graph.integers([-1, (self.past + 1) * self.inputs]))
-        assert self.window.bias is not None
-        seen = self._first(graph, flat, window, self.window.bias, inputs, shift)
-        query = self._first(graph, flat, read, self.query.bias, inputs, shift)
-        layers = list(self.branch)
-        if self.predictor is not None:
-            *before, last = self.predictor
-            layers = [*before, _merged(last, layers[0]), *layers[1:]]
-        for layer in layers:
-            seen = self._layer(graph, layer, graph.add("Elu", seen))
-        for layer in self.trunk:
-            query = self._layer(graph, layer, graph.add("Elu", query))
+        seen, query = (self._chain(graph, flat, layers) for layers in self._dense_layers(inputs, shift))
         # A sum over the features of each joint as one product with ones and zeros.
         ones = np.kron(np.eye(self.outputs), np.ones((self.features, 1))) / self.features**0.5
         return graph.add("MatMul", graph.add("Mul", seen, query), graph.floats(ones * outputs.numpy()))
 
-    def _first(self, graph: Graph, x: str, weight: Tensor, bias: Tensor, inputs: Tensor, shift: Tensor) -> str:
-        """A first layer, (past + 1, I, H), of all samples at once."""
-        mixed = (inputs.double() @ weight.double()).flatten(0, 1)
-        return self._dense(graph, mixed, bias + shift @ weight.sum(0), x)
+    def _dense_layers(self, inputs: Tensor, shift: Tensor) -> tuple[list[_Dense], list[_Dense]]:
+        """Of branch and trunk, weights (in, out) and biases; the first ones read a sample with its history as a row."""
+        window = (self.window.weight * self.reads_branch).permute(2, 1, 0)
+        query = torch.zeros(self.past + 1, self.inputs, len(self.query.weight))
+        query[-1] = (self.query.weight * self.reads_trunk).T
+        assert self.window.bias is not None
+        first = [
+            ((inputs.double() @ weight.double()).float().flatten(0, 1), bias + shift @ weight.sum(0))
+            for weight, bias in ((window, self.window.bias), (query, self.query.bias))
+        ]
+        layers = list(self.branch)
+        if self.predictor is not None:
+            *before, last = self.predictor
+            layers = [*before, _merged(last, layers[0]), *layers[1:]]
+        return [first[0], *map(_dense_of, layers)], [first[1], *map(_dense_of, self.trunk)]
 
-    def _layer(self, graph: Graph, layer: nn.Module, x: str) -> str:
-        assert isinstance(layer, nn.Linear)
-        return self._dense(graph, layer.weight.T, layer.bias, x)
+    def _chain(self, graph: Graph, x: str, layers: Sequence[_Dense]) -> str:
+        """Dense layers with ELU between them: a node for each of rows, two where samples are an axis."""
+        for number, layer in enumerate(layers):
+            if number:
+                x = graph.add("Elu", x)
+            weight, bias = (graph.floats(part.detach().numpy()) for part in layer)
+            x = (
+                graph.add("Gemm", x, weight, bias)
+                if self.past
+                else graph.add("Add", graph.add("MatMul", x, weight), bias)
+            )
+        return x
 
-    def _dense(self, graph: Graph, weight: Tensor, bias: Tensor, x: str) -> str:
-        """A dense layer, (I, H): one node for rows, two where samples are an axis."""
-        matrix, constant = (graph.floats(part.detach().numpy()) for part in (weight, bias))
-        if self.past:
-            return graph.add("Gemm", x, matrix, constant)
-        return graph.add("Add", graph.add("MatMul", x, matrix), constant)
+
+def _dense_of(layer: nn.Module) -> _Dense:
+    assert isinstance(layer, nn.Linear)
+    return layer.weight.T, layer.bias
 
 
 def _layers(*widths: int) -> nn.ModuleList:
