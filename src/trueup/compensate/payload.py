@@ -1,9 +1,9 @@
 """What a robot carries, from the first second of a motion: torques that its model without a payload leaves open.
 
 Torques that bodies need are linear in the mass of a payload: measured - without = mass x (with 1 kg - without). The
-mass is that of least squares over all samples and joints. What is wrong with the model and the sensors of one joint stays
-the same over a second, so that samples say nothing of how far off it is; joints do: the interval is that of the
-jackknife over joints.
+mass is that of least squares over all samples and joints. What is wrong with the model and the sensors of one joint
+stays the same over a second, so that samples say nothing of how far off it is; joints do, by the jackknife over them.
+Friction may hold a part of every weight; so the interval has in it what that could be.
 """
 
 from __future__ import annotations
@@ -14,15 +14,16 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from jaxtyping import Float, Float64
-from scipy import stats
 
 from trueup.errors import ConfigError, DataError
 from trueup.robots import RobotSpec
 from trueup.sim import MujocoSimulator
 
 FIRST_S = 1.0
-_COVERAGE = 0.9
+_COVERAGE, _WITHIN = 0.9, 1.645
 _FEWEST = 8
+# What the friction of a gear may take of its joint's largest torque, a standard deviation.
+_FRICTION = 0.1
 # Joints that feel this little of a kilogram say nothing of it [Nm/kg or N/kg].
 _FELT = 1e-3
 
@@ -52,12 +53,17 @@ class PayloadEstimator:
         model: its MJCF or URDF.
 
     Raises:
-        ConfigError: the robot carries nothing, or has too few joints for an interval.
+        ConfigError: the robot carries nothing, or does not say its largest torques.
     """
 
     def __init__(self, robot: RobotSpec, model: Path) -> None:
-        if len(robot.joint_names) < 2:
-            raise ConfigError(f"robot {robot.name!r} has too few joints", got=len(robot.joint_names), expected=">= 2")
+        limits = [joint.torque_limit for joint in robot.joints if joint.torque_limit is not None]
+        if len(limits) < len(robot.joints):
+            raise ConfigError(
+                f"robot {robot.name!r} does not say what its joints can do at most",
+                hint="torque_limit of each joint in robot.yaml",
+            )
+        self._friction = _FRICTION * np.array(limits, float)
         self._models = [MujocoSimulator.from_robot(robot, model, payload_kg=mass).model for mass in (0.0, 1.0)]
         self.joints = robot.joint_names
 
@@ -94,7 +100,8 @@ class PayloadEstimator:
         acceleration = np.gradient(given[1], clock, axis=0)
         without, loaded = (self._needed(model, *given[:2], acceleration) for model in self._models)
         felt, unexplained = loaded - without, given[2] - without
-        return _least_squares((felt * unexplained).sum(axis=0), (felt**2).sum(axis=0), len(clock))
+        held = np.abs(felt).sum(axis=0) * self._friction
+        return _least_squares((felt * unexplained).sum(axis=0), (felt**2).sum(axis=0), held, len(clock))
 
     def _needed(
         self,
@@ -119,22 +126,22 @@ class PayloadEstimator:
 
 
 def _least_squares(
-    product: Float64[np.ndarray, "J"], square: Float64[np.ndarray, "J"], samples: int
+    product: Float64[np.ndarray, "J"], square: Float64[np.ndarray, "J"], held: Float64[np.ndarray, "J"], samples: int
 ) -> PayloadEstimate:
-    """From sums over samples, of each joint."""
+    """From sums over samples, of each joint; `held` is how far friction could move its product."""
     feeling = square > samples * _FELT**2
     count = int(feeling.sum())
     if count < 2:
         raise DataError(
-            "no joint feels a payload in this second",
+            "hardly a joint feels a payload in this second",
             got=f"{count} joints",
             expected="2 or more",
             hint="Move the arms away from where they hang straight down, or say what the robot carries.",
         )
-    product, square = product[feeling], square[feeling]
+    product, square, held = product[feeling], square[feeling], held[feeling]
     mass = product.sum() / square.sum()
     left_out = (product.sum() - product) / (square.sum() - square)
-    error = np.sqrt((count - 1) / count * np.sum((left_out - left_out.mean()) ** 2))
-    half = float(stats.t.ppf(0.5 + _COVERAGE / 2, count - 1) * error)
-    low, high = max(0.0, mass - half), max(0.0, mass + half)
-    return PayloadEstimate(float(max(0.0, mass)), float(low), float(high))
+    apart = (count - 1) / count * np.sum((left_out - left_out.mean()) ** 2)
+    error = np.sqrt(apart + np.sum(held**2) / square.sum() ** 2)
+    half = _WITHIN * float(error)
+    return PayloadEstimate(float(max(0.0, mass)), float(max(0.0, mass - half)), float(max(0.0, mass + half)))
