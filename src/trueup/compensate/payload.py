@@ -97,9 +97,10 @@ class PayloadEstimator:
         clock, given = time_s[rows], [values[rows].astype(np.float64) for values in (position, velocity, torque)]
         if not (np.isfinite(clock).all() and (np.diff(clock) > 0).all() and all(np.isfinite(g).all() for g in given)):
             raise DataError("a log for a payload", expected="increasing times and finite values")
-        acceleration = np.gradient(given[1], clock, axis=0)
-        without, loaded = (self._needed(model, *given[:2], acceleration) for model in self._models)
-        felt, unexplained = loaded - without, given[2] - without
+        place, speed, measured = given
+        acceleration = np.gradient(speed, clock, axis=0)
+        without, loaded = (self._needed(model, place, speed, acceleration) for model in self._models)
+        felt, unexplained = loaded - without, measured - without
         held = np.abs(felt).sum(axis=0) * self._friction
         return _least_squares((felt * unexplained).sum(axis=0), (felt**2).sum(axis=0), held, len(clock))
 
