@@ -9,7 +9,7 @@ from jaxtyping import Float64, Int
 
 from trueup.core.model_card import ModelCard
 from trueup.deploy.confidence import Confidence
-from trueup.deploy.span import Span
+from trueup.deploy.span import Span, index_of
 from trueup.errors import MissingSignal
 
 
@@ -140,14 +140,6 @@ class Step:
     def _correction(self) -> Float64[np.ndarray, "K"]:
         correction: Float64[np.ndarray, "K"] = self.values - self._inputs[self._base]
         return correction
-
-
-def index_of(rows: Int[np.ndarray, "N"]) -> slice | Int[np.ndarray, "N"]:
-    """Row numbers as a slice, which makes no copy, if they can be one."""
-    steps = {int(step) for step in np.diff(rows)} or {1}
-    if len(steps) == 1 and min(steps) > 0:
-        return slice(int(rows[0]), int(rows[-1]) + 1, steps.pop())
-    return rows
 
 
 def _signal_rows(card: ModelCard, signal: str) -> Int[np.ndarray, "J"]:
