@@ -40,6 +40,7 @@ NAMES = (
     "compensation",
     "compensate_env",
     "whole_body",
+    "compensate_speed",
 )
 
 

@@ -28,7 +28,7 @@ ARROWS = {
     "identify": {"align", "measure", "robots", "sim"},
     "deploy": set(),
     "augment": {"dataset", "measure", "deploy"},
-    "compensate": {"augment", "robots", "sim"},
+    "compensate": {"augment", "deploy", "robots", "sim"},
     "zoo": {"augment"},
     "report": {"measure"},
     "stages": {

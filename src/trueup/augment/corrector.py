@@ -14,12 +14,15 @@ from trueup.augment.graph import Graph
 from trueup.augment.networks.base import Network
 from trueup.augment.scaling import Scaling, Stops
 from trueup.core.model_card import State
+from trueup.deploy.operator_weights import OperatorWeights
 from trueup.deploy.sat_weights import SatWeights, Sizes
 
 # How deep a joint can lean into its stop, in widths beyond the one before it.
 _BEYOND = 2.0
 # How many scales the origin of an input may be away from zero, so that float32 keeps five digits of their difference.
 _NEAR = 64.0
+# Likewise, of what an input is relative to.
+_FAR = 512.0
 
 
 class Corrector(nn.Module):
@@ -124,17 +127,23 @@ class Corrector(nn.Module):
         scale = torch.cat([1.0 / self.scale, self.stop_slope])
         origin = torch.cat([self.center, self.stop_edge])
         # x scale - origin scale is (x - origin) scale as long as both are not much larger than their difference.
-        near = bool((origin * scale).abs().max() <= _NEAR)
+        near = self._near
         left = origin if near else torch.zeros_like(origin)
-        read = self._bounded(graph, seen, origin - left)
-        out, after = network.draw_scaled(graph, read, given, scale, -left * scale, self.gate * self.out_scale)
+        if self._mixable:
+            read, factors = seen, self._mixed()
+        else:
+            read = self._bounded(graph, seen, origin - left)
+            factors = torch.diag(scale) if network.mixes else scale
+        out, after = network.draw_scaled(graph, read, given, factors, -left * scale, self.gate * self.out_scale)
         graph.output(self._summed(graph, x, out), "y", [samples, "B", network.outputs])
         for state, name, shape in zip(self.states, (*after, *after_buffer), shapes, strict=True):
             graph.output(name, f"{state.name}_out", shape)
         return graph.serialized(metadata)
 
-    def step_weights(self) -> SatWeights | None:
-        """The weights as the machine code of `deploy.sat_machine` reads them; None where it cannot run the network."""
+    def step_weights(self) -> SatWeights | OperatorWeights | None:
+        """The weights as machine code reads them; None where there is none that can run the network."""
+        if self._mixable and self.target == "residual":
+            return self.network.mixed_step(self._mixed(), -self.center / self.scale, self.gate * self.out_scale)
         own = self.network.step_weights()
         if own is None:
             return None
@@ -155,6 +164,27 @@ class Corrector(nn.Module):
         }
         given = {name: torch.stack([row.double() for row in group]).cpu().numpy() for name, group in rows.items()}
         return SatWeights.of(sizes, {**own.parts, **given})
+
+    @property
+    def _near(self) -> bool:
+        """Whether float32 keeps five digits of inputs that are scaled before their origin is subtracted."""
+        edges = self.stop_edge * self.stop_slope
+        return bool(torch.cat([self.center / self.scale, edges]).abs().max() <= _NEAR)
+
+    @property
+    def _mixable(self) -> bool:
+        """Whether float32 keeps four digits of differences of inputs whose parts go through weights one by one."""
+        if not (self.network.mixes and self._near) or len(self.stop_edge):
+            return False
+        largest = (self.center.abs() + 3.0 * self.scale)[self.other] * self.has_other
+        return bool((largest / self.scale).max() <= _FAR)
+
+    def _mixed(self) -> Tensor:
+        """What inputs are multiplied by so that they are relative and scaled, (I, I)."""
+        rows = torch.arange(len(self.center))
+        matrix = torch.diag(1.0 / self.scale)
+        matrix[self.other, rows] -= self.has_other / self.scale
+        return matrix
 
     def _bounded(self, graph: Graph, x: str, origin: Tensor) -> str:
         """`read` as nodes, without the factor of each input, and with no more of its origin than is said, (I + N,)."""

@@ -20,7 +20,7 @@ from trueup.compensate.config import CompensateConfig
 from trueup.compensate.windows import Windows
 from trueup.core.atomic import make_folder, write_bytes
 from trueup.core.config import build
-from trueup.core.model_card import ONNX_NAME, WEIGHTS_NAME, Input, ModelCard, Output
+from trueup.core.model_card import ONNX_NAME, STEP_NAME, WEIGHTS_NAME, Input, ModelCard, Output
 from trueup.core.provenance import provenance
 from trueup.errors import DataError
 
@@ -129,6 +129,10 @@ class Compensation:
         write_bytes(folder / WEIGHTS_NAME, save_tensors(state))
         graph = self.corrector.exported({"name": self.card.name, "method": self.card.method, "by": "trueup"})
         write_bytes(folder / ONNX_NAME, graph)
+        step = self.corrector.step_weights()
+        (folder / STEP_NAME).unlink(missing_ok=True)
+        if step is not None:
+            write_bytes(folder / STEP_NAME, step.to_bytes())
         return Compensation(self.card.save(folder), self.corrector, self.config)
 
     @staticmethod

@@ -4,6 +4,12 @@ Importing this loads numpy only; onnxruntime (extra `run`) is loaded when a mode
 """
 
 from trueup.deploy.clock import RealTimeClock as RealTimeClock
+from trueup.deploy.compensated_robot import CompensatedIO as CompensatedIO
+from trueup.deploy.compensated_robot import CompensatedRobot as CompensatedRobot
+from trueup.deploy.compensator import Compensated as Compensated
+from trueup.deploy.compensator import Compensator as Compensator
+from trueup.deploy.compensator_settings import CompensatorSettings as CompensatorSettings
+from trueup.deploy.compensator_settings import Limits as Limits
 from trueup.deploy.confidence import Confidence as Confidence
 from trueup.deploy.history import History as History
 from trueup.deploy.latency import Latency as Latency

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from trueup.deploy.network import Network
+from trueup.deploy.operator_weights import OperatorWeights
 from trueup.deploy.sat_weights import SatWeights, padded
 from trueup.errors import DataError
 
@@ -41,6 +42,8 @@ class Cell(ABC):
     def of(network: Network, *, compiled: bool) -> Cell:
         """As machine code, where that is asked for and the network has it."""
         if compiled and network.step is not None:
+            if isinstance(network.step, OperatorWeights):
+                return OperatorCell(network, network.step)
             return MachineCell(network, network.step)
         return GraphCell(network)
 
@@ -152,5 +155,27 @@ class MachineCell(Cell):
         place = self._place
         self._advance(*self._given, place, *self._states)
         self._place = place + 1 if place + 1 < self._history else 0
+        np.isfinite(self.y, self._finite)
+        return self._finite.tobytes() == self._all
+
+
+class OperatorCell(Cell):
+    """An operator network by `operator_machine`; compiled and kept as the code of `MachineCell`."""
+
+    def __init__(self, network: Network, weights: OperatorWeights) -> None:
+        super().__init__(network)
+        machine = import_module("trueup.deploy.operator_machine")
+        self._advance = machine.advance
+        self._seen = np.zeros(weights.branch[0], np.float32)
+        widths = (np.array(weights.branch), np.array(weights.trunk))
+        self._given = (weights.flat, *widths, np.array(network.card.base), machine.buffers_for(*widths))
+
+    def start(self) -> None:
+        """See `Cell.start`."""
+        self._seen.reshape(-1, self.x.size)[:] = self.x
+
+    def run(self) -> bool:
+        """See `Cell.run`."""
+        self._advance(self.x, self.y, self._seen, *self._given)
         np.isfinite(self.y, self._finite)
         return self._finite.tobytes() == self._all

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from trueup.core.model_card import CARD_NAME, ONNX_NAME, ModelCard, State
+from trueup.deploy.operator_weights import OperatorWeights
 from trueup.deploy.sat_weights import SatWeights
 from trueup.errors import DataError, needing
 
@@ -32,7 +33,7 @@ class Network:
     folder: Path
     card: ModelCard
     session: Any
-    step: SatWeights | None = None
+    step: SatWeights | OperatorWeights | None = None
 
     @staticmethod
     def load(folder: Path | str) -> Network:
@@ -69,7 +70,7 @@ class Network:
                 got=error,
             ) from error
         _check_graph(session, card, folder)
-        return Network(folder, card, session, SatWeights.load(folder, card))
+        return Network(folder, card, session, OperatorWeights.load(folder, card) or SatWeights.load(folder, card))
 
     @property
     def stepwise(self) -> bool:

@@ -37,20 +37,34 @@ class Span:
         self._inside = np.ones((2, len(inputs)), bool)
         self._above, self._below = self._inside
         self._all = self._inside.tobytes()
-        self._relative = np.array([row for row, channel in enumerate(inputs) if channel.relative], int)
-        self._other = counterparts(inputs)[self._relative]
-        self._any_relative = bool(self._relative.size)
+        relative = np.array([row for row, channel in enumerate(inputs) if channel.relative], int)
+        self._any_relative = bool(relative.size)
+        self._relative = index_of(relative) if relative.size else relative
+        self._other = index_of(counterparts(inputs)[relative]) if relative.size else relative
+        # What is relative may be anywhere itself, as long as it is a number.
+        self._least, self._most = self.low.copy(), self.high.copy()
+        self._least[relative], self._most[relative] = -_LARGEST, _LARGEST
+        self._nearest, self._farthest = self.low[relative], self.high[relative]
+        self._distance = np.zeros(relative.size)
+        self._close = np.ones((2, relative.size), bool)
+        self._not_under, self._not_over = self._close
+        self._all_close = self._close.tobytes()
 
     def covers(self, x: Float64[np.ndarray, "I"]) -> bool:
-        """Whether all channels are finite and inside; two comparisons and no array made.
+        """Whether all channels are finite and inside; few comparisons and no array made.
 
         Comparing bytes takes a fifth of the time of `all()`; and a NaN is neither above nor below anything.
         """
-        if self._any_relative:
-            x = self._as_read(x)
-        np.greater_equal(x, self.low, self._above)
-        np.less_equal(x, self.high, self._below)
-        return self._inside.tobytes() == self._all
+        np.greater_equal(x, self._least, self._above)
+        np.less_equal(x, self._most, self._below)
+        if self._inside.tobytes() != self._all:
+            return False
+        if not self._any_relative:
+            return True
+        np.subtract(x[self._relative], x[self._other], self._distance)
+        np.greater_equal(self._distance, self._nearest, self._not_under)
+        np.less_equal(self._distance, self._farthest, self._not_over)
+        return self._close.tobytes() == self._all_close
 
     def outside(self, x: Float64[np.ndarray, "I"]) -> Int[np.ndarray, "N"]:
         """Numbers of the channels that are not finite, or out of range."""
@@ -69,3 +83,11 @@ class Span:
         with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is not inside
             read[self._relative] -= read[self._other]
         return read
+
+
+def index_of(rows: Int[np.ndarray, "N"]) -> slice | Int[np.ndarray, "N"]:
+    """Row numbers as a slice, which makes no copy, if they can be one."""
+    steps = {int(step) for step in np.diff(rows)} or {1}
+    if len(steps) == 1 and min(steps) > 0:
+        return slice(int(rows[0]), int(rows[-1]) + 1, steps.pop())
+    return rows

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int
 
 from trueup.core.model_card import Input
-from trueup.deploy.step import index_of
+from trueup.deploy.span import index_of
 
 
 class Unrest:

@@ -9,7 +9,7 @@ from jaxtyping import Float64, Int
 
 from trueup.core.model_card import ModelCard
 from trueup.deploy.confidence import Confidence
-from trueup.deploy.span import Span
+from trueup.deploy.span import Span, index_of
 from trueup.errors import MissingSignal
 
 
@@ -42,6 +42,14 @@ class Why(IntFlag):
     """Samples come at another rate than the network was trained at."""
     DIVERGED = 32
     """The network's output is not finite; its state was thrown away."""
+    LIMITED = 64
+    """Of a compensator: what the network adds is larger or faster than it may be, or leads out of the limits."""
+    TARGET = 128
+    """Of a compensator: the target itself is not finite, or out of the robot's limits."""
+    PAYLOAD = 256
+    """Of a compensator: training covered no such payload."""
+    NO_PAYLOAD = 512
+    """Of a compensator: nobody has said what the robot carries, and the network reads it."""
 
 
 class Step:
@@ -132,14 +140,6 @@ class Step:
     def _correction(self) -> Float64[np.ndarray, "K"]:
         correction: Float64[np.ndarray, "K"] = self.values - self._inputs[self._base]
         return correction
-
-
-def index_of(rows: Int[np.ndarray, "N"]) -> slice | Int[np.ndarray, "N"]:
-    """Row numbers as a slice, which makes no copy, if they can be one."""
-    steps = {int(step) for step in np.diff(rows)} or {1}
-    if len(steps) == 1 and min(steps) > 0:
-        return slice(int(rows[0]), int(rows[-1]) + 1, steps.pop())
-    return rows
 
 
 def _signal_rows(card: ModelCard, signal: str) -> Int[np.ndarray, "J"]:

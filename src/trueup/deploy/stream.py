@@ -20,9 +20,9 @@ from trueup.deploy.intake import Intake
 from trueup.deploy.latency import Latency
 from trueup.deploy.network import Network
 from trueup.deploy.settings import StreamSettings
-from trueup.deploy.span import Span
+from trueup.deploy.span import Span, index_of
 from trueup.deploy.stall import Unrest, simulated_part
-from trueup.deploy.step import Status, Step, Why, index_of
+from trueup.deploy.step import Status, Step, Why
 from trueup.errors import DataError, MissingSignal
 
 # Share of each new period in the average of periods: about the last hundred samples.

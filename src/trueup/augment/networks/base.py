@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from trueup.augment.config import NetworkConfig
 from trueup.augment.graph import Graph
 from trueup.core.model_card import State
+from trueup.deploy.operator_weights import OperatorWeights
 from trueup.errors import ConfigError
 
 States = tuple[Tensor, ...]
@@ -54,11 +55,13 @@ class Network(nn.Module, ABC):
         stepwise: whether its graph takes one sample at a time.
         one_by_one: whether `forward` does, too.
         tanh: whether the output is bounded.
+        mixes: whether `draw_scaled` takes a matrix for the inputs.
     """
 
     Config: ClassVar[type[NetworkConfig]] = NetworkConfig
     trained: ClassVar[bool] = True
     both_ends: ClassVar[bool] = False
+    mixes: ClassVar[bool] = False
     causal: bool = True
     past: int = 0
     stepwise: bool = False
@@ -120,6 +123,8 @@ class Network(nn.Module, ABC):
     ) -> tuple[str, tuple[str, ...]]:
         """`draw` of `x * inputs + shift`, both (I,), with its output multiplied by `outputs`, (K,).
 
+        Networks with `mixes` get a matrix, (I, I), and draw `x @ inputs + shift`.
+
         Networks that are run in a control loop have all of it in their weights: there, every node counts.
         """
         x = graph.add("Mul", x, graph.floats(inputs.numpy()))
@@ -130,6 +135,11 @@ class Network(nn.Module, ABC):
 
     def step_weights(self) -> StepWeights | None:
         """What machine code for its step needs; None where there is none, and the graph is all."""
+        return None
+
+    def mixed_step(self, inputs: Tensor, shift: Tensor, outputs: Tensor) -> OperatorWeights | None:
+        """The same of networks with `mixes`, for inputs and outputs as in `draw_scaled`."""
+        del inputs, shift, outputs
         return None
 
     def initial(self, first: Tensor) -> States:

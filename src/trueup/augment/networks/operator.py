@@ -21,8 +21,11 @@ from torch import Tensor, nn
 
 from trueup.augment.config import Method, NetworkConfig
 from trueup.augment.graph import Graph
-from trueup.augment.networks.base import Windowed, draw_linear
+from trueup.augment.networks.base import Windowed
+from trueup.deploy.operator_weights import OperatorWeights
 from trueup.errors import ConfigError
+
+_Dense = tuple[Tensor, Tensor]
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,7 @@ class Operator(Windowed):
     """See the module."""
 
     Config = OperatorConfig
+    mixes = True
 
     reads_branch: Tensor
     reads_trunk: Tensor
@@ -76,6 +80,7 @@ class Operator(Windowed):
     def __init__(self, config: NetworkConfig, inputs: int, base: Sequence[int], rate_hz: float) -> None:
         super().__init__(config, inputs, base, rate_hz)
         assert isinstance(config, OperatorConfig)
+        self.stepwise = self.past > 0
         joints = len(base)
         self.senses, self.features = config.senses, config.features
         self.responses = config.sensors * 2 * joints
@@ -146,28 +151,73 @@ class Operator(Windowed):
 
     def draw_inner(self, graph: Graph, x: str) -> str:
         """See `Windowed.draw_inner`."""
-        turned = graph.add("Transpose", x, perm=[1, 2, 0])
-        weight = (self.window.weight * self.reads_branch).detach().numpy()
+        return self._drawn(graph, x, torch.eye(self.inputs), torch.zeros(self.inputs), torch.ones(self.outputs))
+
+    def draw_scaled(
+        self, graph: Graph, x: str, states: Sequence[str], inputs: Tensor, shift: Tensor, outputs: Tensor
+    ) -> tuple[str, tuple[str, ...]]:
+        """See `Network.draw_scaled`; everything linear around the network goes into its weights."""
+        del states
+        return self._drawn(graph, x, inputs, shift, outputs), ()
+
+    def mixed_step(self, inputs: Tensor, shift: Tensor, outputs: Tensor) -> OperatorWeights:
+        """See `Network.mixed_step`."""
+        branch, trunk = self._dense_layers(inputs, shift)
+        # The trunk reads the present sample only.
+        trunk[0] = (trunk[0][0][-self.inputs :], trunk[0][1])
+        arrays = {
+            name: [(weight.detach().numpy(), bias.detach().numpy()) for weight, bias in layers]
+            for name, layers in (("branch", branch), ("trunk", trunk))
+        }
+        return OperatorWeights.of(arrays, outputs.numpy() / self.features**0.5)
+
+    def _drawn(self, graph: Graph, x: str, inputs: Tensor, shift: Tensor, outputs: Tensor) -> str:
+        """Nodes for `x @ inputs + shift`; of one sample with its history, (past + 1, B, I), as rows (B, ...).
+
+        A convolution would take the B windows one after the other.
+        """
+        flat = x
+        if self.past:
+            turned = graph.add("Transpose", x, perm=[1, 0, 2])
+            flat = graph.add("Reshape", turned, graph.integers([-1, (self.past + 1) * self.inputs]))
+        seen, query = (self._chain(graph, flat, layers) for layers in self._dense_layers(inputs, shift))
+        # A sum over the features of each joint as one product with ones and zeros.
+        ones = np.kron(np.eye(self.outputs), np.ones((self.features, 1))) / self.features**0.5
+        return graph.add("MatMul", graph.add("Mul", seen, query), graph.floats(ones * outputs.numpy()))
+
+    def _dense_layers(self, inputs: Tensor, shift: Tensor) -> tuple[list[_Dense], list[_Dense]]:
+        """Of branch and trunk, weights (in, out) and biases; the first ones read a sample with its history as a row."""
+        window = (self.window.weight * self.reads_branch).permute(2, 1, 0)
+        query = torch.zeros(self.past + 1, self.inputs, len(self.query.weight))
+        query[-1] = (self.query.weight * self.reads_trunk).T
         assert self.window.bias is not None
-        seen = graph.add("Conv", turned, graph.floats(weight), graph.floats(self.window.bias.detach().numpy()))
-        seen = graph.add("Transpose", seen, perm=[2, 0, 1])
+        first = [
+            ((inputs.double() @ weight.double()).float().flatten(0, 1), bias + shift @ weight.sum(0))
+            for weight, bias in ((window, self.window.bias), (query, self.query.bias))
+        ]
         layers = list(self.branch)
         if self.predictor is not None:
             *before, last = self.predictor
             layers = [*before, _merged(last, layers[0]), *layers[1:]]
-        for layer in layers:
-            seen = draw_linear(graph, layer, graph.add("Elu", seen))
-        now = x
-        if self.past:
-            end = graph.integers([np.iinfo(np.int64).max])
-            now = graph.add("Slice", x, graph.integers([self.past]), end, graph.integers([0]))
-        query = graph.add("MatMul", now, graph.floats((self.query.weight * self.reads_trunk).detach().T.numpy()))
-        query = graph.add("Add", query, graph.floats(self.query.bias.detach().numpy()))
-        for layer in self.trunk:
-            query = draw_linear(graph, layer, graph.add("Elu", query))
-        # A sum over the features of each joint as one product with ones and zeros.
-        ones = np.kron(np.eye(self.outputs), np.ones((self.features, 1))) / self.features**0.5
-        return graph.add("MatMul", graph.add("Mul", seen, query), graph.floats(ones))
+        return [first[0], *map(_dense_of, layers)], [first[1], *map(_dense_of, self.trunk)]
+
+    def _chain(self, graph: Graph, x: str, layers: Sequence[_Dense]) -> str:
+        """Dense layers with ELU between them: a node for each of rows, two where samples are an axis."""
+        for number, layer in enumerate(layers):
+            if number:
+                x = graph.add("Elu", x)
+            weight, bias = (graph.floats(part.detach().numpy()) for part in layer)
+            x = (
+                graph.add("Gemm", x, weight, bias)
+                if self.past
+                else graph.add("Add", graph.add("MatMul", x, weight), bias)
+            )
+        return x
+
+
+def _dense_of(layer: nn.Module) -> _Dense:
+    assert isinstance(layer, nn.Linear)
+    return layer.weight.T, layer.bias
 
 
 def _layers(*widths: int) -> nn.ModuleList:
