@@ -43,14 +43,17 @@ def train(
     ] = None,
     twin: Annotated[
         Path | None,
-        typer.Option("--twin", help="Network for the simulator; with it, one for the robot itself is trained."),
+        typer.Option("--twin", help="With --twin-robot: network that makes its simulator more like the robot."),
     ] = None,
     twin_robot: Annotated[
-        str | None, typer.Option("--twin-robot", help="Robot whose simulator the twin corrects; --robot if not given.")
+        str | None,
+        typer.Option(
+            "--twin-robot", help="Identified robot; with it, a network for the robot itself is trained on it."
+        ),
     ] = None,
     empty_handed: Annotated[
         bool,
-        typer.Option("--empty-handed", help="With --twin: move like a simulator that carries nothing."),
+        typer.Option("--empty-handed", help="With --twin-robot: move like a simulator that carries nothing."),
     ] = False,
     control_hz: Annotated[
         float | None, typer.Option("--control-hz", help="Commands per second; those of the log if not given.")
@@ -74,8 +77,8 @@ def train(
     from trueup.stages.compensating import compensate
 
     own = load_robot(robot)
-    if twin is None and (twin_robot or empty_handed):
-        raise ConfigError("--twin-robot and --empty-handed are for networks of the robot", hint="Give --twin.")
+    if twin_robot is None and (twin or empty_handed):
+        raise ConfigError("--twin and --empty-handed are for networks of the robot itself", hint="Give --twin-robot.")
     with status_line() as line:
         made = compensate(
             Dataset(dataset),
@@ -84,7 +87,7 @@ def train(
             config=_configured(method, config),
             model=model,
             control_hz=control_hz,
-            twin=None if twin is None else (twin, load_robot(twin_robot) if twin_robot else own),
+            twin=None if twin_robot is None else (twin, load_robot(twin_robot)),
             empty_handed=empty_handed,
             run=run,
             name=name,

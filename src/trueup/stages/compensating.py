@@ -165,7 +165,7 @@ def compensate(
     prepared: Prepared | None = None,
     model: Path | None = None,
     control_hz: float | None = None,
-    twin: tuple[Path | str, RobotSpec] | None = None,
+    twin: tuple[Path | str | None, RobotSpec] | None = None,
     empty_handed: bool = False,
     run: str = "",
     name: str = "",
@@ -179,8 +179,8 @@ def compensate(
 ) -> Compensated:
     """Train a network that adds to commands: in the simulator, which then moves like the robot, or on the robot.
 
-    Without a twin, the network is for the simulator. With one, it is for the robot: it is trained on the twin, the
-    simulator that a first network has made like the robot, and what the twin is to follow is this robot's simulator.
+    Without a twin, the network is for the simulator. With one, it is for the robot: it is trained on the twin, an identified
+    simulator, or one that a first network has made like the robot; what the twin is to follow is this robot's simulator.
     Fits on train, chooses on val, never reads test.
 
     Args:
@@ -191,7 +191,7 @@ def compensate(
         prepared: what `prepare` made of the same dataset, with this robot, or with the twin's.
         model: MJCF or URDF; looked for beside the data and in the package if None.
         control_hz: rate of the commands; that of the first train motion if None.
-        twin: folder of the network for the simulator, and the robot whose simulator it corrects.
+        twin: folder of the network for the simulator, None for none, and the robot whose simulator it is.
         empty_handed: the simulator that the robot is to move like carries nothing, whatever the robot carries.
         run: label of the runs of that simulator; `mujoco/stock` if empty.
         name: of the model; the method if empty.
@@ -227,14 +227,14 @@ def compensate(
     make_folder(out)
     if not (overwrite or resume):
         ModelFolder.refuse_full(out)
-    known = None if twin is None else _twin_of(Path(twin[0]), robot)
+    known = None if twin is None or twin[0] is None else _twin_of(Path(twin[0]), robot)
     asked = json_hash(
         as_read_back(
             {
                 "data": dataset.hash,
                 "robot": robot.to_dict(),
                 "config": asdict(config),
-                "twin": None if known is None or twin is None else [known.card.to_json()["sha256"], twin[1].to_dict()],
+                "twin": None if twin is None else [known and known.card.to_json()["sha256"], twin[1].to_dict()],
                 "empty_handed": empty_handed,
                 "control_hz": control_hz,
                 "drop_flagged": drop_flagged,
@@ -268,7 +268,7 @@ def compensate(
         )
     control_s, plants = prepared.control_s, prepared.plants
     follow, references = None, None
-    if known is not None:
+    if twin is not None:
         path = find_model(robot, given=model, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")
         follow = Plants(robot, path, control_s, threads=threads, empty=empty_handed)
         references = [run_.state for run_ in closed_loop([part.track for part in prepared.train], follow, None)]
@@ -291,7 +291,7 @@ def compensate(
         teacher = Teacher(windows, config, plants.simulate, None if known is None else known.corrector, sensors, wanted)
         judged = _some([part.track for part in prepared.val])
         twin_net = None if known is None else known.corrector
-        if twin_net is None or follow is None:
+        if follow is None:
             aims: list[Float64[np.ndarray, "T S"]] = [motion.state.astype(np.float64) for motion in judged]
         else:
             aims = [item.state for item in closed_loop(judged, follow, None)]
@@ -328,7 +328,7 @@ def compensate(
             units=_units(dataset, robot),
             run=run or "mujoco/stock",
             rate_hz=1.0 / control_s,
-            direction="simulator" if known is None else "robot",
+            direction="simulator" if twin is None else "robot",
             metrics={},
             provenance_of={
                 **made(seed, prepared.data_hash, config),
