@@ -179,8 +179,9 @@ def compensate(
 ) -> Compensated:
     """Train a network that adds to commands: in the simulator, which then moves like the robot, or on the robot.
 
-    Without a twin, the network is for the simulator. With one, it is for the robot: it is trained on the twin, an identified
-    simulator, or one that a first network has made like the robot; what the twin is to follow is this robot's simulator.
+    Without a twin, the network is for the simulator. With one, it is for the robot: it is trained on the twin, which is
+    an identified simulator, or one that a first network has made like the robot. What the twin is to follow is this
+    robot's simulator.
     Fits on train, chooses on val, never reads test.
 
     Args:
