@@ -1,7 +1,7 @@
 """Delta actions on a robot that no training has seen, carrying what none has carried (GapONet, Table 1).
 
-`python -m benchmarks compensation` trains what is not there, under runs/gapo (docs/compensation.md). The figures are kept
-in benchmarks/results/compensation.json.
+`python -m benchmarks compensation` trains what is not there, under runs/gapo. Its figures are kept in
+benchmarks/results/compensation.json.
 """
 
 from __future__ import annotations

@@ -208,8 +208,12 @@ def test_held_out_a_block_that_is_absent_gains_nothing_and_one_that_is_there_doe
         assert gained[name].low <= 0.0
         assert abs(gained[name].value) < 1e-3
     whole = fit_graybox(many(seed)).total
-    # A constant per kilogram alone hardly helps: the cosine of the posture takes most of it back.
-    assert all(block.splits[HELD_OUT].reduction.low > 0.0 for block in whole if block.block != "payload")
+    # Of gains over the block before, in units of the noise of 0.1 Nm: large ones are sure. What the gains of the drive and
+    # the posture add before friction and coupling are known depends on the eight motions.
+    for block in whole:
+        gain = block.splits[HELD_OUT].reduction
+        assert gain.high > 0.0
+        assert gain.low > 0.0 or block.block in {"pd", "posture"}
     assert whole[-1].splits[HELD_OUT].rmse.value == pytest.approx(0.1, rel=0.05)
 
 
