@@ -14,7 +14,7 @@ from trueup.stages.measuring import Measurement, gap
 from trueup.stages.perturbing import robustness
 from trueup.stages.recording import RecordSummary, plans_named, record
 from trueup.stages.replaying import STOCK, ReplaySummary, replay
-from trueup.stages.rigs import EngineRig, LabRig, make_rig
+from trueup.stages.rigs import CompensatedRig, EngineRig, LabRig, make_rig
 from trueup.stages.timing import time_steps
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "Augmented",
     "Closed",
     "Compensated",
+    "CompensatedRig",
     "Designed",
     "EngineRig",
     "Evaluated",

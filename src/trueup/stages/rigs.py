@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from trueup.core.model_card import ModelCard
 from trueup.core.protocols import Hardware
 from trueup.errors import ConfigError, NameMismatch
 from trueup.robots import RobotSpec, load_robot
 
 if TYPE_CHECKING:
+    from trueup.deploy import Limits
     from trueup.lab import Fault, LabSpec, Truth, VirtualRobot
 
 # A recording of many motions takes a working robot about this long each; it is switched off every two hours.
@@ -137,6 +139,38 @@ class LabRig:
             Fault("stall", at_s=at_s, duration_s=1.0, joint=joint),
         )
         return (kinds[int(rng.integers(len(kinds)))],)
+
+
+@dataclass
+class CompensatedRig:
+    """A robot whose commands are corrected by a network before they reach it.
+
+    Attributes:
+        inner: where the robot comes from.
+        network: folder of a network for the robot itself.
+        limits: of its positions, which no corrected command leaves.
+    """
+
+    inner: Rig
+    network: Path
+    limits: Limits
+
+    @property
+    def unit(self) -> str:
+        """Which individual it is."""
+        return self.inner.unit
+
+    def describe(self) -> dict[str, Any]:
+        """What decides about what it does."""
+        return {**self.inner.describe(), "network": ModelCard.load(self.network).to_json()["sha256"]}
+
+    def session(self, number: int, payload_kg: float) -> Hardware:
+        """The robot at home, with a compensation that knows its payload and nothing else of it."""
+        from trueup.deploy import CompensatedRobot, Compensator
+
+        robot = self.inner.session(number, payload_kg)
+        compensator = Compensator.load(self.network, joints=robot.joints, limits=self.limits, payload_kg=payload_kg)
+        return CompensatedRobot(robot, compensator)
 
 
 @dataclass
