@@ -48,6 +48,12 @@ def record(
         list[str] | None,
         typer.Option("--base", help="What the lab's robot stands on: fixed, stance, squat, gait; several take turns."),
     ] = None,
+    network: Annotated[
+        Path | None,
+        typer.Option(
+            "--network", help="Network for the robot itself (docs/compensation.md) that corrects its commands."
+        ),
+    ] = None,
     faults: Annotated[
         float,
         typer.Option("--faults", help="Share of the motions in which the lab's robot stops, stalls or drops out."),
@@ -86,13 +92,13 @@ def record(
     from trueup.robots import find_model, load_robot
     from trueup.stages import plans_named
     from trueup.stages.recording import record as run
-    from trueup.stages.rigs import make_rig
+    from trueup.stages.rigs import CompensatedRig, Rig, make_rig
 
     spec = load_robot(robot)
     plans = plans_named(plan, scale=scale, seed=seed)
     if seed is None:  # a stored plan set says nothing of the days on which it is executed
         seed = 0 if isinstance(plans, PlanSet) else plans.seed
-    rigs = [
+    rigs: list[Rig] = [
         make_rig(
             hardware,
             spec,
@@ -106,6 +112,8 @@ def record(
         )
         for one, under in itertools.product(unit or (1,), base or (None,))
     ]
+    if network is not None:
+        rigs = [CompensatedRig.of(rig, spec, network) for rig in rigs]
     summary = run(
         out_dir,
         spec,

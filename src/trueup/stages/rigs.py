@@ -155,10 +155,35 @@ class CompensatedRig:
     network: Path
     limits: Limits
 
+    @staticmethod
+    def of(inner: Rig, robot: RobotSpec, network: Path) -> CompensatedRig:
+        """With the limits of a robot's description.
+
+        Raises:
+            ConfigError: a joint has no limits of its position.
+        """
+        from trueup.deploy import Limits
+
+        known = {joint.name: joint.position_limits for joint in robot.joints if joint.position_limits}
+        missing = [name for name in robot.joint_names if name not in known]
+        if missing:
+            raise ConfigError(
+                f"robot {robot.name!r} has joints whose corrected commands would know no limits",
+                got=missing,
+                hint="Give them position_limits in robot.yaml.",
+            )
+        low, high = zip(*(known[name] for name in robot.joint_names), strict=True)
+        return CompensatedRig(inner, network, Limits(low=low, high=high))
+
     @property
     def unit(self) -> str:
         """Which individual it is."""
         return self.inner.unit
+
+    @property
+    def condition(self) -> str:
+        """What the robot stands on."""
+        return self.inner.condition
 
     def describe(self) -> dict[str, Any]:
         """What decides about what it does."""
