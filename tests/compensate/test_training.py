@@ -13,6 +13,7 @@ from trueup.compensate.compensation import Compensation
 from trueup.compensate.config import CompensateConfig, LossConfig, TrainConfig
 from trueup.compensate.linear import linear_of
 from trueup.compensate.plants import Plants
+from trueup.compensate.ppo_config import PpoConfig
 from trueup.compensate.sensors import Sensors, responses
 from trueup.compensate.tracks import track_of
 from trueup.compensate.training import corrector_for, loss_of, unrolled
@@ -263,3 +264,17 @@ def test_linear_models_between_are_interpolated(world):
     assert np.array_equal(every.error, sparse.error)
     assert sparse.command == pytest.approx(every.command, abs=0.05 * float(np.abs(every.command).max()))
     assert np.array_equal(every.command[::10], sparse.command[::10])
+
+
+def test_reinforcement_is_a_way_of_the_stage(world, tmp_path):
+    robot, path, data, prepared = world
+    config = replace(
+        CONFIG,
+        training=replace(CONFIG.training, way="ppo"),
+        ppo=PpoConfig(samples=512, robots=8, steps=32, batch=128, critic=(8,)),
+    )
+    made = compensate(data, robot, tmp_path / "net", config=config, prepared=prepared, jobs=1)
+    assert made.compensation.card.provenance["training"]["cpu_seconds"] > 0
+    assert Compensation.load(tmp_path / "net").config.training.way == "ppo"
+    with pytest.raises(ConfigError, match="reinforcement corrects simulators"):
+        compensate(data, robot, tmp_path / "other", config=config, prepared=prepared, model=path, twin=(None, robot))

@@ -195,6 +195,16 @@ class Teacher:
         corrector.eval()
         return total / count
 
+    def sensor_cost(self, corrector: Corrector, generator: torch.Generator) -> Tensor:
+        """Eq. 7 alone, over one draw of samples; zero where nothing is predicted."""
+        if self.sensors is None:
+            return torch.zeros(())
+        starts = self.windows.starts(1)
+        batch = self.windows.batch(
+            starts[torch.randint(len(starts), (self.config.training.batch,), generator=generator)], 1
+        )
+        return self.config.loss.sensors * _sensor_loss(corrector, batch, self.sensors)
+
     def _rate(self, update: int) -> float:
         training = self.config.training
         share = update / training.updates

@@ -32,7 +32,9 @@ if TYPE_CHECKING:
     from trueup.compensate.config import CompensateConfig
     from trueup.compensate.linear import Linear
     from trueup.compensate.plants import Plants
+    from trueup.compensate.rounds import Learned
     from trueup.compensate.tracks import Track as Motion
+    from trueup.compensate.training import Teacher
 
 # Errors of val motions that choose the round are counted like in training; this many motions of each payload suffice.
 _JUDGED = 12
@@ -228,6 +230,13 @@ def compensate(
     make_folder(out)
     if not (overwrite or resume):
         ModelFolder.refuse_full(out)
+    if config.training.way == "ppo" and twin is not None:
+        raise ConfigError(
+            "reinforcement corrects simulators",
+            got="--twin-robot",
+            expected="training: {way: direct}",
+            hint="Leave it out.",
+        )
     known = None if twin is None or twin[0] is None else _twin_of(Path(twin[0]), robot)
     asked = json_hash(
         as_read_back(
@@ -303,16 +312,19 @@ def compensate(
 
         if overwrite:
             folder.begin_anew()
-        learned = learn(
-            corrector,
-            teacher,
-            judge,
-            seed=seed,
-            checkpoint=folder.checkpoint,
-            inputs=asked,
-            resume=resume,
-            on_round=on_round,
-        )
+        if config.training.way == "ppo":
+            learned = _by_reinforcement(corrector, teacher, prepared, config, seed=seed, checkpoint=folder.checkpoint)
+        else:
+            learned = learn(
+                corrector,
+                teacher,
+                judge,
+                seed=seed,
+                checkpoint=folder.checkpoint,
+                inputs=asked,
+                resume=resume,
+                on_round=on_round,
+            )
         errors = _errors_of(
             judged,
             closed_loop(judged, plants, None, twin=twin_net),
@@ -349,6 +361,30 @@ def compensate(
         torch.set_num_threads(before)
     folder.clean()
     return Compensated(compensation, out, errors, learned.seconds, prepared.notes)
+
+
+def _by_reinforcement(
+    corrector: Corrector, teacher: Teacher, prepared: Prepared, config: CompensateConfig, *, seed: int, checkpoint: Path
+) -> Learned:
+    """As the paper trains (GapONet, 4.3)."""
+    from trueup.compensate.rounds import Learned
+    from trueup.core.effort import Meter
+
+    with needing("training: {way: ppo}", "rl"):
+        from trueup.compensate.ppo import train_ppo
+    meter = Meter()
+    train_ppo(
+        corrector,
+        [part.track for part in prepared.train],
+        prepared.plants,
+        config.ppo,
+        seed=seed,
+        checkpoint=checkpoint,
+        auxiliary=lambda generator: teacher.sensor_cost(corrector, generator),
+    )
+    corrector.eval()
+    effort = meter.read()
+    return Learned((), 0, effort.seconds, effort.cpu_seconds)
 
 
 def compensated_replay(
