@@ -295,6 +295,7 @@ def test_whatever_comes_no_command_leaves_the_limits(
         assert (np.abs(out - nominal) <= largest * (1 + tiny) + tiny * np.abs(nominal))[known].all()
         assert (np.abs(answer.delta - delta) <= rate * period_s + tiny).all()
         assert (Why.TARGET in answer.why) == bool((nominal != target).any())
-        if not (np.isfinite(position).all() and np.isfinite(velocity).all() and finite.all()) and every == 1:
+        # A target that is none is another matter: the one before stands in for it, and that is said above.
+        if not (np.isfinite(position).all() and np.isfinite(velocity).all()) and every == 1:
             assert answer.status is not Status.OK
         before, delta = out, answer.delta.copy()

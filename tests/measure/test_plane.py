@@ -79,7 +79,7 @@ def test_the_file_is_read_back_as_it_was(tmp_path):
     plane = plane_of(*(comparison(f"m{k}", k, payload=float(k % 2))[0] for k in range(3)))
     found = Trend(Estimate(0.1, "rad/kg", 0.05, 0.15), 0.2, 8, "grows")
     trends = {"dart/stock": {"position": {"rmse": {"": found}}}}
-    written = EngineComparison(trends, plane, settings={"seed": 1})
+    written = EngineComparison(trends, plane, provenance={"seed": 1})
     written.save(tmp_path / "engines.json")
     assert EngineComparison.load(tmp_path / "engines.json") == written
     (tmp_path / "engines.json").write_text('{"schema": "trueup.engines/1", "trends": {}, "plane": {}}')
