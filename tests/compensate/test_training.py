@@ -266,6 +266,34 @@ def test_linear_models_between_are_interpolated(world):
     assert np.array_equal(every.command[::10], sparse.command[::10])
 
 
+def test_a_network_that_blows_the_simulation_up_costs_a_round_and_no_training(world, tmp_path, monkeypatch):
+    robot, _, data, prepared = world
+    config = replace(CONFIG, training=replace(CONFIG.training, updates=4, rounds=2))
+    calls, whole = [], prepared.plants.simulate
+
+    def simulate(*given):
+        calls.append(1)
+        if len(calls) == 1:
+            raise DataError("the simulation diverged")
+        return whole(*given)
+
+    monkeypatch.setattr(prepared.plants, "simulate", simulate)
+    judged = []
+    real = closed_loop
+
+    def looped(*given, **options):
+        judged.append(1)
+        if len(judged) == 2:  # of the second round
+            raise DataError("the simulation diverged")
+        return real(*given, **options)
+
+    monkeypatch.setattr("trueup.compensate.closed_loop.closed_loop", looped)
+    made = compensate(data, robot, tmp_path / "net", config=config, prepared=prepared, jobs=1)
+    history = made.compensation.card.provenance["training"]["history"]
+    assert [item["val"] > 1e6 for item in history] == [False, True]
+    assert made.compensation.card.provenance["training"]["best_round"] > 0
+
+
 def test_reinforcement_is_a_way_of_the_stage(world, tmp_path):
     robot, path, data, prepared = world
     config = replace(

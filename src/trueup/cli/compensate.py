@@ -84,7 +84,7 @@ def train(
             Dataset(dataset),
             own,
             out_dir,
-            config=_configured(method, config),
+            config=_configured(method, config, "" if twin_robot is None else "-robot"),
             model=model,
             control_hz=control_hz,
             twin=None if twin_robot is None else (twin, load_robot(twin_robot)),
@@ -146,12 +146,12 @@ def replay(
     return 2 if summary.failed else 0
 
 
-def _configured(method: str, config: str | None) -> CompensateConfig:
+def _configured(method: str, config: str | None, side: str) -> CompensateConfig:
     from trueup.compensate.config import METHODS, CompensateConfig
 
     if config is not None and config not in _NAMED:
         return CompensateConfig.load(Path(config))
-    name = f"{method}-paper" if config == "paper" else method
+    name = f"{method}-paper" if config == "paper" else f"{method}{side}"
     if name not in METHODS:
         raise ConfigError("there is no such method", got=name, available=METHODS)
     return METHODS[name]

@@ -113,8 +113,16 @@ class CompensateConfig:
         return build(CompensateConfig, read_yaml(path), str(path))
 
 
+# A network for the robot feeds its own corrections back through friction and a delay: with the steps and windows that a
+# simulator's network takes, its training runs away.
+_CAREFUL = TrainConfig(updates=300, horizon=20, rate=7e-4)
 METHODS: Mapping[str, CompensateConfig] = {
     "operator": CompensateConfig(),
+    "operator-robot": CompensateConfig(training=_CAREFUL),
+    "mlp-robot": CompensateConfig("mlp", NetworkConfig("mlp", (256, 256), history=1), training=_CAREFUL),
+    "transformer-robot": CompensateConfig(
+        "transformer", NetworkConfig("transformer", (64, 64), history=5), training=_CAREFUL
+    ),
     # GapONet, A.7: the sizes that agree with each other (p = 160 per joint); ELU; 4 earlier steps.
     "operator-paper": CompensateConfig(
         "operator-paper",

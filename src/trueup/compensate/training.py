@@ -18,6 +18,7 @@ from trueup.augment.scaling import Scaling
 from trueup.compensate.config import CompensateConfig, LossConfig
 from trueup.compensate.sensors import Sensors
 from trueup.compensate.windows import Batch, Windows
+from trueup.errors import DataError
 
 # Share of the updates after which windows have their full length.
 _GROWN = 0.4
@@ -171,7 +172,7 @@ class Teacher:
     def train(
         self, corrector: Corrector, optimizer: torch.optim.Optimizer, *, done: int, count: int, seed: Sequence[int]
     ) -> float:
-        """Some updates in place; returns the mean loss.
+        """Some updates in place; returns the mean loss, NaN if the simulator diverged in all of them.
 
         Args:
             corrector: the network.
@@ -182,18 +183,21 @@ class Teacher:
         """
         generator = torch.Generator().manual_seed(int(np.random.SeedSequence(seed).generate_state(1)[0]))
         corrector.train()
-        total = 0.0
+        total: list[float] = []
         for update in range(done, done + count):
             for group in optimizer.param_groups:
                 group["lr"] = self._rate(update)
-            cost = self._cost(corrector, update, generator)
+            try:
+                cost = self._cost(corrector, update, generator)
+            except DataError:  # what the network has added blew the simulation up; other windows teach it better
+                continue
             optimizer.zero_grad()
             cost.backward()  # type: ignore[no-untyped-call]
             if torch.isfinite(nn.utils.clip_grad_norm_(corrector.parameters(), _CLIP)):
                 optimizer.step()
-            total += float(cost.detach())
+            total.append(float(cost.detach()))
         corrector.eval()
-        return total / count
+        return float(np.mean(total)) if total else math.nan
 
     def sensor_cost(self, corrector: Corrector, generator: torch.Generator) -> Tensor:
         """Eq. 7 alone, over one draw of samples; zero where nothing is predicted."""

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 _JUDGED = 12
 # A first delta action is this large, in units of what is to be corrected.
 _SIZE = 0.02
+# What a network costs that blows the simulation up: more than any other, and a number that JSON has.
+_BLOWN_UP = 1e9
 
 
 @dataclass(frozen=True)
@@ -218,14 +220,14 @@ def compensate(
 
         from trueup.compensate.closed_loop import closed_loop
         from trueup.compensate.compensation import Compensation, made
-        from trueup.compensate.config import CompensateConfig
+        from trueup.compensate.config import METHODS
         from trueup.compensate.plants import Plants
         from trueup.compensate.rounds import learn
         from trueup.compensate.sensors import Sensors
         from trueup.compensate.training import Teacher, corrector_for
         from trueup.compensate.windows import Windows
 
-    config, out = config or CompensateConfig(), Path(out)
+    config, out = config or METHODS["operator" if twin is None else "operator-robot"], Path(out)
     name = name or config.method
     make_folder(out)
     if not (overwrite or resume):
@@ -307,8 +309,10 @@ def compensate(
             aims = [item.state for item in closed_loop(judged, follow, None)]
 
         def judge(network: Corrector) -> float:
-            runs = closed_loop(judged, plants, network, twin=twin_net)
-            return _cost(runs, aims, config)
+            try:
+                return _cost(closed_loop(judged, plants, network, twin=twin_net), aims, config)
+            except DataError:  # a network that blows the simulation up is no good, and the next round may be
+                return _BLOWN_UP
 
         if overwrite:
             folder.begin_anew()
@@ -418,7 +422,6 @@ def compensated_replay(
         NameMismatch: network and robot do not have the same joints.
         DataError: no episode could be replayed.
     """
-    from trueup.compensate.closed_loop import closed_loop
     from trueup.compensate.plants import Plants
 
     began = time.perf_counter()
@@ -456,14 +459,11 @@ def compensated_replay(
     with contextlib.ExitStack() as stack:
         writer = None
         for chunk in track(_chunks(list(motions)), "compensate", -(-len(motions) // _AT_ONCE)):
-            try:
-                runs = closed_loop([motions[name] for name in chunk], plants, compensation.corrector)
-            except TrueupError as error:
-                failed |= dict.fromkeys(chunk, error)
-                continue
-            if writer is None:
+            runs = _simulated({name: motions[name] for name in chunk}, plants, compensation.corrector, failed)
+            if writer is None and runs:
                 writer = stack.enter_context(RunWriter(dataset.path, label, run_info=info, overwrite=overwrite))
-            for name, own in zip(chunk, runs, strict=True):
+            for name, own in runs.items():
+                assert writer is not None
                 measured = joint_map.of_episode(dataset.episode(name)).measured
                 writer.append(name, _series(motions[name], own, measured.time_s, robot.joint_names, units))
                 done += 1
@@ -477,6 +477,23 @@ def compensated_replay(
 
 
 _AT_ONCE = 64
+
+
+def _simulated(
+    motions: Mapping[str, Motion], plants: Plants, corrector: Corrector, failed: dict[str, TrueupError]
+) -> dict[str, Run]:
+    """Motions side by side; where one of them cannot be simulated, each by itself."""
+    from trueup.compensate.closed_loop import closed_loop
+
+    try:
+        return dict(zip(motions, closed_loop(list(motions.values()), plants, corrector), strict=True))
+    except TrueupError as error:
+        if len(motions) == 1:
+            failed |= dict.fromkeys(motions, error)
+            return {}
+    return {
+        name: run for key in motions for name, run in _simulated({key: motions[key]}, plants, corrector, failed).items()
+    }
 
 
 def _chunks(names: Sequence[str]) -> list[list[str]]:
