@@ -524,7 +524,9 @@ def _twin_of(folder: Path, robot: RobotSpec) -> Compensation:
 
     found = Compensation.load(folder)
     if found.direction != "simulator":
-        raise ConfigError(f"{folder} corrects commands of the robot, not of its simulator", expected="one for it")
+        raise ConfigError(
+            f"{folder} corrects commands of the robot, not of its simulator", expected="a network for the simulator"
+        )
     if found.card.joints != robot.joint_names:
         raise NameMismatch(
             f"the network {found.card.name!r} is of another robot",
