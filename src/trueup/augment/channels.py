@@ -11,6 +11,7 @@ from jaxtyping import Float32, Float64
 from trueup.augment.components import values_of
 from trueup.core.episode import Episode
 from trueup.core.hold import held_rows
+from trueup.core.interpolation import columns_at
 from trueup.core.model_card import Channel
 from trueup.core.timeseries import TimeSeries
 from trueup.deploy.agreement import RATE_TOLERANCE
@@ -138,6 +139,4 @@ def column(series: TimeSeries, channel: Channel, where: str) -> Float32[np.ndarr
 
 def _linear(stamps_s: Float64[np.ndarray, "T"], values: np.ndarray, time_s: Float64[np.ndarray, "N"]) -> np.ndarray:
     """Columns at other times; constant beyond the ends."""
-    return np.stack([np.interp(time_s, stamps_s, values[:, k]) for k in range(values.shape[1])], axis=1).astype(
-        np.float32
-    )
+    return columns_at(time_s, stamps_s, values).astype(np.float32)

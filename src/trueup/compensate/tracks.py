@@ -10,6 +10,7 @@ from jaxtyping import Float32, Float64
 
 from trueup.core.episode import Episode
 from trueup.core.hold import SAME_INSTANT_S
+from trueup.core.interpolation import columns_at
 from trueup.errors import DataError, MissingSignal
 
 _RATE_TOLERANCE = 0.02
@@ -59,11 +60,11 @@ def track_of(episode: Episode, joints: Sequence[str], control_s: float) -> Track
                 f"episode {episode.id!r} has no {what} position, so that nothing says what its commands lack",
                 available=list(series.signals),
             )
-    gap_s = float(np.median(np.diff(command.time_s))) if len(command) > 1 else np.inf
+    gap_s = 1.0 / command.rate_hz if len(command) > 1 else np.inf
     if abs(gap_s / control_s - 1) > _RATE_TOLERANCE:
         raise DataError(
             f"episode {episode.id!r}: its commands come at another rate",
-            got=f"{1 / gap_s:.4g} Hz",
+            got=f"{command.rate_hz:.4g} Hz",
             expected=f"{1 / control_s:.4g} Hz",
             hint="Train for this rate: --control-hz.",
         )
@@ -78,7 +79,7 @@ def track_of(episode: Episode, joints: Sequence[str], control_s: float) -> Track
         velocity = measured["velocity"].astype(np.float64)
     else:
         velocity = np.gradient(position, measured.time_s, axis=0)
-    state = np.concatenate([_at(time_s, measured.time_s, signal) for signal in (position, velocity)], axis=1)
+    state = np.concatenate([columns_at(time_s, measured.time_s, signal) for signal in (position, velocity)], axis=1)
     wanted = command["position"][inside]
     for values, what in ((state, "state"), (wanted, "command")):
         if not np.isfinite(values).all():
@@ -91,7 +92,3 @@ def track_of(episode: Episode, joints: Sequence[str], control_s: float) -> Track
         wanted.astype(np.float32),
         np.asarray(time_s, np.float64),
     )
-
-
-def _at(time_s: Float64[np.ndarray, "N"], clock: Float64[np.ndarray, "M"], values: np.ndarray) -> np.ndarray:
-    return np.stack([np.interp(time_s, clock, column) for column in values.T], axis=1)

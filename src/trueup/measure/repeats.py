@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from trueup.core.engines import ANY_PAYLOAD, MEASURED, JointPlane, Repeated, Shift
 from trueup.core.episode import EpisodeMeta
+from trueup.core.interpolation import columns_at
 from trueup.core.results import Estimate, GapResult
 from trueup.measure.columns import mean
 from trueup.measure.comparison import COMMAND_RUN, Comparison
@@ -239,7 +240,7 @@ def _at(
     values: Float32[np.ndarray, "T J"] | None, time_s: Float64[np.ndarray, "T"], at: Float64[np.ndarray, "N"]
 ) -> Float64[np.ndarray, "N J"]:
     assert values is not None
-    return np.stack([np.interp(at, time_s, column) for column in values.T.astype(np.float64)], axis=1)
+    return columns_at(at, time_s, values)
 
 
 def _order(value: str) -> tuple[bool, float, str]:

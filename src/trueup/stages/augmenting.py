@@ -19,9 +19,10 @@ from trueup.dataset.writer import is_label_part
 from trueup.errors import ConfigError, NameMismatch, needing
 from trueup.record.limits import stated_rates
 from trueup.record.urdf import urdf_velocity_limits
-from trueup.robots import RobotSpec, find_model
+from trueup.robots import RobotSpec
 from trueup.stages.model_folder import ModelFolder
 from trueup.stages.progress import Track, silent
+from trueup.stages.robot_model import model_file
 from trueup.stages.training_data import TrainingData, rate_of
 
 if TYPE_CHECKING:
@@ -311,7 +312,7 @@ def _speeds(robot: RobotSpec, dataset: Dataset) -> dict[str, float]:
     from trueup.robots.model import compile_spec, load_spec
 
     try:
-        path = find_model(robot, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")
+        path = model_file(robot, dataset)
     except ConfigError:
         return {}
     model = compile_spec(load_spec(path), path)

@@ -19,10 +19,11 @@ from trueup.core.provenance import provenance
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset, RunWriter, refuse_run
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, TrueupError, needing
-from trueup.robots import RobotSpec, find_model
+from trueup.robots import RobotSpec
 from trueup.stages.model_folder import ModelFolder
 from trueup.stages.progress import Track, silent
 from trueup.stages.replaying import ReplaySummary
+from trueup.stages.robot_model import model_file
 
 if TYPE_CHECKING:
     from trueup.augment.checkpoint import Epoch
@@ -140,7 +141,7 @@ def prepare(
         raise MissingSignal(f"{dataset.path} has no motions in {empty[0]}", hint="Leave --drop-flagged out, or import.")
     joint_map = JointMap.from_dict(robot.joint_rules())
     control_s = 1.0 / (control_hz or _rate_of(dataset, joint_map, ids["train"][0]))
-    path = find_model(robot, given=model, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")
+    path = model_file(robot, dataset, given=model)
     plants = Plants(robot, path, control_s, threads=jobs or os.cpu_count() or 1)
     parts: dict[str, list[Linear]] = {"train": [], "val": []}
     refused: dict[str, TrueupError] = {}
@@ -281,7 +282,7 @@ def compensate(
     control_s, plants = prepared.control_s, prepared.plants
     follow, references = None, None
     if twin is not None:
-        path = find_model(robot, given=model, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")
+        path = model_file(robot, dataset, given=model)
         follow = Plants(robot, path, control_s, threads=threads, empty=empty_handed)
         references = [run_.state for run_ in closed_loop([part.track for part in prepared.train], follow, None)]
     before = torch.get_num_threads()
@@ -429,7 +430,7 @@ def compensated_replay(
     card = compensation.card
     label = label or f"{card.run}+{card.name}"
     refuse_run(dataset.path, label, allowed=overwrite)
-    path = find_model(robot, given=model, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")
+    path = model_file(robot, dataset, given=model)
     plants = Plants(robot, path, 1.0 / card.rate_hz, threads=jobs or os.cpu_count() or 1)
     joint_map = JointMap.from_dict(robot.joint_rules())
     names = tuple(dataset.ids if ids is None else ids)

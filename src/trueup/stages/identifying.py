@@ -17,13 +17,14 @@ from trueup.core.fit_result import FitResult
 from trueup.core.results import Ladder
 from trueup.dataset import Dataset
 from trueup.errors import OutputExists, TrueupError
-from trueup.robots import RobotSpec, find_model, load_robot
+from trueup.robots import RobotSpec, load_robot
 from trueup.stages.folder import forget_explanation
 from trueup.stages.ladder import ladder_of
 from trueup.stages.measuring import Measurement, gap
 from trueup.stages.motions import Motions, motions_of
 from trueup.stages.progress import Track, silent
 from trueup.stages.replaying import STOCK, ReplaySummary, replay_unless_same
+from trueup.stages.robot_model import model_file
 
 if TYPE_CHECKING:
     from trueup.identify import IdentifyConfig, OnModel
@@ -101,7 +102,7 @@ def fit(
     checkpoints = out / _CHECKPOINTS
     if overwrite and not resume:
         shutil.rmtree(checkpoints, ignore_errors=True)
-    path = find_model(robot, given=model, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")
+    path = model_file(robot, dataset, given=model)
     jobs = jobs or os.cpu_count() or 1
     given, robot = robot, judged(robot, config)
     inputs = _digest(dataset, robot, path, config, seed)
@@ -250,7 +251,7 @@ def explain(
     from trueup.identify import explain as attribute
     from trueup.identify.segments import left_out
 
-    path = find_model(robot, given=model, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")
+    path = model_file(robot, dataset, given=model)
     motions = motions_of(dataset, robot)
     found = attribute(
         motions.by_split,

@@ -18,9 +18,10 @@ from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.dataset import Dataset
 from trueup.errors import ConfigError, TrueupError
 from trueup.measure import bootstrap_interval
-from trueup.robots import RobotSpec, find_model
+from trueup.robots import RobotSpec
 from trueup.stages.correcting import CorrectionSummary, in_run_names, make_unless_same
 from trueup.stages.progress import Track, silent
+from trueup.stages.robot_model import model_file
 
 if TYPE_CHECKING:
     import mujoco
@@ -54,7 +55,7 @@ def model_of(dataset: Dataset, run: str) -> mujoco.MjModel:
     if "robot" not in inputs:
         raise ConfigError(f"the run {run!r} does not say which robot it is of")
     robot = build(RobotSpec, inputs["robot"], f"the robot of {run}")
-    path = find_model(robot, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")
+    path = model_file(robot, dataset)
     simulator = MujocoSimulator.from_robot(robot, Path(path))
     if info.get("engine") == "mujoco" and simulator.fingerprint != inputs.get("model_sha256"):
         raise ConfigError(

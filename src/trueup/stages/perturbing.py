@@ -33,9 +33,10 @@ from trueup.core.robustness_result import (
 )
 from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError, MissingSignal, OutputExists, TrueupError
-from trueup.robots import RobotSpec, find_model
+from trueup.robots import RobotSpec
 from trueup.stages.evaluating import EVERY_SPLIT
 from trueup.stages.progress import Track, silent
+from trueup.stages.robot_model import model_file
 
 if TYPE_CHECKING:
     from trueup.augment.trained import Trained
@@ -348,7 +349,7 @@ def _motions(
     ids = data.select(split=None if split == EVERY_SPLIT else split, drop_flagged=drop_flagged)[:most]
     if not ids:
         raise MissingSignal(f"{data.path} has no motions to look at", hint="Give another --split.")
-    model = find_model(robot, folder=data.info.model_path(data.path) or data.path / "model")
+    model = model_file(robot, data)
     return _Motions(name, data, ids, model)
 
 

@@ -17,8 +17,9 @@ from trueup.core.episode import Episode
 from trueup.core.provenance import provenance
 from trueup.dataset import Dataset, RunWriter, refuse_run
 from trueup.errors import DataError, OutputExists, TrueupError
-from trueup.robots import RobotSpec, find_model
+from trueup.robots import RobotSpec
 from trueup.stages.progress import Track, silent
+from trueup.stages.robot_model import model_file
 
 if TYPE_CHECKING:
     from trueup.sim import DartSimulator, MujocoSimulator
@@ -88,7 +89,7 @@ def replay(
     from trueup.sim import replay as replay_episodes
 
     started = time.perf_counter()
-    path = find_model(robot, given=model, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")
+    path = model_file(robot, dataset, given=model)
     settings = ReplaySettings.of(robot)
     settings = replace(
         settings,

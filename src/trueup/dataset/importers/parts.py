@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Float64
 
+from trueup.core.interpolation import columns_at
 from trueup.core.timeseries import TimeSeries
 from trueup.errors import DataError, NameMismatch
 
@@ -57,7 +58,7 @@ def on_one_clock(parts: Sequence[TimeSeries]) -> TimeSeries:
 def _at(part: TimeSeries, signal: str, time_s: Float64[np.ndarray, "K"]) -> Float[np.ndarray, "K J"]:
     if signal not in part:
         return np.full((time_s.size, len(part.joints)), np.nan)
-    return np.stack([np.interp(time_s, part.time_s, column) for column in part[signal].T], axis=1)
+    return columns_at(time_s, part.time_s, part[signal])
 
 
 def _units(part: TimeSeries, signal: str, parts: Sequence[TimeSeries]) -> tuple[str, ...]:
