@@ -28,12 +28,12 @@ from mujoco import batch, rollout
 
 from benchmarks.table import Row, at_least, rounded, shown
 from trueup.compensate.config import METHODS
+from trueup.compensate.correctors import corrector_for
 from trueup.compensate.environment import TrackingEnvironment
 from trueup.compensate.linear import Linear
 from trueup.compensate.ppo import train_ppo
 from trueup.compensate.ppo_config import PpoConfig
 from trueup.compensate.tracks import Track
-from trueup.compensate.training import corrector_for
 from trueup.compensate.windows import Windows
 from trueup.core.atomic import make_folder, write_json
 from trueup.core.provenance import provenance

@@ -23,8 +23,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.table import Row, at_least, at_most, shown
-from trueup.compensate.compensation import Compensation, blank, channels
+from trueup.compensate.compensation import Compensation, channels
 from trueup.compensate.config import METHODS
+from trueup.compensate.correctors import blank
 from trueup.core.atomic import make_folder, write_json
 from trueup.core.model_card import Input, ModelCard, Output
 from trueup.core.provenance import provenance

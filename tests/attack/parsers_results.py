@@ -110,9 +110,16 @@ def make_robustness(folder: Path) -> None:
 
 
 def make_engines(folder: Path) -> None:
-    """Trends and a plane."""
+    """Trends and a plane in which a motion was repeated."""
     world = _world()
-    plane = replace(PLANE, joints=world.joints[:2], paths={"a": PLANE.paths["chirp_sweep"]}, payloads={"a": "0.0"})
+    plane = replace(
+        PLANE,
+        joints=world.joints[:2],
+        paths=dict.fromkeys(("a", "b"), PLANE.paths["chirp_sweep"]),
+        payloads={"a": "0.0", "b": "1.0"},
+        conditions={"a": "stand", "b": "walk"},
+        executed={"a": "chirp", "b": "chirp"},
+    )
     trends = {label: {"position": {"rmse": {"": TREND, "pan": TREND}}} for label in world.runs}
     EngineComparison(trends, plane).save(folder / "engines.json")
 

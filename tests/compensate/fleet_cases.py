@@ -9,9 +9,9 @@ import torch
 
 from trueup.augment.config import NetworkConfig
 from trueup.compensate.config import CompensateConfig
+from trueup.compensate.correctors import corrector_for
 from trueup.compensate.linear import Linear
 from trueup.compensate.tracks import Track
-from trueup.compensate.training import corrector_for
 from trueup.compensate.windows import Windows
 from trueup.robots import ControllerSpec, JointSpec, PayloadSpec, RobotSpec, SimulationSpec
 from trueup.sim import MujocoSimulator

@@ -11,15 +11,16 @@ from trueup.augment.networks.operator import OperatorConfig
 from trueup.compensate.closed_loop import closed_loop
 from trueup.compensate.compensation import Compensation
 from trueup.compensate.config import CompensateConfig, LossConfig, TrainConfig
+from trueup.compensate.correctors import corrector_for
 from trueup.compensate.linear import linear_of
 from trueup.compensate.plants import Plants
 from trueup.compensate.ppo_config import PpoConfig
 from trueup.compensate.sensors import Sensors, responses
 from trueup.compensate.tracks import track_of
-from trueup.compensate.training import corrector_for, loss_of, unrolled
+from trueup.compensate.training import loss_of, unrolled
 from trueup.compensate.windows import Windows
 from trueup.errors import ConfigError, DataError, MissingSignal, OutputExists
-from trueup.stages.compensating import compensate, compensated_replay, prepare
+from trueup.stages import compensate, compensated_replay, prepare
 
 TOY = OperatorConfig(hidden=(16,), history=3, features=4, trunk=(8,), sensors=4, predictor=(8,))
 CONFIG = CompensateConfig(

@@ -6,8 +6,9 @@ import numpy as np
 import torch
 
 from trueup.augment.networks.operator import OperatorConfig
-from trueup.compensate.compensation import Compensation, blank, channels
+from trueup.compensate.compensation import Compensation, channels
 from trueup.compensate.config import METHODS
+from trueup.compensate.correctors import blank
 from trueup.core.model_card import Input, ModelCard, Output
 
 SMALL = OperatorConfig(hidden=(8, 8), features=3, trunk=(6, 6), sensors=2, predictor=(6,))

@@ -11,9 +11,10 @@ from trueup.core.results import Estimate
 from trueup.report.chooser import Menu, Variant, make_chooser
 from trueup.report.figures import bars_figure, bins_figure, lag_figure, rounded, whiskers
 from trueup.report.folder import RunFolder
+from trueup.report.labels import group_order
 from trueup.report.palette import run_styles, split_styles
 from trueup.report.sections.causes import causes_section
-from trueup.report.sections.groups import group_order, groups_section
+from trueup.report.sections.groups import groups_section
 from trueup.report.sections.joints import joints_section
 from trueup.report.sections.ladder import ladder_section
 

@@ -15,7 +15,7 @@ from trueup.errors import ConfigError
 
 if TYPE_CHECKING:
     from trueup.compensate.config import CompensateConfig
-    from trueup.stages.compensating import PayloadErrors
+    from trueup.compensate.judging import PayloadErrors
 
 app = typer.Typer(
     help="Learned compensation: networks that say what commands lack, in the simulator or on the robot.",
@@ -127,7 +127,7 @@ def replay(
     """Replay the logged commands in a compensated simulator, and store what it does as a run of the dataset."""
     from trueup.dataset import Dataset
     from trueup.robots import load_robot
-    from trueup.stages.compensating import compensated_replay
+    from trueup.stages.compensated_replaying import compensated_replay
 
     summary = compensated_replay(
         Dataset(dataset),

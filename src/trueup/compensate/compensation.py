@@ -8,15 +8,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import torch
 from safetensors import SafetensorError
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
 
 from trueup.augment.corrector import Corrector
-from trueup.augment.networks import build_network
-from trueup.augment.scaling import Scaling
 from trueup.compensate.config import CompensateConfig
+from trueup.compensate.correctors import blank
 from trueup.compensate.windows import Windows
 from trueup.core.atomic import make_folder, write_bytes
 from trueup.core.config import build
@@ -157,21 +155,6 @@ class Compensation:
             raise DataError(f"{folder / WEIGHTS_NAME} holds no weights of this network", got=error) from error
         corrector.eval()
         return Compensation(card, corrector, config)
-
-
-def blank(config: CompensateConfig, joints: int, rate_hz: float, seed: int = 0) -> Corrector:
-    """A network with random weights, between numbers of size one."""
-    inputs, base = 3 * joints + 1, np.arange(2 * joints, 3 * joints)
-    before = torch.get_rng_state()
-    torch.manual_seed(seed)
-    network = build_network(config.network, inputs=inputs, base=base.tolist(), rate_hz=rate_hz)
-    torch.set_rng_state(before)
-    ones, zeros = np.ones(inputs), np.zeros(inputs)
-    relative = np.full(inputs, -1)
-    if config.relative:
-        relative[base] = np.arange(joints)
-    scaling = Scaling(zeros, ones, zeros[:joints], ones[:joints], ones[:joints])
-    return Corrector(network, scaling, base, target="residual", relative=relative)
 
 
 def made(seed: int, data_hash: str, config: CompensateConfig) -> dict[str, Any]:

@@ -6,13 +6,19 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from trueup.augment.config import NetworkConfig
 from trueup.augment.networks.operator import OperatorConfig
 from trueup.compensate.ppo_config import PAPER, PpoConfig
 from trueup.core.config import build, read_yaml
 from trueup.errors import ConfigError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from torch import Tensor
+
+    _Numbers = TypeVar("_Numbers", Tensor, np.ndarray)
 
 Way = Literal["direct", "delta", "ppo"]
 
@@ -37,6 +43,14 @@ class LossConfig:
     smoothness: float = 0.01
     size: float = 1e-3
     sensors: float = 0.1
+
+    def cost(self, squares: _Numbers) -> _Numbers:
+        """Of errors whose squares, in units of `linear_from` times their sizes, are these.
+
+        Squares near zero, straight lines far away: no motion in which a joint hits something decides for all others.
+        This is 2 linear_from^2 (sqrt(1 + squares) - 1), without the difference of numbers that are nearly the same.
+        """
+        return 2 * self.linear_from**2 * squares / (1 + (1 + squares) ** 0.5)
 
     def __post_init__(self) -> None:
         """Refuse costs that are none."""

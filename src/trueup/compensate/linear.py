@@ -6,7 +6,6 @@ training looks many control steps ahead without simulating.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,8 +71,3 @@ def linear_of(
     return Linear(
         track, error.astype(np.float32), between(slopes.state), between(slopes.before), between(slopes.command)
     )
-
-
-def total(parts: Sequence[Linear]) -> int:
-    """The number of transitions."""
-    return sum(len(part.error) for part in parts)

@@ -40,7 +40,7 @@ class Plants:
 
     def __call__(self, payload_kg: float) -> Transitions:
         """The simulator with a payload [kg]."""
-        carried = 0.0 if self._empty else self.robot.carried_kg(payload_kg)
+        carried = self._carried(payload_kg)
         if carried not in self._known:
             simulator = MujocoSimulator.from_robot(self.robot, self._model, payload_kg=carried, threads=self._threads)
             self._known[carried] = Transitions(simulator, self.control_s, self.robot.delay_s)
@@ -48,11 +48,13 @@ class Plants:
 
     def smooth(self, payload_kg: float) -> Transitions:
         """The same without dry friction, for slopes."""
-        own = self(payload_kg)
-        carried = own.simulator.model.body_mass.sum()
+        carried = self._carried(payload_kg)
         if carried not in self._smooth:
-            self._smooth[carried] = own.without_dry_friction()
+            self._smooth[carried] = self(payload_kg).without_dry_friction()
         return self._smooth[carried]
+
+    def _carried(self, payload_kg: float) -> float:
+        return 0.0 if self._empty else self.robot.carried_kg(payload_kg)
 
     def simulate(self, payload: Tensor, state: Tensor, before: Tensor, command: Tensor) -> Tensor:
         """See `training.Simulate`."""

@@ -12,9 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from trueup.augment.corrector import Corrector
-from trueup.augment.networks import build_network
 from trueup.augment.networks.operator import Operator
-from trueup.augment.scaling import Scaling
 from trueup.compensate.config import CompensateConfig, LossConfig
 from trueup.compensate.sensors import Sensors
 from trueup.compensate.windows import Batch, Windows
@@ -29,31 +27,6 @@ _CLIP = 1.0
 _JOLT = 0.1
 # A linear model says nothing about states that are further from the measured ones [rad or m; per second].
 _FARTHEST = (1.0, 20.0)
-
-
-def corrector_for(config: CompensateConfig, windows: Windows, *, rate_hz: float, size: float) -> Corrector:
-    """A network with random weights on the scales of the data; its inputs are those of `channels`.
-
-    Args:
-        config: kind and sizes.
-        windows: the train motions.
-        rate_hz: of control [Hz].
-        size: typical size of a delta action [rad or m].
-    """
-    state, command, payload = windows.samples()
-    joints = command.shape[1]
-    read = command - state[:, :joints] if config.relative else command
-    rows = torch.cat([state, read, payload], dim=1).double()
-    center, scale = rows.mean(0).numpy(), rows.std(0).numpy()
-    scale = np.where(scale > 1e-6, scale, 1.0)
-    base = np.arange(2 * joints, 3 * joints)
-    relative = np.full(3 * joints + 1, -1)
-    if config.relative:
-        relative[base] = np.arange(joints)
-    network = build_network(config.network, inputs=3 * joints + 1, base=base.tolist(), rate_hz=rate_hz)
-    out = np.full(joints, size)
-    scaling = Scaling(center, scale, np.zeros(joints), out, out)
-    return Corrector(network, scaling, base, target="residual", relative=relative)
 
 
 def delta_of(corrector: Corrector, window: Tensor) -> Tensor:
@@ -138,12 +111,7 @@ def loss_of(errors: Tensor, deltas: Tensor, config: LossConfig) -> Tensor:
     """The mean over a window."""
     joints = deltas.shape[-1]
     sizes = errors.new_tensor([config.position_rad] * joints + [config.velocity_rad_s] * joints)
-    far = config.linear_from
-    squares = (errors / sizes / far) ** 2
-    # Squares near zero, straight lines far away: no motion in which a joint hits something decides for all others.
-    # This is 2 far^2 (sqrt(1 + squares) - 1), without the difference of numbers that are nearly the same.
-    cost = 2 * far**2 * squares / (1 + (1 + squares).sqrt())
-    total = cost.mean()
+    total = config.cost((errors / sizes / config.linear_from) ** 2).mean()
     if len(deltas) > 1:
         total = total + config.smoothness * ((deltas[1:] - deltas[:-1]) / config.position_rad).pow(2).mean()
     return total + config.size * (deltas / config.position_rad).pow(2).mean()

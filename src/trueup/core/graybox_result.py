@@ -125,16 +125,16 @@ class GrayboxResult:
         joints: joint -> fits.
         settings: what was asked for: delay_s, epsilon, filter and sources.
         notes: what had to be assumed about the episodes.
+        provenance: versions, git hash, data hash.
         total: mean over the joints that could be fitted, block by block, without coefficients; empty if their torques
             have different units.
-        provenance: versions, git hash, data hash.
     """
 
     joints: Mapping[str, JointFit]
     settings: Mapping[str, Any]
     notes: tuple[str, ...] = ()
-    total: tuple[BlockFit, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    total: tuple[BlockFit, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """A JSON object with schema `trueup.graybox/1`."""

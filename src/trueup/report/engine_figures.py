@@ -12,7 +12,7 @@ from trueup.core.engines import ANY_PAYLOAD, MEASURED, Envelope, JointPlane, Tre
 from trueup.core.results import Estimate
 from trueup.report.chooser import Figure
 from trueup.report.figures import hint_of, rounded, whiskers
-from trueup.report.labels import plot_text, run_title
+from trueup.report.labels import group_order, plot_text, run_title
 from trueup.report.palette import Style, cycled_styles
 
 MEASURED_STYLE = Style("#808080", "solid", "circle-open", "")
@@ -126,12 +126,12 @@ def retrace_figure(plane: JointPlane, executed: str) -> Figure:
         outline = _line("all motions", *_ellipse(shared), Style("#808080", "dot", "circle-open", ""), width=1.5)
         data.append(outline)
     repetitions = repetitions_of(plane, executed)
-    loads = list(dict.fromkeys(plane.payloads[motion] for motion in repetitions))
-    conditions = list(dict.fromkeys(plane.conditions[motion] for motion in repetitions))
+    loads = list(dict.fromkeys(_payload_of(plane, motion) for motion in repetitions))
+    conditions = list(dict.fromkeys(_condition_of(plane, motion) for motion in repetitions))
     colors = cycled_styles(loads)
     for motion in repetitions:
         points = plane.paths[motion][MEASURED]
-        load, condition = plane.payloads[motion], plane.conditions[motion]
+        load, condition = _payload_of(plane, motion), _condition_of(plane, motion)
         style = Style(colors[load].color, _DASHES[conditions.index(condition) % len(_DASHES)], "circle", "")
         name = ", ".join(part for part in (condition, f"{load} kg" if load else "") if part) or motion
         data.append(_line(name, [x for x, _ in points], [y for _, y in points], style, width=1.5))
@@ -140,12 +140,23 @@ def retrace_figure(plane: JointPlane, executed: str) -> Figure:
 
 def repetitions_of(plane: JointPlane, executed: str) -> list[str]:
     """The motions whose path was kept that repeat one, by payload and condition."""
-    found = [motion for motion, own in plane.executed.items() if own == executed and plane.paths[motion].get(MEASURED)]
-    return sorted(found, key=lambda motion: (_number(plane.payloads[motion]), plane.conditions[motion], motion))
+    found = [
+        motion
+        for motion, own in plane.executed.items()
+        if own == executed and plane.paths.get(motion, {}).get(MEASURED)
+    ]
+    loads = group_order({_payload_of(plane, motion) for motion in found})
+    return sorted(
+        found, key=lambda motion: (loads.index(_payload_of(plane, motion)), _condition_of(plane, motion), motion)
+    )
 
 
-def _number(text: str) -> float:
-    return float(text) if text else -1.0
+def _payload_of(plane: JointPlane, motion: str) -> str:
+    return plane.payloads.get(motion, ANY_PAYLOAD)
+
+
+def _condition_of(plane: JointPlane, motion: str) -> str:
+    return plane.conditions.get(motion, "")
 
 
 def _ellipse(envelope: Envelope) -> tuple[list[float], list[float]]:

@@ -9,9 +9,8 @@ from trueup.core.engines import ANY_PAYLOAD, EngineComparison, Shift, Trend
 from trueup.core.graybox_result import HELD_OUT, BlockFit, GrayboxResult
 from trueup.core.results import Estimate, GapResult, Metrics, PairedDifference
 from trueup.report.folder import RunFolder
-from trueup.report.labels import COMMAND
+from trueup.report.labels import COMMAND, group_order
 from trueup.report.numbers import has_interval, interval, percent, plural, quantity, significant, with_unit
-from trueup.report.sections.groups import group_order
 from trueup.report.verdict import find_headline
 
 PAYLOAD = "payload_kg"
@@ -105,9 +104,7 @@ def lag_words(run: RunFolder, engines: EngineComparison) -> list[str]:
         if label is None or label not in run.gap.runs:
             continue
         behind = "its command" if label == COMMAND else label
-        lags = {
-            load: _total(groups[load].get(label, {}), "position", "phase_lag") for load in group_order(list(groups))
-        }
+        lags = {load: _total(groups[load].get(label, {}), "position", "phase_lag") for load in group_order(groups)}
         known = {load: item for load, item in lags.items() if item is not None and math.isfinite(item.value)}
         whole = _total(run.gap.runs[label].get("all", {}), "position", "phase_lag")
         trend = engines.trends.get(label, {}).get("position", {}).get("phase_lag", {}).get(_MEAN)
@@ -127,7 +124,7 @@ def lag_words(run: RunFolder, engines: EngineComparison) -> list[str]:
 def saturation_words(gap: GapResult, simulators: Sequence[str]) -> list[str]:
     """How often motors are at their limit, on the robot and in simulations."""
     groups = gap.groups.get(PAYLOAD, {})
-    loads = group_order(list(groups))
+    loads = group_order(groups)
     sets = [(f" with {load} kg", groups[load]) for load in (loads[:1] + loads[-1:] if len(loads) > 1 else [])]
     sets = sets or [("", {label: splits.get("all", {}) for label, splits in gap.runs.items()})]
     words = []
@@ -227,7 +224,7 @@ def block_words(graybox: GrayboxResult) -> list[str]:
 
 def _heavy_words(block: BlockFit) -> list[str]:
     scores = block.payloads.get(HELD_OUT, {})
-    loads = group_order(list(scores))
+    loads = group_order(scores)
     if len(loads) < 2:
         return []
     light, heavy = scores[loads[0]].rmse, scores[loads[-1]].rmse

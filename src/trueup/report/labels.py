@@ -32,6 +32,18 @@ def ordered_runs(labels: Iterable[str]) -> list[str]:
     return sorted(labels, key=lambda label: (label != COMMAND, "stock" not in label.split("/")[-1], label))
 
 
+def group_order(values: Iterable[str]) -> list[str]:
+    """Numbers by size, words by alphabet after them."""
+
+    def key(value: str) -> tuple[bool, float, str]:
+        try:
+            return False, float(value), value
+        except ValueError:
+            return True, 0.0, value
+
+    return sorted(values, key=key)
+
+
 def run_title(label: str) -> str:
     """What a run is called where it needs no further words."""
     return "command as motion" if label == COMMAND else label

@@ -2,7 +2,8 @@
 
 from trueup.stages.augmenting import Augmented, augment
 from trueup.stages.closing import Closed, close
-from trueup.stages.compensating import Compensated, Prepared, compensate, compensated_replay, prepare
+from trueup.stages.compensated_replaying import compensated_replay
+from trueup.stages.compensating import Compensated, Prepared, compensate, prepare
 from trueup.stages.demonstrating import demo, demo_dataset
 from trueup.stages.designing import Designed, Foreseen, design
 from trueup.stages.evaluating import Evaluated, evaluate

@@ -2,68 +2,40 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float64
 
 from trueup.align import JointMap
 from trueup.core.atomic import as_read_back, json_hash, make_folder
-from trueup.core.provenance import provenance
-from trueup.core.timeseries import TimeSeries
-from trueup.dataset import Dataset, RunWriter, refuse_run
+from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, TrueupError, needing
 from trueup.robots import RobotSpec
 from trueup.stages.model_folder import ModelFolder
 from trueup.stages.progress import Track, silent
-from trueup.stages.replaying import ReplaySummary
 from trueup.stages.robot_model import model_file
 
 if TYPE_CHECKING:
     from trueup.augment.checkpoint import Epoch
     from trueup.augment.corrector import Corrector
-    from trueup.compensate.closed_loop import Run
     from trueup.compensate.compensation import Compensation
     from trueup.compensate.config import CompensateConfig
+    from trueup.compensate.judging import PayloadErrors
     from trueup.compensate.linear import Linear
     from trueup.compensate.plants import Plants
     from trueup.compensate.rounds import Learned
     from trueup.compensate.tracks import Track as Motion
     from trueup.compensate.training import Teacher
 
-# Errors of val motions that choose the round are counted like in training; this many motions of each payload suffice.
-_JUDGED = 12
 # A first delta action is this large, in units of what is to be corrected.
 _SIZE = 0.02
 # What a network costs that blows the simulation up: more than any other, and a number that JSON has.
 _BLOWN_UP = 1e9
-
-
-@dataclass(frozen=True)
-class PayloadErrors:
-    """Errors of val motions with one payload, mean over motions.
-
-    Attributes:
-        payload_kg: what is carried [kg].
-        motions: how many.
-        before: mean absolute error of the positions without compensation [rad or m].
-        after: likewise with it.
-        p999_before: 99.9 % of the samples are better than this, without.
-        p999_after: likewise with it.
-    """
-
-    payload_kg: float
-    motions: int
-    before: float
-    after: float
-    p999_before: float
-    p999_after: float
 
 
 @dataclass(frozen=True)
@@ -148,7 +120,7 @@ def prepare(
     every = [(split, name) for split, own in ids.items() for name in own]
     for split, name in track(every, "differentiate", len(every)):
         try:
-            motion = _motion(dataset, joint_map, name, robot, control_s)
+            motion = motion_of(dataset, joint_map, name, robot, control_s)
             kg = motion.payload_kg
             parts[split].append(linear_of(motion, plants(kg), smooth=plants.smooth(kg)))
         except (DataError, MissingSignal) as error:
@@ -222,10 +194,12 @@ def compensate(
         from trueup.compensate.closed_loop import closed_loop
         from trueup.compensate.compensation import Compensation, made
         from trueup.compensate.config import METHODS
+        from trueup.compensate.correctors import blank, scale
+        from trueup.compensate.judging import PayloadErrors, cost, judged, payload_errors
         from trueup.compensate.plants import Plants
         from trueup.compensate.rounds import learn
         from trueup.compensate.sensors import Sensors
-        from trueup.compensate.training import Teacher, corrector_for
+        from trueup.compensate.training import Teacher
         from trueup.compensate.windows import Windows
 
     config, out = config or METHODS["operator" if twin is None else "operator-robot"], Path(out)
@@ -240,7 +214,7 @@ def compensate(
             expected="training: {way: direct}",
             hint="Leave it out.",
         )
-    known = None if twin is None or twin[0] is None else _twin_of(Path(twin[0]), robot)
+    known = None if twin is None or twin[0] is None else network_for_simulator(Path(twin[0]), robot)
     asked = json_hash(
         as_read_back(
             {
@@ -288,12 +262,11 @@ def compensate(
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:
-        past = _past(config, robot, 1.0 / control_s)
-        windows = Windows(
-            prepared.train, max(past, known.corrector.network.past if known else 0), references=references
-        )
-        torch.manual_seed(seed)
-        corrector = corrector_for(config, windows, rate_hz=1.0 / control_s, size=_SIZE)
+        corrector = blank(config, len(robot.joint_names), 1.0 / control_s, seed)
+        twin_net = None if known is None else known.corrector
+        past = max(net.network.past for net in (corrector, twin_net) if net is not None)
+        windows = Windows(prepared.train, past, references=references)
+        scale(corrector, config, windows, _SIZE)
         sensors = None
         if getattr(config.network, "senses", "") == "predicted":
             sensors = Sensors.of(windows, config.network.sensors, len(robot.joint_names))  # type: ignore[attr-defined]
@@ -301,17 +274,16 @@ def compensate(
         if config.training.way == "delta":
             deltas = [part.delta(config.training.damping) for part in prepared.train]
             wanted = torch.from_numpy(np.concatenate([np.concatenate([part, part[-1:]]) for part in deltas]))
-        teacher = Teacher(windows, config, plants.simulate, None if known is None else known.corrector, sensors, wanted)
-        judged = _some([part.track for part in prepared.val])
-        twin_net = None if known is None else known.corrector
+        teacher = Teacher(windows, config, plants.simulate, twin_net, sensors, wanted)
+        motions = judged([part.track for part in prepared.val])
         if follow is None:
-            aims: list[Float64[np.ndarray, "T S"]] = [motion.state.astype(np.float64) for motion in judged]
+            aims: list[Float64[np.ndarray, "T S"]] = [motion.state.astype(np.float64) for motion in motions]
         else:
-            aims = [item.state for item in closed_loop(judged, follow, None)]
+            aims = [item.state for item in closed_loop(motions, follow, None)]
 
         def judge(network: Corrector) -> float:
             try:
-                return _cost(closed_loop(judged, plants, network, twin=twin_net), aims, config)
+                return cost(closed_loop(motions, plants, network, twin=twin_net), aims, config.loss)
             except DataError:  # a network that blows the simulation up is no good, and the next round may be
                 return _BLOWN_UP
 
@@ -330,10 +302,10 @@ def compensate(
                 resume=resume,
                 on_round=on_round,
             )
-        errors = _errors_of(
-            judged,
-            closed_loop(judged, plants, None, twin=twin_net),
-            closed_loop(judged, plants, corrector, twin=twin_net),
+        errors = payload_errors(
+            motions,
+            closed_loop(motions, plants, None, twin=twin_net),
+            closed_loop(motions, plants, corrector, twin=twin_net),
             aims,
         )
         compensation = Compensation.of(
@@ -343,7 +315,7 @@ def compensate(
             name=name,
             robot=robot.name,
             joints=robot.joint_names,
-            units=_units(dataset, robot),
+            units=units_of(dataset, robot),
             run=run or "mujoco/stock",
             rate_hz=1.0 / control_s,
             direction="simulator" if twin is None else "robot",
@@ -392,135 +364,13 @@ def _by_reinforcement(
     return Learned((), 0, effort.seconds, effort.cpu_seconds)
 
 
-def compensated_replay(
-    dataset: Dataset,
-    robot: RobotSpec,
-    network: Path | str,
-    *,
-    model: Path | None = None,
-    label: str | None = None,
-    ids: Sequence[str] | None = None,
-    jobs: int | None = None,
-    overwrite: bool = False,
-    track: Track = silent,
-) -> ReplaySummary:
-    """Replay the commands of a dataset in the simulator that a network corrects, and store what it does as a run.
-
-    Args:
-        dataset: logs with commands at the network's rate.
-        robot: whose simulator the network was trained to correct.
-        network: its folder.
-        model: MJCF or URDF; looked for beside the data and in the package if None.
-        label: name of the run; that of the simulator with the network's name added if None.
-        ids: episodes; all if None.
-        jobs: threads; the number of cores if None.
-        overwrite: replace the run if it is there.
-        track: shows progress.
+def network_for_simulator(folder: Path, robot: RobotSpec) -> Compensation:
+    """A trained network that makes this robot's simulator move like the robot.
 
     Raises:
-        OutputExists: the run is there.
-        ConfigError: the network corrects the robot, not its simulator.
-        NameMismatch: network and robot do not have the same joints.
-        DataError: no episode could be replayed.
+        ConfigError: it was trained for the robot, or for another one.
+        DataError: it is broken.
     """
-    from trueup.compensate.plants import Plants
-
-    began = time.perf_counter()
-    compensation = _twin_of(Path(network), robot)
-    card = compensation.card
-    label = label or f"{card.run}+{card.name}"
-    refuse_run(dataset.path, label, allowed=overwrite)
-    path = model_file(robot, dataset, given=model)
-    plants = Plants(robot, path, 1.0 / card.rate_hz, threads=jobs or os.cpu_count() or 1)
-    joint_map = JointMap.from_dict(robot.joint_rules())
-    names = tuple(dataset.ids if ids is None else ids)
-    motions: dict[str, Motion] = {}
-    failed: dict[str, TrueupError] = {}
-    for name in names:
-        try:
-            motions[name] = _motion(dataset, joint_map, name, robot, 1.0 / card.rate_hz)
-        except TrueupError as error:
-            failed[name] = error
-    info = {
-        "engine": "mujoco",
-        "inputs": {
-            "robot": robot.to_dict(),
-            "model_sha256": plants(0.0).simulator.fingerprint,
-            "network": card.to_json()["sha256"],
-        },
-        "joint_map": robot.joint_rules(),
-        "joints": list(robot.joint_names),
-        "scored_joints": list(robot.scored_joints),
-        "command_signal": robot.controller.signal,
-        "torque_limits": plants(0.0).simulator.torque_limits,
-        "provenance": provenance(config={"network": card.to_json()["sha256"]}, data_hash=dataset.hash),
-    }
-    done = 0
-    units = _units(dataset, robot)
-    with contextlib.ExitStack() as stack:
-        writer = None
-        for chunk in track(_chunks(list(motions)), "compensate", -(-len(motions) // _AT_ONCE)):
-            runs = _simulated({name: motions[name] for name in chunk}, plants, compensation.corrector, failed)
-            if writer is None and runs:
-                writer = stack.enter_context(RunWriter(dataset.path, label, run_info=info, overwrite=overwrite))
-            for name, own in runs.items():
-                assert writer is not None
-                measured = joint_map.of_episode(dataset.episode(name)).measured
-                writer.append(name, _series(motions[name], own, measured.time_s, robot.joint_names, units))
-                done += 1
-        if writer is not None:
-            writer.update_info({**info, "seconds": time.perf_counter() - began})
-    dataset.reload()
-    if not done:
-        name, first = next(iter(failed.items()))
-        raise DataError(f"no episode could be replayed, {name!r} because: {first.summary}", hint=first.hint)
-    return ReplaySummary(label, done, 0, failed, time.perf_counter() - began)
-
-
-_AT_ONCE = 64
-
-
-def _simulated(
-    motions: Mapping[str, Motion], plants: Plants, corrector: Corrector, failed: dict[str, TrueupError]
-) -> dict[str, Run]:
-    """Motions side by side; where one of them cannot be simulated, each by itself."""
-    from trueup.compensate.closed_loop import closed_loop
-
-    try:
-        return dict(zip(motions, closed_loop(list(motions.values()), plants, corrector), strict=True))
-    except TrueupError as error:
-        if len(motions) == 1:
-            failed |= dict.fromkeys(motions, error)
-            return {}
-    return {
-        name: run for key in motions for name, run in _simulated({key: motions[key]}, plants, corrector, failed).items()
-    }
-
-
-def _chunks(names: Sequence[str]) -> list[list[str]]:
-    return [list(names[start : start + _AT_ONCE]) for start in range(0, len(names), _AT_ONCE)]
-
-
-def _series(
-    motion: Motion, run: Run, stamps: Float64[np.ndarray, "M"], joints: Sequence[str], units: Sequence[str]
-) -> TimeSeries:
-    """What was simulated, at the robot's own stamps; and what was added to the command."""
-    rows = (stamps >= motion.time_s[0] - 1e-9) & (stamps <= motion.time_s[-1] + 1e-9)
-    count = len(joints)
-    position, velocity = (
-        np.stack([np.interp(stamps[rows], motion.time_s, column) for column in values.T], axis=1)
-        for values in (run.state[:, :count], run.state[:, count:])
-    )
-    speeds = tuple(f"{unit}/s" for unit in units)
-    return TimeSeries(
-        stamps[rows],
-        tuple(joints),
-        {"position": position, "velocity": velocity},
-        {"position": tuple(units), "velocity": speeds},
-    )
-
-
-def _twin_of(folder: Path, robot: RobotSpec) -> Compensation:
     from trueup.compensate.compensation import Compensation
 
     found = Compensation.load(folder)
@@ -540,73 +390,18 @@ def _twin_of(folder: Path, robot: RobotSpec) -> Compensation:
 
 
 def _rate_of(dataset: Dataset, joint_map: JointMap, name: str) -> float:
-    command = joint_map.of_episode(dataset.episode(name)).commanded()
-    return float(np.round(1.0 / np.median(np.diff(command.time_s)), 3))
+    return round(joint_map.of_episode(dataset.episode(name)).commanded().rate_hz, 3)
 
 
-def _motion(dataset: Dataset, joint_map: JointMap, name: str, robot: RobotSpec, control_s: float) -> Motion:
+def motion_of(dataset: Dataset, joint_map: JointMap, name: str, robot: RobotSpec, control_s: float) -> Motion:
+    """One episode, seen once every control step [s]."""
     from trueup.compensate.tracks import track_of
 
     return track_of(joint_map.of_episode(dataset.episode(name)), robot.joint_names, control_s)
 
 
-def _units(dataset: Dataset, robot: RobotSpec) -> tuple[str, ...]:
+def units_of(dataset: Dataset, robot: RobotSpec) -> tuple[str, ...]:
+    """`rad` or `m` for each of the robot's joints."""
     joint_map = JointMap.from_dict(robot.joint_rules())
     measured = joint_map.of_episode(dataset.episode(dataset.ids[0])).measured.select(robot.joint_names)
     return measured.units["position"]
-
-
-def _past(config: CompensateConfig, robot: RobotSpec, rate_hz: float) -> int:
-    from trueup.compensate.compensation import blank
-
-    return blank(config, len(robot.joint_names), rate_hz).network.past
-
-
-def _some(motions: Sequence[Motion]) -> list[Motion]:
-    """The first motions of each payload."""
-    counts: dict[float, int] = {}
-    chosen = []
-    for motion in motions:
-        counts[motion.payload_kg] = counts.get(motion.payload_kg, 0) + 1
-        if counts[motion.payload_kg] <= _JUDGED:
-            chosen.append(motion)
-    return chosen
-
-
-def _gaps(run: Run, aim: Float64[np.ndarray, "T S"]) -> Float64[np.ndarray, "T J"]:
-    count = run.delta.shape[1]
-    return np.asarray(np.abs(run.state[:, :count] - aim[:, :count]))
-
-
-def _cost(runs: Sequence[Run], aims: Sequence[Float64[np.ndarray, "T S"]], config: CompensateConfig) -> float:
-    """Mean over motions of what an error of position costs, as in training."""
-    far, size = config.loss.linear_from, config.loss.position_rad
-    costs = [
-        np.mean(2 * far**2 * (np.sqrt(1 + (_gaps(run, aim) / size / far) ** 2) - 1))
-        for run, aim in zip(runs, aims, strict=True)
-    ]
-    return float(np.mean(costs))
-
-
-def _errors_of(
-    motions: Sequence[Motion],
-    before: Sequence[Run],
-    after: Sequence[Run],
-    aims: Sequence[Float64[np.ndarray, "T S"]],
-) -> tuple[PayloadErrors, ...]:
-    found: list[PayloadErrors] = []
-    for payload_kg in sorted({motion.payload_kg for motion in motions}):
-        own = [number for number, motion in enumerate(motions) if motion.payload_kg == payload_kg]
-        gaps: Mapping[str, list[Any]] = {
-            key: [_gaps(runs[number], aims[number]) for number in own]
-            for key, runs in (("before", before), ("after", after))
-        }
-        means = {key: float(np.mean([part.mean() for part in parts])) for key, parts in gaps.items()}
-        worst = {
-            key: float(np.quantile(np.concatenate([part.ravel() for part in parts]), 0.999))
-            for key, parts in gaps.items()
-        }
-        found.append(
-            PayloadErrors(payload_kg, len(own), means["before"], means["after"], worst["before"], worst["after"])
-        )
-    return tuple(found)

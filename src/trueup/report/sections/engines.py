@@ -20,12 +20,20 @@ from trueup.report.engine_figures import (
 from trueup.report.figures import bars_figure
 from trueup.report.folder import RunFolder
 from trueup.report.gap_words import findings
-from trueup.report.labels import COMMAND, axis_title, metric_title, ordered, plot_text, run_title, source_title
+from trueup.report.labels import (
+    COMMAND,
+    axis_title,
+    group_order,
+    metric_title,
+    ordered,
+    plot_text,
+    run_title,
+    source_title,
+)
 from trueup.report.numbers import NOTHING, percent, plural
 from trueup.report.sections.base import Section
 from trueup.report.sections.cells import difference_cell, estimate_cell, verdict_cell
 from trueup.report.sections.graybox import graybox_chooser
-from trueup.report.sections.groups import group_order
 
 _SHOWN = ("rmse", "nrmse", "smoothness", "phase_lag")
 _SIGNALS = ("position", "velocity", "torque")
@@ -58,7 +66,7 @@ def engines_chooser(run: RunFolder) -> Chooser | None:
     """Joint by joint, one column per simulator, for all motions or those of one payload; two engines at least."""
     if len({label.partition("/")[0] for label in run.simulators}) < 2:
         return None
-    payloads = group_order(list(run.gap.groups.get(_PAYLOAD, {})))
+    payloads = group_order(run.gap.groups.get(_PAYLOAD, {}))
     menus = [
         Menu("Signal", [(name, name) for name in _SIGNALS]),
         Menu("Metric", [(name, metric_title(name)) for name in _SHOWN]),
@@ -167,7 +175,7 @@ def saturation_chooser(run: RunFolder) -> Chooser | None:
 
     def make(joint: str) -> Variant | None:
         bars: dict[str, dict[str, Estimate]] = {}
-        for load in group_order(list(run.gap.groups.get(_PAYLOAD, {}))) or [ANY_PAYLOAD]:
+        for load in group_order(run.gap.groups.get(_PAYLOAD, {})) or [ANY_PAYLOAD]:
             row = f"{load} kg" if load else "all motions"
             for label in run.simulators:
                 for name, metric in ((MEASURED, "saturation_measured"), (label, "saturation_simulated")):
@@ -198,7 +206,7 @@ def _joint_menu(run: RunFolder) -> Menu:
 def _over_payload(run: RunFolder, signal: str, metric: str, joint: str) -> dict[str, dict[float, Estimate]]:
     """Run -> payload -> estimate of a joint or of the mean over joints."""
     values: dict[str, dict[float, Estimate]] = {}
-    for load in group_order(list(run.gap.groups.get(_PAYLOAD, {}))):
+    for load in group_order(run.gap.groups.get(_PAYLOAD, {})):
         for label in run.runs:
             result = _result(run, label, load, signal, metric)
             estimate = None if result is None else result.per_joint.get(joint) if joint else result.total
@@ -266,7 +274,7 @@ def _payload_table(
 
 def plane_chooser(run: RunFolder, plane: JointPlane) -> Chooser | None:
     """Envelopes over all motions or those of a payload, and single motions."""
-    payloads = group_order(list(run.gap.groups.get(_PAYLOAD, {})))
+    payloads = group_order(run.gap.groups.get(_PAYLOAD, {}))
     options = [
         ("envelope:", "all motions, as ellipses"),
         *((f"envelope:{load}", f"{load} kg, as ellipses") for load in payloads),

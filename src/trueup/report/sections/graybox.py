@@ -10,12 +10,11 @@ from trueup.core.results import Estimate
 from trueup.report.chooser import Cell, Chooser, Menu, Table, TableRow, Variant, make_chooser
 from trueup.report.figures import bars_figure
 from trueup.report.folder import RunFolder
-from trueup.report.labels import SPLITS, ordered, split_title
+from trueup.report.labels import SPLITS, group_order, ordered, split_title
 from trueup.report.numbers import NOTHING, interval, percent, pretty_unit, significant, with_unit
 from trueup.report.palette import cycled_styles
 from trueup.report.sections.base import Section
 from trueup.report.sections.cells import estimate_cell
-from trueup.report.sections.groups import group_order
 
 # In place of a payload: all motions of a split together.
 ALL_MOTIONS = ""
@@ -77,7 +76,7 @@ def scores_of(block: BlockFit, split: str) -> dict[str, Score]:
 def payloads_of(blocks: Sequence[BlockFit], split: str) -> list[str]:
     """All motions, then each payload where there are several."""
     found = {load for block in blocks for load in block.payloads.get(split, {})}
-    return [ALL_MOTIONS, *(group_order(list(found)) if len(found) > 1 else [])]
+    return [ALL_MOTIONS, *(group_order(found) if len(found) > 1 else [])]
 
 
 def payload_bars(blocks: Sequence[BlockFit], split: str) -> dict[str, dict[str, Estimate]]:

@@ -8,7 +8,7 @@ from trueup.core.results import Metrics
 from trueup.report.chooser import Menu, Table, TableRow, Variant, make_chooser
 from trueup.report.figures import bars_figure
 from trueup.report.folder import RunFolder
-from trueup.report.labels import MAIN_METRIC, SIGNALS, axis_title, ordered, ordered_runs, run_title
+from trueup.report.labels import MAIN_METRIC, SIGNALS, axis_title, group_order, ordered, ordered_runs, run_title
 from trueup.report.numbers import plural
 from trueup.report.sections.base import Section
 from trueup.report.sections.cells import estimate_cell
@@ -41,18 +41,6 @@ def groups_section(run: RunFolder) -> Section | None:
     preferred = (menus[0].options[0][0], "position") if groups else ("", "")
     chooser = make_chooser("groups-chooser", menus, make, preferred=preferred) if signals else None
     return None if chooser is None else Section("groups", "By group", {"chooser": chooser})
-
-
-def group_order(values: list[str]) -> list[str]:
-    """Numbers by size, words by alphabet after them."""
-
-    def key(value: str) -> tuple[bool, float, str]:
-        try:
-            return False, float(value), value
-        except ValueError:
-            return True, 0.0, value
-
-    return sorted(values, key=key)
 
 
 def _variant(run: RunFolder, name: str, values: Mapping[str, Mapping[str, Metrics]], signal: str) -> Variant | None:
