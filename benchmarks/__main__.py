@@ -38,6 +38,8 @@ NAMES = (
     "sat_robustness",
     "sat_training",
     "compensation",
+    "compensation_ablations",
+    "compensation_robot",
     "compensate_env",
     "whole_body",
     "compensate_speed",

@@ -7,6 +7,7 @@ where it was interrupted. Its figures are kept in benchmarks/results/compensatio
 from __future__ import annotations
 
 import itertools
+import math
 import multiprocessing
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -32,7 +33,7 @@ from trueup.core.config import build
 from trueup.core.provenance import provenance
 from trueup.identify import IdentifyConfig
 from trueup.measure import paired_difference
-from trueup.measure.metrics.distribution import gap_range, iqr, large_gap_ratio
+from trueup.measure.metrics.distribution import gap_iqr, gap_range, large_gap_ratio
 from trueup.robots import RobotSpec, find_model, load_robot
 from trueup.stages import Prepared, compensate, fit, prepare
 
@@ -67,10 +68,9 @@ def run() -> list[Row]:
         parts = list(pool.map(tables_on, (STOCK, FITTED)))
     result = {
         "tau_rad": TAU_RAD,
-        "training_config": asdict(SHORT),
         "tables": {name: own for tables, _ in parts for name, own in tables.items()},
         "training": {name: own for _, training in parts for name, own in training.items()},
-        "provenance": provenance(seed=0, data_hash=data_of("train").hash),
+        "provenance": provenance(seed=0, data_hash=data_of("train").hash, config=asdict(SHORT)),
     }
     write_json(RESULT, rounded(result))
     return _rows(read_json(RESULT))
@@ -150,18 +150,20 @@ def table(base: str, networks: Sequence[Corrector | None]) -> dict[str, dict[str
 
 
 def _metrics(pairs: Sequence[tuple[Track, Run]]) -> dict[str, list[float]]:
-    """Of each motion, all joints together, as in eq. 12 to 14."""
+    """Of each motion, the mean over its joints."""
     found: dict[str, list[float]] = {metric: [] for metric in METRICS}
     for motion, run in pairs:
         joints = motion.command.shape[1]
-        measured, simulated = (
-            np.asarray(state[:, :joints], np.float64).reshape(-1, 1) for state in (motion.state, run.state)
-        )
-        found["large_gap_ratio"].append(float(large_gap_ratio(measured, simulated, tau=TAU_RAD)[0]))
-        found["large_gap_ratio_paper"].append(float(large_gap_ratio(measured, simulated, tau=PAPER_TAU_RAD)[0]))
-        found["iqr"].append(float(iqr(measured, simulated)[0]))
-        found["range"].append(float(gap_range(measured, simulated)[0]))
-        found["mae"].append(float(np.abs(measured - simulated).mean()))
+        measured, simulated = (np.asarray(state[:, :joints], np.float64) for state in (motion.state, run.state))
+        values = {
+            "large_gap_ratio": large_gap_ratio(measured, simulated, tau=TAU_RAD),
+            "large_gap_ratio_paper": large_gap_ratio(measured, simulated, tau=PAPER_TAU_RAD),
+            "iqr": gap_iqr(measured, simulated),
+            "range": gap_range(measured, simulated),
+            "mae": np.abs(measured - simulated),
+        }
+        for metric, own in values.items():
+            found[metric].append(float(own.mean()))
     return found
 
 
@@ -230,6 +232,8 @@ def _mean(tables: Mapping[str, Any], name: str, test: str, payload_kg: float, me
 def _difference(tables: Mapping[str, Any], payload_kg: float) -> dict[str, float]:
     """Operator minus identified simulator, by motion."""
     ours, theirs = (_of(tables, name, "test", payload_kg, "mae").mean(axis=0) for name in (OPERATOR, FITTED))
-    about = {"split": "test", "signal": "position", "metric": "mae", "unit": "rad"}
-    found = paired_difference(ours, theirs, run=OPERATOR, baseline=FITTED, **about).difference
-    return {"value": found.value, "low": found.low, "high": found.high}
+    found = paired_difference(
+        ours, theirs, run=OPERATOR, baseline=FITTED, split="test", signal="position", metric="mae", unit="rad"
+    ).difference
+    low, high = (math.nan if end is None else end for end in (found.low, found.high))
+    return {"value": found.value, "low": low, "high": high}

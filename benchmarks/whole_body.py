@@ -1,7 +1,8 @@
 """Arms that hang and lag under what they hold, on a base that has to balance: with compensation and without.
 
-Two references, since what a compensation should bring about depends on what the balance was designed for. `follows`:
-the simulated arms are where they are told to be; a compensation carries their weight. `hangs`: the simulated arms hang
+Three references, since what a compensation should bring about depends on what the balance was designed for. `follows`:
+the simulated arms are where they are told to be; a compensation carries their weight. `empty`: they hang under the same
+PD as with empty hands, whatever they hold; so moves a robot with a network of `compensation_robot`. `hangs`: they hang
 under the same PD and the same payload as the real ones, as in a replay; a compensation takes away what the simulator
 does not know.
 
@@ -14,20 +15,26 @@ Trajectories are kept under runs/whole_body, and an interrupted run goes on from
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
 
+from benchmarks.compensation_robot import SEEDS, network_folder
 from benchmarks.table import Row, at_most, rounded, shown
 from benchmarks.whole_body_motions import MOTIONS, SECONDS, targets_of
+from trueup import deploy
 from trueup.core.atomic import make_folder, replacing, without_nan, write_text
 from trueup.core.provenance import provenance
+from trueup.deploy import Limits
 from trueup.lab import draw_truth, load_lab
 from trueup.measure import bootstrap_interval, paired_difference
+from trueup.robots import load_robot
 from trueup.whole_body import (
     UNITS,
     BalanceSettings,
@@ -41,6 +48,8 @@ from trueup.whole_body import (
     body_gap,
     draw_base,
 )
+from trueup.whole_body.bodies import Arms
+from trueup.whole_body.model import ROBOT
 
 RESULT = Path(__file__).parent / "results" / "whole_body.json"
 FOLDER = Path("runs") / "whole_body"
@@ -55,7 +64,7 @@ class Way:
     """One way to command the arms of the real body.
 
     Attributes:
-        reference: what the simulated arms do, `follows` or `hangs`.
+        reference: what the simulated arms do, `follows`, `empty` or `hangs`.
         make: a compensator for one motion; None for plain PD.
     """
 
@@ -63,16 +72,43 @@ class Way:
     make: Callable[[], Compensator] | None = None
 
 
-# A trained network stands here as one more line, with a function that loads its folder: it makes a robot move like its
-# simulator under the same PD, so its reference is `hangs`.
 WAYS: Mapping[str, Way] = {
     "plain PD, follows": Way("follows"),
     "weight fed forward": Way("follows", GravityFeedForward),
+    "plain PD, empty": Way("empty"),
+    "payload fed forward": Way("empty", partial(GravityFeedForward, arms=False)),
+    "network": Way("empty", lambda: Trained(network_folder(SEEDS[0]))),
     "plain PD, hangs": Way("hangs"),
 }
-PLAIN = {"follows": "plain PD, follows", "hangs": "plain PD, hangs"}
+# Reference -> what commands the simulated arms.
+REFERENCES: Mapping[str, Compensator | None] = {
+    "follows": GravityFeedForward(),
+    "empty": GravityFeedForward(arms=False),
+    "hangs": None,
+}
+PLAIN = {reference: f"plain PD, {reference}" for reference in REFERENCES}
 # Way -> metric -> (bodies, motions), NaN where a body fell.
 Figures = Mapping[str, Mapping[str, Float64[np.ndarray, "U M"]]]
+
+
+class Trained:
+    """A network for the robot beside the arms; it begins when the first target is given."""
+
+    def __init__(self, folder: Path) -> None:
+        low, high = zip(
+            *(joint.position_limits or (-math.inf, math.inf) for joint in load_robot(ROBOT).joints), strict=True
+        )
+        self._made = deploy.Compensator.load(
+            folder, joints=load_robot(ROBOT).joint_names, limits=Limits(low=low, high=high), payload_kg=0.0
+        )
+        self._carries = 0.0
+
+    def __call__(self, position: Arms, velocity: Arms, target: Arms, payload_kg: float) -> Arms:
+        """The target to send instead [rad]."""
+        if payload_kg != self._carries:
+            self._made.carry(payload_kg)
+            self._carries = payload_kg
+        return np.array(self._made.step(position, velocity, target).target)
 
 
 def run() -> list[Row]:
@@ -123,23 +159,23 @@ def figures_of(payload_kg: float) -> Figures:
 
 def drive_all(payload_kg: float) -> None:
     """Drive whatever is not there yet with one payload."""
-    trial, lab, carried = Trial(payload_kg), load_lab("upper_body"), GravityFeedForward()
+    trial, lab = Trial(payload_kg), load_lab("upper_body")
     bodies = {
         unit: VirtualBody(draw_truth(lab, unit=unit), draw_base(unit=unit), payload_kg=payload_kg) for unit in BODIES
     }
     for motion in MOTIONS:
         targets, simulated = targets_of(motion), {}
-        for reference in PLAIN:
+        for reference, own in REFERENCES.items():
             path = _path(payload_kg, reference, 0, motion)
             if not path.is_file():
-                _save(path, trial.simulated(targets, compensator=carried if reference == "follows" else None))
+                _save(path, trial.simulated(targets, compensator=own))
             simulated[reference] = _load(path)
         for name, way in WAYS.items():
             for unit, body in bodies.items():
                 path = _path(payload_kg, name, unit, motion)
                 if not path.is_file():
-                    own = way.make() if way.make else None
-                    _save(path, trial.real(body, targets, simulated[way.reference], compensator=own, seed=SEED))
+                    helper = way.make() if way.make else None
+                    _save(path, trial.real(body, targets, simulated[way.reference], compensator=helper, seed=SEED))
 
 
 def _path(payload_kg: float, name: str, unit: int, motion: str) -> Path:

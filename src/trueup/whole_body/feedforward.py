@@ -17,9 +17,13 @@ class GravityFeedForward:
 
     A PD with gain `kp` then carries arms and payload where the target is, up to friction, springs, delay, and what the
     model does not know of the individual.
+
+    Args:
+        arms: whether the arms' own weight too; else they hang as with empty hands.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, arms: bool = True) -> None:
+        self._arms = arms
         self._robot = load_robot(ROBOT)
         names = self._robot.joint_names
         self._gains = np.array([self._robot.controller.gain("kp", name) for name in names])
@@ -27,12 +31,19 @@ class GravityFeedForward:
 
     def __call__(self, position: Arms, velocity: Arms, target: Arms, payload_kg: float) -> Arms:  # noqa: ARG002 - feed-forward
         """The target to send instead [rad]."""
+        weight = self._weight(target, payload_kg)
+        if not self._arms:
+            weight = weight - self._weight(target, 0.0)
+        return np.asarray(target + weight / self._gains)
+
+    def _weight(self, pose: Arms, payload_kg: float) -> Arms:
+        """Torques that hold arms and payload in a pose [Nm]."""
         if payload_kg not in self._models:
             self._models[payload_kg] = self._loaded(payload_kg)
         model, data, places, freedoms = self._models[payload_kg]
-        data.qpos[places] = target
+        data.qpos[places] = pose
         mujoco.mj_forward(model, data)
-        return np.asarray(target + data.qfrc_bias[freedoms] / self._gains)
+        return np.asarray(data.qfrc_bias[freedoms])
 
     def _loaded(self, payload_kg: float) -> tuple[mujoco.MjModel, mujoco.MjData, np.ndarray, np.ndarray]:
         path = find_model(self._robot)
