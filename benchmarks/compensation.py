@@ -27,6 +27,7 @@ from trueup.compensate.closed_loop import Run, closed_loop
 from trueup.compensate.compensation import Compensation
 from trueup.compensate.config import METHODS, CompensateConfig, TrainConfig
 from trueup.compensate.plants import Plants
+from trueup.compensate.sensors import Sensors
 from trueup.compensate.tracks import Track, track_of
 from trueup.core.atomic import read_json, write_json
 from trueup.core.config import build
@@ -135,12 +136,14 @@ def network(name: str, seed: int) -> Compensation:
     return made.compensation
 
 
-def table(base: str, networks: Sequence[Corrector | None]) -> dict[str, dict[str, dict[str, list[list[float]]]]]:
+def table(
+    base: str, networks: Sequence[Corrector | None], *, sensors: Sensors | None = None
+) -> dict[str, dict[str, dict[str, list[list[float]]]]]:
     """Data set -> payload -> metric -> seed -> motion."""
     found: dict[str, dict[str, dict[str, list[list[float]]]]] = {}
     for test, net in itertools.product(TESTS, networks):
         motions = _motions(test)
-        runs = closed_loop(motions, plants(base), net)
+        runs = closed_loop(motions, plants(base), net, sensors=sensors)
         for payload_kg in sorted({motion.payload_kg for motion in motions}):
             pairs = [(m, r) for m, r in zip(motions, runs, strict=True) if m.payload_kg == payload_kg]
             own = found.setdefault(test, {}).setdefault(f"{payload_kg:g}", {metric: [] for metric in METRICS})

@@ -11,7 +11,7 @@ from trueup.augment.networks.operator import OperatorConfig
 from trueup.compensate.closed_loop import closed_loop
 from trueup.compensate.compensation import Compensation
 from trueup.compensate.config import CompensateConfig, LossConfig, TrainConfig
-from trueup.compensate.correctors import corrector_for
+from trueup.compensate.correctors import blank, corrector_for, scale
 from trueup.compensate.linear import linear_of
 from trueup.compensate.plants import Plants
 from trueup.compensate.ppo_config import PpoConfig
@@ -105,9 +105,39 @@ def test_sensors_are_what_the_simulator_does_under_fixed_commands(world):
         command = here[:, :2] + offsets.numpy()
         true = transitions.next(here, command, command) - here
         assert said[row] == pytest.approx(true, abs=0.02 * np.abs(true).max())
-    scaled = Sensors.of(windows, 3, 2).values(batch, 0, state, torch.zeros_like(state))
+    sensors = Sensors.of(windows, 3, 2)
+    scaled = sensors.values(batch, 0, state, torch.zeros_like(state))
     assert scaled.shape == (len(state), 3 * 4)
     assert 0.3 < float(scaled.std()) < 3.0
+    own = batch.payload[:, 0] == batch.payload[0, 0]
+    asked = sensors.simulated(
+        transitions_of(robot, path, payload_kg=float(batch.payload[0, 0])),
+        state[own].double().numpy(),
+        batch.command[1][own].double().numpy(),
+    )
+    assert asked == pytest.approx(scaled[own].numpy(), abs=0.05)
+
+
+def test_an_operator_may_be_told_what_sensors_say(world):
+    """Windows of the linear model and motions of the simulator show it the same, but for what the model leaves out."""
+    robot, path, _, prepared = world
+    windows, track = windows_of(prepared), prepared.train[0].track
+    config = replace(CONFIG, network=replace(TOY, senses="true"))
+    sensors = Sensors.of(windows, TOY.sensors, 2)
+    corrector = blank(config, 2, 1 / CONTROL_S, sensed=sensors.center.numel())
+    scale(corrector, config, windows)
+    batch = Windows(prepared.train[:1], 2).batch(torch.tensor([2]), 10)
+    plants = Plants(robot, path, CONTROL_S)
+    at_rest = torch.cat([torch.zeros(1, 2), -batch.state[2][:, 2:]], dim=1)
+    with torch.no_grad():
+        _, deltas = unrolled(corrector, batch, at_rest, simulate=plants.simulate, sensors=sensors)
+    cut = replace(track, state=track.state[2:], command=track.command[2:], time_s=track.time_s[2:])
+    (run,) = closed_loop([cut], plants, corrector, sensors=sensors, settle_s=0.0)
+    largest = np.abs(run.delta[:10]).max()
+    assert run.delta[:10] == pytest.approx(deltas[:, 0].numpy(), abs=0.05 * largest)
+    assert largest > 1e-4
+    with pytest.raises(ConfigError, match="no simulator to ask"):
+        compensate(world[2], robot, path.parent / "told", config=config, prepared=prepared)
 
 
 def test_losses_by_hand():

@@ -114,6 +114,17 @@ def test_feed_forward_holds_simulated_arms_where_they_are_told_to_be():
     assert np.abs(hanging - targets[-1]).max() > 0.1
 
 
+def test_feed_forward_of_the_payload_alone_lets_arms_hang_as_with_empty_hands():
+    targets, only = np.tile(reaching()[50], (50, 1)), GravityFeedForward(arms=False)
+    loaded, plain = (
+        Trial(kg, driving=STANDING).simulated(targets, compensator=own).arms[-1]
+        for kg, own in ((2.0, only), (2.0, None))
+    )
+    empty = Trial(0.0, driving=STANDING).simulated(targets, compensator=only).arms[-1]
+    assert np.abs(plain - empty).max() > 0.05
+    assert np.abs(loaded - empty).max() < 0.02
+
+
 def test_a_compensator_is_asked_once_per_target_and_its_answer_is_what_is_sent():
     trial, targets, asked = Trial(1.0, driving=STANDING), reaching(1.0), []
 

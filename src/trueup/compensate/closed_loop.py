@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float64
+from jaxtyping import Float32, Float64
 
 from trueup.augment.corrector import Corrector
+from trueup.compensate.sensors import Sensors
 from trueup.compensate.tracks import Track
 from trueup.compensate.training import delta_of
 from trueup.errors import DataError
@@ -38,6 +39,7 @@ def closed_loop(
     corrector: Corrector | None,
     *,
     twin: Corrector | None = None,
+    sensors: Sensors | None = None,
     settle_s: float = _SETTLE_S,
 ) -> list[Run]:
     """Simulate motions from their first measured positions, all of one payload side by side.
@@ -47,6 +49,7 @@ def closed_loop(
         transitions: the simulator with a payload [kg].
         corrector: says what commands lack; None for commands as they are.
         twin: makes the simulator the robot, whose commands are corrected then; see `training.unrolled`.
+        sensors: of an operator that asks the simulator itself what they say.
         settle_s: for so long the first command is held before the motion begins [s].
 
     Raises:
@@ -56,7 +59,9 @@ def closed_loop(
     for payload_kg in sorted({track.payload_kg for track in tracks}):
         numbers = [number for number, track in enumerate(tracks) if track.payload_kg == payload_kg]
         own = [tracks[number] for number in numbers]
-        found |= dict(zip(numbers, _together(own, transitions(payload_kg), corrector, twin, settle_s), strict=True))
+        found |= dict(
+            zip(numbers, _together(own, transitions(payload_kg), corrector, twin, sensors, settle_s), strict=True)
+        )
     return [found[number] for number in range(len(tracks))]
 
 
@@ -65,6 +70,7 @@ def _together(
     transitions: Transitions,
     corrector: Corrector | None,
     twin: Corrector | None,
+    sensors: Sensors | None,
     settle_s: float,
 ) -> list[Run]:
     """Motions of one payload; short ones hold their last command until the longest has ended."""
@@ -78,7 +84,8 @@ def _together(
     own, other = _Eyes(corrector, payload), _Eyes(twin, payload)
     states, deltas, before = [], [], command[0]
     for wanted in command:
-        delta = own.delta(state, wanted)
+        sensed = None if sensors is None else sensors.simulated(transitions, state, before)
+        delta = own.delta(state, wanted, sensed)
         sent = wanted + delta + other.delta(state, wanted + delta)
         states.append(state)
         deltas.append(delta)
@@ -97,11 +104,17 @@ class _Eyes:
         self._payload = payload
         self._seen: list[torch.Tensor] = []
 
-    def delta(self, state: Float64[np.ndarray, "B S"], command: Float64[np.ndarray, "B J"]) -> np.ndarray:
+    def delta(
+        self,
+        state: Float64[np.ndarray, "B S"],
+        command: Float64[np.ndarray, "B J"],
+        sensed: Float32[np.ndarray, "B V"] | None = None,
+    ) -> np.ndarray:
         """What the current commands lack, (B, J)."""
         if self._corrector is None:
             return np.zeros_like(command)
-        sample = torch.from_numpy(np.concatenate([state, command, self._payload], axis=1).astype(np.float32))
+        parts = [state, command, self._payload, *([] if sensed is None else [sensed])]
+        sample = torch.from_numpy(np.concatenate(parts, axis=1).astype(np.float32))
         past = self._corrector.network.past
         self._seen = [*(self._seen or [sample] * past), sample][-past - 1 :]
         with torch.no_grad():

@@ -11,13 +11,18 @@ from trueup.augment.scaling import Scaling
 from trueup.compensate.config import CompensateConfig
 from trueup.compensate.windows import Windows
 
+# Of delta actions, before any training [rad or m].
+_SIZE = 0.02
 # An input that never changes in training must not be blown up when it does.
 _STILL = 1e-6
 
 
-def blank(config: CompensateConfig, joints: int, rate_hz: float, seed: int = 0) -> Corrector:
-    """A network with random weights, between numbers of size one; its inputs are those of `compensation.channels`."""
-    inputs, base = 3 * joints + 1, np.arange(2 * joints, 3 * joints)
+def blank(config: CompensateConfig, joints: int, rate_hz: float, seed: int = 0, *, sensed: int = 0) -> Corrector:
+    """A network with random weights, between numbers of size one; its inputs are those of `compensation.channels`.
+
+    After them come those of sensors that are asked, where an operator does not predict what they say.
+    """
+    inputs, base = 3 * joints + 1 + sensed, np.arange(2 * joints, 3 * joints)
     before = torch.get_rng_state()
     torch.manual_seed(seed)
     network = build_network(config.network, inputs=inputs, base=base.tolist(), rate_hz=rate_hz)
@@ -30,14 +35,15 @@ def blank(config: CompensateConfig, joints: int, rate_hz: float, seed: int = 0) 
     return Corrector(network, scaling, base, target="residual", relative=relative)
 
 
-def scale(corrector: Corrector, config: CompensateConfig, windows: Windows, size: float) -> None:
+def scale(corrector: Corrector, config: CompensateConfig, windows: Windows, size: float = _SIZE) -> None:
     """Put a network on the scales of the train motions, and of delta actions of this size [rad or m]."""
     state, command, payload = windows.samples()
-    read = command - state[:, : command.shape[1]] if config.relative else command
-    rows = torch.cat([state, read, payload], dim=1).double()
+    ahead = command - state[:, : command.shape[1]] if config.relative else command
+    rows = torch.cat([state, ahead, payload], dim=1).double()
     spread = rows.std(0)
-    corrector.center.copy_(rows.mean(0))
-    corrector.scale.copy_(torch.where(spread > _STILL, spread, 1.0))
+    read = rows.shape[1]
+    corrector.center[:read] = rows.mean(0)
+    corrector.scale[:read] = torch.where(spread > _STILL, spread, 1.0)
     corrector.out_scale.fill_(size)
     corrector.loss_scale.fill_(size)
 

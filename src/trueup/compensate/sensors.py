@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from jaxtyping import Float32, Float64
 from torch import Tensor
 
 from trueup.compensate.windows import Batch, Windows
+from trueup.sim.transitions import Transitions
 
 # How far the fixed commands are from the joints' positions [rad or m]: about as far as commands run ahead.
 _REACH = 0.1
@@ -44,6 +46,23 @@ class Sensors:
     def values(self, batch: Batch, step: int, state: Tensor, error: Tensor) -> Tensor:
         """What they say in a step of windows, in units of their spread, (B, k 2J)."""
         return (responses(batch, step, state, error, self.offsets) - self.center) / self.scale
+
+    def simulated(
+        self, transitions: Transitions, state: Float64[np.ndarray, "B S"], before: Float64[np.ndarray, "B J"]
+    ) -> Float32[np.ndarray, "B V"]:
+        """What they say if the simulator itself is asked, likewise: k control steps for each of B states.
+
+        Args:
+            transitions: the simulator.
+            state: positions, then velocities.
+            before: what was commanded one control step ago.
+        """
+        count, joints = self.offsets.shape
+        command = (state[:, None, :joints] + self.offsets.numpy()).reshape(-1, joints)
+        here = np.repeat(state, count, axis=0)
+        moved = transitions.next(here, np.repeat(before, count, axis=0), command) - here
+        values = (moved.reshape(len(state), -1) - self.center.numpy()) / self.scale.numpy()
+        return np.asarray(values, np.float32)
 
 
 def responses(batch: Batch, step: int, state: Tensor, error: Tensor, offsets: Tensor) -> Tensor:

@@ -51,6 +51,7 @@ def unrolled(
     *,
     simulate: Simulate | None = None,
     twin: Corrector | None = None,
+    sensors: Sensors | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Errors and delta actions of a window in which the simulator goes its own way.
 
@@ -61,6 +62,7 @@ def unrolled(
         simulate: where it goes; if None, the linear model says it. That model says in either case what changes of
             commands and states do to it: a simulator with dry friction moves by jumps, which nothing learns from.
         twin: what makes the simulator the robot, whose commands are corrected then.
+        sensors: of an operator that is told what they say, by the linear model.
 
     Returns:
         simulated minus measured states, or minus those to follow, after each step, (L, B, 2J), and delta actions
@@ -74,13 +76,16 @@ def unrolled(
     sent = batch.command[past - 1] if past else batch.command[0]
     most = torch.tensor(_FARTHEST, device=start.device).repeat_interleave(before.shape[-1])
     # Samples as the networks see them: state, command, payload. A twin sees commands as they have been corrected.
-    seen = [torch.cat([batch.state[k], batch.command[k], batch.payload], -1) for k in range(past)]
-    told = list(seen)
+    told = [torch.cat([batch.state[k], batch.command[k], batch.payload], -1) for k in range(past)]
+    # Of the past, an operator that is told what sensors say reads nothing.
+    nothing = [] if sensors is None else [before.new_zeros(len(before), sensors.center.numel())]
+    seen = [torch.cat([sample, *nothing], -1) for sample in told]
     errors, deltas = [], []
     for step in range(steps):
         row = past + step
         state = batch.state[row] + error
-        seen.append(torch.cat([state, batch.command[row], batch.payload], -1))
+        said = [] if sensors is None else [sensors.values(batch, step, state, error)]
+        seen.append(torch.cat([state, batch.command[row], batch.payload, *said], -1))
         own = corrector.network.past
         delta = delta_of(corrector, torch.stack(seen[-own - 1 :]))
         moved = delta
@@ -127,6 +132,7 @@ class Teacher:
         simulate: see `unrolled`.
         twin: likewise.
         sensors: what an operator's sensor predictor learns.
+        told: what an operator that has none is told, window by window.
         wanted: delta actions of all samples of the windows, (M, J); for the way `delta`.
     """
 
@@ -135,6 +141,7 @@ class Teacher:
     simulate: Simulate | None = None
     twin: Corrector | None = None
     sensors: Sensors | None = None
+    told: Sensors | None = None
     wanted: Tensor | None = None
 
     def train(
@@ -207,7 +214,12 @@ class Teacher:
                 way = torch.rand(count, 1, generator=generator)
                 start = start + way * (batch.reference[0] - batch.state[self.windows.past])
             errors, deltas = unrolled(
-                corrector, batch, start.to(batch.error.device), simulate=self.simulate, twin=self.twin
+                corrector,
+                batch,
+                start.to(batch.error.device),
+                simulate=self.simulate,
+                twin=self.twin,
+                sensors=self.told,
             )
             cost = loss_of(errors, deltas, loss)
         if self.sensors is not None:

@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from trueup.compensate.tracks import Track as Motion
     from trueup.compensate.training import Teacher
 
-# A first delta action is this large, in units of what is to be corrected.
-_SIZE = 0.02
 # What a network costs that blows the simulation up: more than any other, and a number that JSON has.
 _BLOWN_UP = 1e9
 
@@ -191,6 +189,7 @@ def compensate(
     with needing("training", "learn"):
         import torch
 
+        from trueup.augment.networks.operator import OperatorConfig
         from trueup.compensate.closed_loop import closed_loop
         from trueup.compensate.compensation import Compensation, made
         from trueup.compensate.config import METHODS
@@ -207,6 +206,12 @@ def compensate(
     make_folder(out)
     if not (overwrite or resume):
         ModelFolder.refuse_full(out)
+    if isinstance(config.network, OperatorConfig) and config.network.senses == "true":
+        raise ConfigError(
+            "a compensation has no simulator to ask in each control step",
+            got="network: {senses: true}",
+            expected="predicted, or none",
+        )
     if config.training.way == "ppo" and twin is not None:
         raise ConfigError(
             "reinforcement corrects simulators",
@@ -266,15 +271,15 @@ def compensate(
         twin_net = None if known is None else known.corrector
         past = max(net.network.past for net in (corrector, twin_net) if net is not None)
         windows = Windows(prepared.train, past, references=references)
-        scale(corrector, config, windows, _SIZE)
+        scale(corrector, config, windows)
         sensors = None
-        if getattr(config.network, "senses", "") == "predicted":
-            sensors = Sensors.of(windows, config.network.sensors, len(robot.joint_names))  # type: ignore[attr-defined]
+        if isinstance(config.network, OperatorConfig) and config.network.senses == "predicted":
+            sensors = Sensors.of(windows, config.network.sensors, len(robot.joint_names))
         wanted = None
         if config.training.way == "delta":
             deltas = [part.delta(config.training.damping) for part in prepared.train]
             wanted = torch.from_numpy(np.concatenate([np.concatenate([part, part[-1:]]) for part in deltas]))
-        teacher = Teacher(windows, config, plants.simulate, twin_net, sensors, wanted)
+        teacher = Teacher(windows, config, plants.simulate, twin_net, sensors, wanted=wanted)
         motions = judged([part.track for part in prepared.val])
         if follow is None:
             aims: list[Float64[np.ndarray, "T S"]] = [motion.state.astype(np.float64) for motion in motions]
