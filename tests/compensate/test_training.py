@@ -281,7 +281,6 @@ def _robot_side(world, folder):
         run="mujoco/stock",
         rate_hz=50.0,
         direction="robot",
-        metrics={},
         provenance_of={},
     )
     return made.save(folder / "robot-side") and folder / "robot-side"

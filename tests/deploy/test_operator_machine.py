@@ -11,6 +11,7 @@ from trueup.core.model_card import STEP_NAME
 from trueup.deploy import Network, Stream, StreamSettings
 from trueup.deploy.cell import Cell, GraphCell, OperatorCell
 from trueup.deploy.operator_weights import OperatorWeights
+from trueup.deploy.step_file import StepFile
 from trueup.errors import DataError
 
 JOINTS = ("a", "b", "c")
@@ -75,7 +76,7 @@ def test_a_number_that_is_none_is_seen(tmp_path):
 )
 def test_weights_of_another_network_are_refused(tmp_path, wrong):
     made = compensation(tmp_path, JOINTS)
-    weights = OperatorWeights.load(tmp_path, made.card)
+    weights = OperatorWeights.of_file(StepFile.load(tmp_path, made.card), made.card)
     (tmp_path / STEP_NAME).write_bytes(replace(weights, **wrong).to_bytes())
     made.card.save(tmp_path)
     with pytest.raises(DataError, match=STEP_NAME):

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -63,12 +64,54 @@ def save_checkpoint(
     """Write the file atomically."""
     tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
     tensors |= {f"best.{name}": value for name, value in best.items()}
-    for number, slots in optimizer.state_dict()["state"].items():
-        tensors |= {f"optimizer.{number}.{name}": torch.as_tensor(value) for name, value in slots.items()}
-    tensors = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
-    said = json.dumps(asdict(state))
+    write_tensors(path, tensors | slots_of(optimizer), asdict(state))
+
+
+def write_tensors(path: Path, tensors: Mapping[str, Tensor], state: Mapping[str, Any]) -> None:
+    """Write a file atomically: tensors, and JSON that says what they are, with a hash of both."""
+    # Weights that two modules share are one tensor to torch, which safetensors does not write.
+    tensors = {name: value.detach().cpu().clone().contiguous() for name, value in tensors.items()}
+    said = json.dumps(state)
     with replacing(path) as temporary:
         save_file(tensors, temporary, {"state": said, "sha256": digest_of(tensors, said)})
+
+
+def read_tensors(path: Path, inputs: str) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """What `write_tensors` wrote for a training that depends on these inputs.
+
+    Raises:
+        OutputExists: the file belongs to another training.
+        DataError: it is broken.
+    """
+    try:
+        with safe_open(regular(path), framework="pt") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  # it has no __iter__
+        tree = json.loads(metadata["state"])
+        asked = tree["inputs"]
+        whole = metadata["sha256"] == digest_of(tensors, metadata["state"])
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError, RecursionError) as error:
+        raise DataError(f"{path} is no checkpoint", got=error, hint=_ANEW) from error
+    if not whole:
+        raise DataError(f"{path} was changed after it was written (its hash differs)", hint=_ANEW)
+    if asked != inputs:
+        raise OutputExists(
+            f"{path.parent} holds the training of another configuration, seed or data",
+            hint="Give --overwrite to begin anew, or choose another --out.",
+        )
+    return tensors, tree
+
+
+@contextlib.contextmanager
+def of_this_version(path: Path) -> Iterator[None]:
+    """Tensors whose hash agrees and that do not fit were written by another program."""
+    try:
+        yield
+    # The last is torch's, for shapes.
+    except (ConfigError, IndexError, KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise DataError(
+            f"{path} was written by another version of trueup or torch", got=str(error).split("\n")[0], hint=_ANEW
+        ) from error
 
 
 def digest_of(tensors: Mapping[str, Tensor], said: str) -> str:
@@ -89,34 +132,13 @@ def read_checkpoint(
         OutputExists: the checkpoint belongs to another training.
         DataError: the file is broken.
     """
-    try:
-        with safe_open(regular(path), framework="pt") as file:
-            metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  # it has no __iter__
-        tree = json.loads(metadata["state"])
-        asked = tree["inputs"]
-        whole = metadata["sha256"] == digest_of(tensors, metadata["state"])
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError, RecursionError) as error:
-        raise DataError(f"{path} is no checkpoint", got=error, hint=_ANEW) from error
-    if not whole:
-        raise DataError(f"{path} was changed after it was written (its hash differs)", hint=_ANEW)
-    if asked != inputs:
-        raise OutputExists(
-            f"{path.parent} holds the training of another configuration, seed or data",
-            hint="Give --overwrite to begin anew, or choose another --out.",
-        )
-    try:
+    tensors, tree = read_tensors(path, inputs)
+    with of_this_version(path):
         state = _state(tree, path)
-        best = _part(tensors, "best.")
-        for weights in (best, _part(tensors, "network.")) if state.best else (_part(tensors, "network."),):
+        best = part_of(tensors, "best.")
+        for weights in (best, part_of(tensors, "network.")) if state.best else (part_of(tensors, "network."),):
             network.load_state_dict(weights)
-        # Its settings are those of the configuration, whose hash agrees.
-        groups = optimizer.state_dict()["param_groups"]
-        optimizer.load_state_dict({"state": _slots(tensors, optimizer), "param_groups": groups})
-    except (ConfigError, IndexError, TypeError, ValueError, RuntimeError) as error:  # the last is torch's, for shapes
-        raise DataError(
-            f"{path} was written by another version of trueup or torch", got=str(error).split("\n")[0], hint=_ANEW
-        ) from error
+        restore(optimizer, tensors)
     return state, best
 
 
@@ -128,21 +150,35 @@ def _state(tree: Any, path: Path) -> Checkpoint:
     return state
 
 
-def _part(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+def part_of(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """Those whose names begin like this, by the rest of their names."""
     return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
 
 
-def _slots(tensors: Mapping[str, Tensor], optimizer: Optimizer) -> dict[int, dict[str, Tensor]]:
+def slots_of(optimizer: Optimizer) -> dict[str, Tensor]:
+    """What an optimizer remembers of each parameter."""
+    slots = optimizer.state_dict()["state"].items()
+    return {
+        f"optimizer.{number}.{name}": torch.as_tensor(value) for number, own in slots for name, value in own.items()
+    }
+
+
+def restore(optimizer: Optimizer, tensors: Mapping[str, Tensor]) -> None:
+    """Make an optimizer remember what `slots_of` said; its settings are those of the configuration.
+
+    Raises:
+        ValueError: a parameter is missing, or has another shape.
+    """
     parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
     slots: dict[int, dict[str, Tensor]] = {}
-    for name, value in _part(tensors, "optimizer.").items():
+    for name, value in part_of(tensors, "optimizer.").items():
         number, slot = name.split(".", 1)
         if value.shape not in ((), parameters[int(number)].shape):
             raise ValueError(f"{name} has the shape {tuple(value.shape)}")
         slots.setdefault(int(number), {})[slot] = value
     if [*range(len(parameters))] != sorted(slots) or len({frozenset(item) for item in slots.values()}) > 1:
         raise ValueError("a parameter lacks what the optimizer knows of it")
-    return slots
+    optimizer.load_state_dict({"state": slots, "param_groups": optimizer.state_dict()["param_groups"]})
 
 
 def losses(history: Sequence[Epoch]) -> list[dict[str, Any]]:

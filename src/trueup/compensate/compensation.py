@@ -75,7 +75,6 @@ class Compensation:
         run: str,
         rate_hz: float,
         direction: Direction,
-        metrics: Mapping[str, Any],
         provenance_of: Mapping[str, Any],
         description: str = "",
     ) -> Compensation:
@@ -113,7 +112,6 @@ class Compensation:
             outputs=outputs,
             states=corrector.states,
             margin=_MARGIN,
-            metrics=metrics,
             description=description,
             provenance=made,
         )

@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
-from torch import Tensor, nn
+from torch import nn
 from torch.optim import Optimizer
 
-from trueup.augment.checkpoint import digest_of
-from trueup.core.atomic import regular, replacing
+from trueup.augment.checkpoint import of_this_version, part_of, read_tensors, restore, slots_of, write_tensors
 from trueup.core.config import build
 from trueup.core.effort import Effort
-from trueup.errors import ConfigError, DataError, OutputExists
-
-_ANEW = "Give --overwrite to begin anew."
 
 
 @dataclass(frozen=True)
@@ -66,14 +59,8 @@ def save_checkpoint(
 ) -> None:
     """Write the file atomically; `memory` is that of the environment."""
     tensors = {f"policy.{name}": value for name, value in policy.state_dict().items()}
-    for number, slots in optimizer.state_dict()["state"].items():
-        tensors |= {f"optimizer.{number}.{name}": torch.as_tensor(value) for name, value in slots.items()}
     tensors |= {f"memory.{name}": torch.from_numpy(np.ascontiguousarray(value)) for name, value in memory.items()}
-    # Weights that two modules share are one tensor to torch, which safetensors does not write.
-    tensors = {name: value.detach().cpu().clone().contiguous() for name, value in tensors.items()}
-    said = json.dumps(asdict(state))
-    with replacing(path) as temporary:
-        save_file(tensors, temporary, {"state": said, "sha256": digest_of(tensors, said)})
+    write_tensors(path, tensors | slots_of(optimizer), asdict(state))
 
 
 def read_checkpoint(
@@ -85,36 +72,9 @@ def read_checkpoint(
         OutputExists: the checkpoint belongs to another training.
         DataError: the file is broken.
     """
-    try:
-        with safe_open(regular(path), framework="pt") as file:
-            metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  # it has no __iter__
-        tree = json.loads(metadata["state"])
-        whole = metadata["sha256"] == digest_of(tensors, metadata["state"])
+    tensors, tree = read_tensors(path, inputs)
+    with of_this_version(path):
         state = build(Stand, tree, str(path))
-    except (SafetensorError, OSError, KeyError, TypeError, ValueError, RecursionError, ConfigError) as error:
-        raise DataError(f"{path} is no checkpoint", got=str(error).split("\n")[0], hint=_ANEW) from error
-    if not whole:
-        raise DataError(f"{path} was changed after it was written (its hash differs)", hint=_ANEW)
-    if state.inputs != inputs:
-        raise OutputExists(
-            f"{path.parent} holds the training of another configuration, seed or data",
-            hint="Give --overwrite to begin anew, or choose another --out.",
-        )
-    try:
-        policy.load_state_dict(_part(tensors, "policy."))
-        slots: dict[int, dict[str, Tensor]] = {}
-        for name, value in _part(tensors, "optimizer.").items():
-            number, slot = name.split(".", 1)
-            slots.setdefault(int(number), {})[slot] = value
-        groups = optimizer.state_dict()["param_groups"]
-        optimizer.load_state_dict({"state": slots, "param_groups": groups})
-    except (IndexError, KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise DataError(
-            f"{path} was written by another version of trueup or torch", got=str(error).split("\n")[0], hint=_ANEW
-        ) from error
-    return state.history, {name: value.numpy() for name, value in _part(tensors, "memory.").items()}
-
-
-def _part(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+        policy.load_state_dict(part_of(tensors, "policy."))
+        restore(optimizer, tensors)
+    return state.history, {name: value.numpy() for name, value in part_of(tensors, "memory.").items()}

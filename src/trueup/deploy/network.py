@@ -12,6 +12,7 @@ from typing import Any
 from trueup.core.model_card import CARD_NAME, ONNX_NAME, ModelCard, State
 from trueup.deploy.operator_weights import OperatorWeights
 from trueup.deploy.sat_weights import SatWeights
+from trueup.deploy.step_file import StepFile
 from trueup.errors import DataError, needing
 
 _TYPE = "tensor(float)"
@@ -70,7 +71,7 @@ class Network:
                 got=error,
             ) from error
         _check_graph(session, card, folder)
-        return Network(folder, card, session, OperatorWeights.load(folder, card) or SatWeights.load(folder, card))
+        return Network(folder, card, session, _step_of(folder, card))
 
     @property
     def stepwise(self) -> bool:
@@ -80,6 +81,13 @@ class Network:
     def of_joints(self, joints: Sequence[str]) -> Network:
         """The network on a robot with these joints; see `ModelCard.of_joints`."""
         return replace(self, card=self.card.of_joints(joints))
+
+
+def _step_of(folder: Path, card: ModelCard) -> SatWeights | OperatorWeights | None:
+    file = StepFile.load(folder, card)
+    if file is None:
+        return None
+    return OperatorWeights.of_file(file, card) if "branch" in file.arrays else SatWeights.of_file(file, card)
 
 
 def _check_card(card: ModelCard, folder: Path) -> None:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import itertools
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32
 
-from trueup.core.model_card import STEP_NAME, ModelCard
+from trueup.core.model_card import ModelCard
+from trueup.deploy.step_file import StepFile, packed, refusing
 from trueup.errors import DataError
 
 
@@ -41,28 +39,19 @@ class OperatorWeights:
 
     def to_bytes(self) -> bytes:
         """The content of the file; the same for the same weights."""
-        out = io.BytesIO()
-        np.savez(out, branch=np.array(self.branch), trunk=np.array(self.trunk), flat=self.flat)
-        return out.getvalue()
+        return packed({"branch": np.array(self.branch), "trunk": np.array(self.trunk), "flat": self.flat})
 
     @staticmethod
-    def load(folder: Path, card: ModelCard) -> OperatorWeights | None:
-        """Those of a model folder; None if it has none, or those of another kind of network.
+    def of_file(file: StepFile, card: ModelCard) -> OperatorWeights:
+        """Those of a model folder.
 
         Raises:
-            DataError: the file is missing although the card knows it, changed, or of another network than the card's.
+            DataError: the file holds something else, or is of another network than the card's.
         """
-        if STEP_NAME not in card.files:
-            return None
-        data, path = card.verified(folder, STEP_NAME), folder / STEP_NAME
-        try:
-            with np.load(io.BytesIO(data), allow_pickle=False) as found:
-                if "branch" not in found:
-                    return None
-                branch, trunk = (tuple(int(width) for width in found[name]) for name in ("branch", "trunk"))
-                flat = found["flat"]
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
-            raise DataError(f"{path} holds no weights of a step", got=error) from error
+        path = file.path
+        with refusing(path):
+            branch, trunk = (tuple(int(width) for width in file.arrays[name]) for name in ("branch", "trunk"))
+            flat = file.arrays["flat"]
         inputs, outputs = len(card.inputs), len(card.outputs)
         samples = card.states[0].shape[0] + 1 if card.states else 1
         fits = (

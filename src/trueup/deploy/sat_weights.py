@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float32
 
-from trueup.core.model_card import STEP_NAME, ModelCard
+from trueup.core.model_card import ModelCard
+from trueup.deploy.step_file import StepFile, packed, refusing
 from trueup.errors import DataError
 
 # Columns that the machine code takes at once.
@@ -118,26 +116,19 @@ class SatWeights:
 
     def to_bytes(self) -> bytes:
         """The content of the file; the same for the same weights."""
-        out = io.BytesIO()
-        np.savez(out, sizes=np.array(astuple(self.sizes)), flat=self.flat)
-        return out.getvalue()
+        return packed({"sizes": np.array(astuple(self.sizes)), "flat": self.flat})
 
     @staticmethod
-    def load(folder: Path, card: ModelCard) -> SatWeights | None:
-        """Those of a model folder; None if it has none.
+    def of_file(file: StepFile, card: ModelCard) -> SatWeights:
+        """Those of a model folder.
 
         Raises:
-            DataError: the file is missing although the card knows it, changed, or of another network than the card's.
+            DataError: the file holds something else, or is of another network than the card's.
         """
-        if STEP_NAME not in card.files:
-            return None
-        data, path = card.verified(folder, STEP_NAME), folder / STEP_NAME
-        try:
-            with np.load(io.BytesIO(data), allow_pickle=False) as found:
-                sizes, flat = Sizes(*(int(number) for number in found["sizes"])), found["flat"]
+        path = file.path
+        with refusing(path):
+            sizes, flat = Sizes(*(int(number) for number in file.arrays["sizes"])), file.arrays["flat"]
             count = sum(rows * columns for rows, columns in sizes.shapes.values())
-        except (OSError, ValueError, KeyError, TypeError, ZeroDivisionError, zipfile.BadZipFile) as error:
-            raise DataError(f"{path} holds no weights of a step", got=error) from error
         if flat.dtype != np.float32 or flat.shape != (count,) or not np.isfinite(flat).all():
             raise DataError(f"{path} holds other weights than it says", got=flat.shape, expected=(count,))
         if (

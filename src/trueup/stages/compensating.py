@@ -324,7 +324,6 @@ def compensate(
             run=run or "mujoco/stock",
             rate_hz=1.0 / control_s,
             direction="simulator" if twin is None else "robot",
-            metrics={},
             provenance_of={
                 **made(seed, prepared.data_hash, config),
                 "asked": asked,
