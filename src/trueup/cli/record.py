@@ -113,7 +113,7 @@ def record(
         for one, under in itertools.product(unit or (1,), base or (None,))
     ]
     if network is not None:
-        rigs = [CompensatedRig.of(rig, spec, network) for rig in rigs]
+        rigs = [CompensatedRig.of(rig, spec, network, control_hz=control_hz) for rig in rigs]
     summary = run(
         out_dir,
         spec,

@@ -149,14 +149,16 @@ class CompensatedRig:
         inner: where the robot comes from.
         network: folder of a network for the robot itself.
         limits: of its positions, which no corrected command leaves.
+        control_hz: rate of its commands [Hz].
     """
 
     inner: Rig
     network: Path
     limits: Limits
+    control_hz: float
 
     @staticmethod
-    def of(inner: Rig, robot: RobotSpec, network: Path) -> CompensatedRig:
+    def of(inner: Rig, robot: RobotSpec, network: Path, *, control_hz: float) -> CompensatedRig:
         """With the limits of a robot's description.
 
         Raises:
@@ -173,7 +175,7 @@ class CompensatedRig:
                 hint="Give them position_limits in robot.yaml.",
             )
         low, high = zip(*(known[name] for name in robot.joint_names), strict=True)
-        return CompensatedRig(inner, network, Limits(low=low, high=high))
+        return CompensatedRig(inner, network, Limits(low=low, high=high), control_hz)
 
     @property
     def unit(self) -> str:
@@ -194,7 +196,13 @@ class CompensatedRig:
         from trueup.deploy import CompensatedRobot, Compensator
 
         robot = self.inner.session(number, payload_kg)
-        compensator = Compensator.load(self.network, joints=robot.joints, limits=self.limits, payload_kg=payload_kg)
+        compensator = Compensator.load(
+            self.network,
+            joints=robot.joints,
+            limits=self.limits,
+            loop_hz=self.control_hz,
+            payload_kg=payload_kg,
+        )
         return CompensatedRobot(robot, compensator)
 
 
