@@ -104,7 +104,7 @@ def recorded(name: str, seed: int) -> Dataset:
 def _test(name: str, seed: int) -> dict[str, Any]:
     """Payload -> reference -> metric -> without, with, and the difference, by whole motion."""
     robot = robot_of(name)
-    step_s = max(1.0 / DATA[name].settings.control_hz, robot.simulation.timestep_s)
+    step_s = max(1.0 / DATA[name].settings.control_hz, robot.simulation.timestep_s or 0.002)
     plain, helped = (
         {episode: track_of(data.episode(episode), robot.joint_names, step_s) for episode in data.ids}
         for data in (data_of(name), recorded(name, seed))

@@ -1,22 +1,22 @@
 """Arms that hang and lag under what they hold, on a base that has to balance: with compensation and without.
 
-Three references, since what a compensation should bring about depends on what the balance was designed for. `follows`:
+Two references, since what a compensation should bring about depends on what the balance was designed for. `follows`:
 the simulated arms are where they are told to be; a compensation carries their weight. `empty`: they hang under the same
-PD as with empty hands, whatever they hold; so moves a robot with a network of `compensation_robot`. `hangs`: they hang
-under the same PD and the same payload as the real ones, as in a replay; a compensation takes away what the simulator
-does not know.
+PD as with empty hands, whatever they hold; so moves a robot with a network of `compensation_robot`.
 
 Trajectories are kept under runs/whole_body, and an interrupted run goes on from there; what came of them is
 `benchmarks/results/whole_body.json`.
 
-    python -m benchmarks whole_body    # half an hour on one core
+    python -m benchmarks whole_body    # half an hour on two cores, after `compensation_robot`
 """
 
 from __future__ import annotations
 
 import json
 import math
+import multiprocessing
 from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -64,7 +64,7 @@ class Way:
     """One way to command the arms of the real body.
 
     Attributes:
-        reference: what the simulated arms do, `follows`, `empty` or `hangs`.
+        reference: what the simulated arms do, `follows` or `empty`.
         make: a compensator for one motion; None for plain PD.
     """
 
@@ -78,13 +78,11 @@ WAYS: Mapping[str, Way] = {
     "plain PD, empty": Way("empty"),
     "payload fed forward": Way("empty", partial(GravityFeedForward, arms=False)),
     "network": Way("empty", lambda: Trained(network_folder(SEEDS[0]))),
-    "plain PD, hangs": Way("hangs"),
 }
 # Reference -> what commands the simulated arms.
-REFERENCES: Mapping[str, Compensator | None] = {
+REFERENCES: Mapping[str, Compensator] = {
     "follows": GravityFeedForward(),
     "empty": GravityFeedForward(arms=False),
-    "hangs": None,
 }
 PLAIN = {reference: f"plain PD, {reference}" for reference in REFERENCES}
 # Way -> metric -> (bodies, motions), NaN where a body fell.
@@ -113,7 +111,8 @@ class Trained:
 
 def run() -> list[Row]:
     """Drive every body along every motion, and write the result file."""
-    figures = {payload_kg: figures_of(payload_kg) for payload_kg in PAYLOADS_KG}
+    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
+        figures = dict(zip(PAYLOADS_KG, pool.map(figures_of, PAYLOADS_KG), strict=True))
     result = {
         "schema": "trueup.whole_body/1",
         "motions": list(MOTIONS),

@@ -8,7 +8,7 @@ from typing import Any
 from benchmarks.pages.augment_cells import MARKS
 from benchmarks.pages.markdown import table
 
-REFERENCES = {"follows": "The simulated arms follow", "hangs": "The simulated arms hang"}
+REFERENCES = {"follows": "The simulated arms follow", "empty": "The simulated arms hang as with empty hands"}
 # Metric -> head, factor.
 MAIN = {
     "drift_mean": ("drift, mean [cm]", 100.0),
