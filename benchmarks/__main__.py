@@ -40,6 +40,7 @@ NAMES = (
     "compensation",
     "compensation_ablations",
     "compensation_robot",
+    "compensation_ways",
     "compensate_env",
     "whole_body",
     "compensate_speed",

@@ -69,6 +69,7 @@ def run() -> list[Row]:
         parts = list(pool.map(tables_on, (STOCK, FITTED)))
     result = {
         "tau_rad": TAU_RAD,
+        "paper_tau_rad": PAPER_TAU_RAD,
         "tables": {name: own for tables, _ in parts for name, own in tables.items()},
         "training": {name: own for _, training in parts for name, own in training.items()},
         "provenance": provenance(seed=0, data_hash=data_of("train").hash, config=asdict(SHORT)),

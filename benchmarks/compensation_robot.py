@@ -71,6 +71,7 @@ def run() -> list[Row]:
             twin=(None, fitted()),
             empty_handed=True,
             seed=seed,
+            jobs=1,
             resume=True,
         )
         said = made.compensation.card.provenance["training"]

@@ -23,6 +23,10 @@ PARTS = {
     **dict.fromkeys(
         ("sat", "sat_bodies", "sat_robustness", "sat_so101", "sat_training", "sat_speed"), "building-blocks.md"
     ),
+    **dict.fromkeys(
+        ("compensation", "compensation_robot", "compensation_ways", "compensation_ablations"),
+        "what-compensation-brings.md",
+    ),
     "whole_body": "whole-body.md",
 }
 

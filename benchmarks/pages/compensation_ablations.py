@@ -1,0 +1,59 @@
+"""The section "What each part is worth" of docs/what-compensation-brings.md, from `compensation_ablations`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from benchmarks.pages.compensation import cell
+from benchmarks.pages.markdown import table
+
+NAMES = {
+    "whole": "whole: 20 sensors, predicted from 5 samples",
+    "no sensors": "no sensors: the branch reads the history",
+    "true sensors": "true sensors: the simulator is asked",
+    "payload not read": "the trunk does not read the payload",
+    "5 sensors": "5 sensors",
+    "60 sensors": "60 sensors",
+    "no history": "history of 1 sample",
+    "history of 9": "history of 9 samples",
+}
+TEXT = """## What each part is worth
+
+The operator on the stock simulator without a part, or with more of it, all else equal; {seeds} seeds each. Mean error
+[mrad] on the unseen motions of an unseen individual, mean and standard deviation over seeds; last, by how much it
+differs from the whole one over all payloads, seed by seed.
+
+```sh
+python -m benchmarks compensation_ablations
+```
+
+{table}
+"""
+
+
+def part(result: Mapping[str, Any]) -> str:
+    """The section as Markdown."""
+    tables = result["tables"]
+    payloads = sorted(((float(kg), test) for test, own in tables["whole"].items() for kg in own))
+    rows = []
+    for name, title in NAMES.items():
+        if name in tables:
+            cells = [cell(1e3 * np.array(tables[name][test][f"{kg:g}"]["mae"]), 1) for kg, test in payloads]
+            rows.append([title, *cells, "" if name == "whole" else _against(tables, name)])
+    heads = ["", *(f"{kg:g} kg" for kg, _ in payloads), "against the whole one [%]"]
+    return TEXT.format(seeds=len(tables["whole"]["test"]["0"]["mae"]), table=table(heads, rows))
+
+
+def _against(tables: Mapping[str, Any], name: str) -> str:
+    ratios = 100 * (_seeds(tables[name]) / _seeds(tables["whole"]) - 1)
+    return f"{ratios.mean():+.1f} ± {ratios.std(ddof=1):.1f}".replace("-", "\N{MINUS SIGN}")
+
+
+def _seeds(tests: Mapping[str, Any]) -> Float64[np.ndarray, "S"]:
+    """Mean over payloads and motions, of each seed."""
+    means = [np.mean(own["mae"], axis=1) for test in tests.values() for own in test.values()]
+    return np.asarray(np.mean(means, axis=0), np.float64)

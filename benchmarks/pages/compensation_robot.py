@@ -1,0 +1,78 @@
+"""The section "On a robot" of docs/what-compensation-brings.md, from `python -m benchmarks compensation_robot`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from benchmarks.pages.markdown import table
+
+REFERENCES = {
+    "simulator": "Against the simulator with empty hands",
+    "target": "Against the targets",
+}
+# Metric -> head, factor, digits.
+METRICS = {
+    "mae": ("mean error [mrad]", 1e3, 1),
+    "large_gap_ratio": ("large gaps [%]", 1e2, 2),
+    "iqr": ("interquartile range [mrad]", 1e3, 1),
+    "range": ("range [mrad]", 1e3, 0),
+    "trajectory_consistency": ("consistency [rad/s²]", 1.0, 2),
+    "smoothness": ("smoothness [rad/s²]", 1.0, 2),
+}
+TESTS = {"test": "50 Hz", "test-unseen-payload": "50 Hz, payload never trained", "test-1khz": "targets at 1 kHz"}
+TEXT = """## On a robot
+
+A network for the robot, trained on the identified simulator of three individuals so that the robot moves as the stock
+simulator does with empty hands ([how](compensation.md#for-the-robot-itself)), beside a fourth individual of the virtual
+hardware that no training has seen, on motions that none has seen, standing, squatting and walking. The same motions
+were recorded without it. It is told what is carried. {seeds} of training: {minutes} min on two cores.
+
+```sh
+python -m benchmarks compensation_robot
+```
+
+Each cell: without, with, and the difference with its 95 % interval over whole motions, paired. Large gaps are errors of
+{tau:g} rad and more.
+
+{tables}
+
+The third figure of Table 2, robustness, is the noise that it adds, and says nothing of a robot ([why](metrics.md)).
+"""
+
+
+def part(result: Mapping[str, Any]) -> str:
+    """The section as Markdown."""
+    seeds = result["seeds"]
+    minutes = ", ".join(f"{own['minutes']:.0f}" for own in seeds.values())
+    return TEXT.format(
+        seeds=f"{len(seeds)} seeds" if len(seeds) > 1 else "One seed",
+        minutes=minutes,
+        tau=result["tau_rad"],
+        tables="\n\n".join(
+            f"### {title}\n\n{by_payload(own['tests'], reference)}"
+            for own in list(seeds.values())[:1]
+            for reference, title in REFERENCES.items()
+        ),
+    )
+
+
+def by_payload(tests: Mapping[str, Any], reference: str) -> str:
+    """A row for each payload at each rate, a column for each metric."""
+    rows = []
+    for test, title in TESTS.items():
+        if test in tests:
+            for payload, references in tests[test]["payloads"].items():
+                found = references[reference]
+                cells = [_cell(found[metric], factor, digits) for metric, (_, factor, digits) in METRICS.items()]
+                rows.append([payload, title, *cells])
+    return table(["kg", "", *(head for head, _, _ in METRICS.values())], rows, left=2)
+
+
+def _cell(found: Mapping[str, Any], factor: float, digits: int) -> str:
+    before, after = (format(factor * found[name], f".{digits}f") for name in ("plain", "compensated"))
+    difference: Sequence[float | None] = found["difference"]
+    if any(value is None for value in difference):
+        return f"{before} to {after}"
+    value, low, high = (format(factor * item, f"+.{digits}f") for item in difference if item is not None)
+    return f"{before} to {after}: {value} [{low}, {high}]".replace("-", "\N{MINUS SIGN}")
