@@ -17,7 +17,7 @@ simulation: {timestep_s: 0.004}
 """
 CONFIG = """
 network: {kind: operator, hidden: [12], history: 3, features: 4, trunk: [8], sensors: 4, predictor: [8]}
-training: {updates: 60, rounds: 3, batch: 24, horizon: 8, rate: 0.01}
+training: {updates: 16, rounds: 2, batch: 24, horizon: 6, rate: 0.01}
 """
 
 

@@ -25,7 +25,7 @@ from trueup.stages import compensate, compensated_replay, prepare
 TOY = OperatorConfig(hidden=(16,), history=3, features=4, trunk=(8,), sensors=4, predictor=(8,))
 CONFIG = CompensateConfig(
     network=TOY,
-    training=TrainConfig(updates=120, rounds=4, batch=32, horizon=10, rate=1e-2),
+    training=TrainConfig(updates=120, rounds=2, batch=32, horizon=10, rate=1e-2),
     loss=LossConfig(sensors=0.01),
 )
 
@@ -41,6 +41,13 @@ def world(tmp_path_factory):
     robot, path = arm_of(folder / "robot", friction=False)
     data = recorded(folder / "data", robot, path, offset=sags)
     return robot, path, data, prepare(data, robot, model=path, jobs=1)
+
+
+@pytest.fixture(scope="module")
+def direct(world, tmp_path_factory):
+    """A network for the simulator."""
+    robot, _, data, prepared = world
+    return compensate(data, robot, tmp_path_factory.mktemp("direct"), config=CONFIG, prepared=prepared, jobs=1)
 
 
 def windows_of(prepared, past=2):
@@ -152,45 +159,50 @@ def test_losses_by_hand():
     assert float(loss_of(torch.zeros(2, 1, 2), deltas, config)) == pytest.approx(0.5 * 4.0 + 0.1 * 2.0)
 
 
-@pytest.mark.parametrize("way", ["direct", "delta"])
-def test_what_was_wrong_is_learned_and_kept(world, tmp_path, way):
-    robot, path, data, prepared = world
-    config = replace(CONFIG, training=replace(CONFIG.training, way=way))
+def test_delta_actions_one_by_one_teach_it_too(world, tmp_path):
+    robot, _, data, prepared = world
+    config = replace(CONFIG, training=replace(CONFIG.training, way="delta"))
     made = compensate(data, robot, tmp_path / "net", config=config, prepared=prepared, jobs=1)
     for item in made.errors:
         assert item.after < 0.25 * item.before, item
-    again = Compensation.load(tmp_path / "net")
+
+
+def test_what_was_wrong_is_learned_and_kept(world, direct):
+    robot, path, data, prepared = world
+    made, folder = direct, direct.folder
+    for item in made.errors:
+        assert item.after < 0.25 * item.before, item
+    again = Compensation.load(folder)
     assert again.direction == "simulator"
     assert again.card.name == "operator"
     motions = [part.track for part in prepared.val]
     ours, theirs = (closed_loop(motions, prepared.plants, own.corrector) for own in (made.compensation, again))
     assert all(np.array_equal(a.state, b.state) for a, b in zip(ours, theirs, strict=True))
     # What a test motion is simulated like, as a run of the dataset.
-    before = compensated_replay(data, robot, tmp_path / "net", model=path, label=f"mujoco/{way}", jobs=1)
+    before = compensated_replay(data, robot, folder, model=path, label="mujoco/helped", jobs=1)
     assert before.replayed == len(data.ids)
     for name in data.select(split="test"):
-        episode = data.episode(name, runs=(f"mujoco/{way}",))
-        gap = np.abs(episode.run(f"mujoco/{way}")["position"] - episode.measured["position"])
+        episode = data.episode(name, runs=("mujoco/helped",))
+        gap = np.abs(episode.run("mujoco/helped")["position"] - episode.measured["position"])
         assert gap.mean() < 0.015
     with pytest.raises(OutputExists):
-        compensate(data, robot, tmp_path / "net", config=config, prepared=prepared, jobs=1)
-    finished = compensate(data, robot, tmp_path / "net", config=config, prepared=prepared, jobs=1, resume=True)
+        compensate(data, robot, folder, config=CONFIG, prepared=prepared, jobs=1)
+    finished = compensate(data, robot, folder, config=CONFIG, prepared=prepared, jobs=1, resume=True)
     assert finished.notes == ("was finished already",)
     assert finished.errors == made.errors
 
 
-def test_the_robot_is_made_to_move_like_its_simulator(world, tmp_path):
+def test_the_robot_is_made_to_move_like_its_simulator(world, direct, tmp_path):
     """A network for the robot, trained on the twin that a first network has made, works on the robot itself."""
     robot, path, data, prepared = world
-    compensate(data, robot, tmp_path / "twin", config=CONFIG, prepared=prepared, jobs=1)
     made = compensate(
         data,
         robot,
         tmp_path / "net",
-        config=CONFIG,
+        config=replace(CONFIG, training=replace(CONFIG.training, rounds=4)),
         prepared=prepared,
         model=path,
-        twin=(tmp_path / "twin", robot),
+        twin=(direct.folder, robot),
         jobs=1,
     )
     assert made.compensation.direction == "robot"
@@ -219,11 +231,11 @@ def test_the_robot_is_made_to_move_like_its_simulator(world, tmp_path):
 
 def test_an_interrupted_training_ends_with_the_same_weights(world, tmp_path, monkeypatch):
     robot, _, data, prepared = world
-    config = replace(CONFIG, training=replace(CONFIG.training, updates=16, rounds=8))
+    config = replace(CONFIG, training=replace(CONFIG.training, updates=8, rounds=4))
     whole = compensate(data, robot, tmp_path / "whole", config=config, prepared=prepared, jobs=1)
 
     def stop(done, _):
-        if done.number == 3:
+        if done.number == 2:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -239,12 +251,16 @@ def test_an_interrupted_training_ends_with_the_same_weights(world, tmp_path, mon
         resume=True,
         on_round=lambda done, _: rounds.append(done.number),
     )
-    assert rounds[0] == 4
+    assert rounds[0] == 3
     for name, value in whole.compensation.corrector.state_dict().items():
         assert torch.equal(value, parts.compensation.corrector.state_dict()[name]), name
-    other = compensate(data, robot, tmp_path / "other", config=config, prepared=prepared, jobs=1, seed=1)
+    short = replace(config, training=replace(config.training, updates=1, rounds=1))
+    one, other = (
+        compensate(data, robot, tmp_path / f"{seed}", config=short, prepared=prepared, jobs=1, seed=seed)
+        for seed in (0, 1)
+    )
     assert not torch.equal(
-        other.compensation.corrector.network.window.weight, whole.compensation.corrector.network.window.weight
+        one.compensation.corrector.network.window.weight, other.compensation.corrector.network.window.weight
     )
     with pytest.raises(OutputExists):
         compensate(data, robot, tmp_path / "whole", config=CONFIG, prepared=prepared, jobs=1, resume=True)
