@@ -33,7 +33,7 @@ TEST_CONDITIONS = ("stance", "squat", "stance", "gait", "stance", "squat", "stan
 # An arm that knows no weight hangs far from where it should be, and no protective stop is wanted for that.
 AT_50_HZ = RecordSettings(control_hz=50.0, record_hz=100.0, tolerance_rad=1.0, path_tolerance_rad=2.0)
 AT_100_HZ = replace(AT_50_HZ, control_hz=100.0)
-AT_1_KHZ = replace(AT_50_HZ, control_hz=1000.0)
+AT_200_HZ = replace(AT_50_HZ, control_hz=200.0)
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ DATA: Mapping[str, Recorded] = {
     **{name: replace(_TEST, conditions=(name,), payloads_kg=(0.0, 3.0)) for name in CONDITIONS},
     "train-100hz": replace(_TRAIN, settings=AT_100_HZ, payloads_kg=(0.0, 3.0)),
     "test-100hz": replace(_TEST, settings=AT_100_HZ, payloads_kg=(0.0, 3.0)),
-    "test-1khz": replace(_TEST, settings=AT_1_KHZ, payloads_kg=(0.0, 3.0)),
+    "test-200hz": replace(_TEST, settings=AT_200_HZ, payloads_kg=(0.0, 3.0)),
     "panda-train": Recorded(tested=False, units=TRAINED_UNITS, scale=0.02, **_PANDA),  # type: ignore[arg-type]
     "panda-test": Recorded(tested=True, units=(TEST_UNIT,), scale=0.2, **_PANDA),  # type: ignore[arg-type]
 }

@@ -20,7 +20,7 @@ METRICS = {
     "trajectory_consistency": ("consistency [rad/s²]", 1.0, 2),
     "smoothness": ("smoothness [rad/s²]", 1.0, 2),
 }
-TESTS = {"test": "50 Hz", "test-unseen-payload": "50 Hz, payload never trained", "test-1khz": "targets at 1 kHz"}
+TESTS = {"test": "50 Hz", "test-unseen-payload": "50 Hz, payload never trained", "test-200hz": "targets at 200 Hz"}
 TEXT = """## On a robot
 
 A network for the robot, trained on the identified simulator of three individuals so that the robot moves as the stock

@@ -25,7 +25,7 @@ from trueup.stages import compensate, compensated_replay, prepare
 TOY = OperatorConfig(hidden=(16,), history=3, features=4, trunk=(8,), sensors=4, predictor=(8,))
 CONFIG = CompensateConfig(
     network=TOY,
-    training=TrainConfig(updates=120, rounds=2, batch=32, horizon=10, rate=1e-2),
+    training=TrainConfig(updates=120, rounds=4, batch=32, horizon=10, rate=1e-2),
     loss=LossConfig(sensors=0.01),
 )
 
@@ -199,7 +199,7 @@ def test_the_robot_is_made_to_move_like_its_simulator(world, direct, tmp_path):
         data,
         robot,
         tmp_path / "net",
-        config=replace(CONFIG, training=replace(CONFIG.training, rounds=4)),
+        config=CONFIG,
         prepared=prepared,
         model=path,
         twin=(direct.folder, robot),
