@@ -33,7 +33,7 @@ TEST_CONDITIONS = ("stance", "squat", "stance", "gait", "stance", "squat", "stan
 # An arm that knows no weight hangs far from where it should be, and no protective stop is wanted for that.
 AT_50_HZ = RecordSettings(control_hz=50.0, record_hz=100.0, tolerance_rad=1.0, path_tolerance_rad=2.0)
 AT_100_HZ = replace(AT_50_HZ, control_hz=100.0)
-AT_200_HZ = replace(AT_50_HZ, control_hz=200.0)
+AT_200_HZ = replace(AT_50_HZ, control_hz=200.0, record_hz=200.0)
 
 
 @dataclass(frozen=True)
