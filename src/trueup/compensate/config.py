@@ -128,14 +128,15 @@ class CompensateConfig:
 
 
 # A network for the robot feeds its own corrections back through friction and a delay: with the steps and windows that a
-# simulator's network takes, its training runs away.
+# simulator's network takes, its training runs away, and with the paper's cost of changes it shakes the robot.
 _CAREFUL = TrainConfig(updates=300, horizon=20, rate=7e-4)
+_STEADY = LossConfig(smoothness=1.0)
 METHODS: Mapping[str, CompensateConfig] = {
     "operator": CompensateConfig(),
-    "operator-robot": CompensateConfig(training=_CAREFUL),
-    "mlp-robot": CompensateConfig("mlp", NetworkConfig("mlp", (256, 256), history=1), training=_CAREFUL),
+    "operator-robot": CompensateConfig(loss=_STEADY, training=_CAREFUL),
+    "mlp-robot": CompensateConfig("mlp", NetworkConfig("mlp", (256, 256), history=1), loss=_STEADY, training=_CAREFUL),
     "transformer-robot": CompensateConfig(
-        "transformer", NetworkConfig("transformer", (64, 64), history=5), training=_CAREFUL
+        "transformer", NetworkConfig("transformer", (64, 64), history=5), loss=_STEADY, training=_CAREFUL
     ),
     # GapONet, A.7: the sizes that agree with each other (p = 160 per joint); ELU; 4 earlier steps.
     "operator-paper": CompensateConfig(
