@@ -372,7 +372,8 @@ def network_for_simulator(folder: Path, robot: RobotSpec) -> Compensation:
     """A trained network that makes this robot's simulator move like the robot.
 
     Raises:
-        ConfigError: it was trained for the robot, or for another one.
+        ConfigError: it was trained for the robot itself.
+        NameMismatch: it has other joints.
         DataError: it is broken.
     """
     from trueup.compensate.compensation import Compensation
