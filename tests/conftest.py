@@ -5,15 +5,22 @@ from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
-from jaxtyping import install_import_hook
 
-install_import_hook("trueup", "beartype.beartype")
+from shape_checks import begin_test, install
+
+install("trueup")
 
 # A loaded machine must not fail a law; examples are the same in every run.
 settings.register_profile(
     "trueup", deadline=None, derandomize=True, max_examples=50, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("trueup")
+
+
+@pytest.fixture(autouse=True)
+def _checks_begin_anew():
+    begin_test()
+
 
 ROOT = Path(__file__).resolve().parent.parent
 

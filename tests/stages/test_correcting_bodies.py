@@ -133,7 +133,7 @@ def test_people_are_told_millimeters_and_degrees(evaluated, capsys):
 
 def test_without_its_model_the_gaps_are_not_known(evaluated, tmp_path, monkeypatch):
     folder, data, _ = evaluated
-    monkeypatch.setattr("trueup.stages.joining.find_model", lambda *_, **__: tmp_path / "none.xml")
+    monkeypatch.setattr("trueup.stages.robot_model.find_model", lambda *_, **__: tmp_path / "none.xml")
     found = evaluate(data, [folder / "model"], tmp_path / "out", draws=100)
     assert found.result.gaps == {}
     assert any("at their joints is not known" in line for line in found.notes)
