@@ -120,8 +120,13 @@ def prepared(base: str) -> Prepared:
 
 
 def network(name: str, seed: int) -> Compensation:
-    """A trained network, found or trained."""
+    """A network of this benchmark, found or trained."""
     base, config = NETWORKS[name]
+    return trained(name, base, config, seed)
+
+
+def trained(name: str, base: str, config: CompensateConfig, seed: int) -> Compensation:
+    """A network for a simulator under a name of its own, found or trained."""
     made = compensate(
         data_of("train"),
         _robot(base),
@@ -153,21 +158,26 @@ def table(
     return found
 
 
+def figures(measured: Float64[np.ndarray, "T J"], wanted: Float64[np.ndarray, "T J"]) -> dict[str, float]:
+    """How far positions of one motion are from where they should be, mean over joints."""
+    values = {
+        "large_gap_ratio": large_gap_ratio(measured, wanted, tau=TAU_RAD),
+        "large_gap_ratio_paper": large_gap_ratio(measured, wanted, tau=PAPER_TAU_RAD),
+        "iqr": gap_iqr(measured, wanted),
+        "range": gap_range(measured, wanted),
+        "mae": np.abs(measured - wanted),
+    }
+    return {metric: float(own.mean()) for metric, own in values.items()}
+
+
 def _metrics(pairs: Sequence[tuple[Track, Run]]) -> dict[str, list[float]]:
     """Of each motion, the mean over its joints."""
     found: dict[str, list[float]] = {metric: [] for metric in METRICS}
     for motion, run in pairs:
         joints = motion.command.shape[1]
         measured, simulated = (np.asarray(state[:, :joints], np.float64) for state in (motion.state, run.state))
-        values = {
-            "large_gap_ratio": large_gap_ratio(measured, simulated, tau=TAU_RAD),
-            "large_gap_ratio_paper": large_gap_ratio(measured, simulated, tau=PAPER_TAU_RAD),
-            "iqr": gap_iqr(measured, simulated),
-            "range": gap_range(measured, simulated),
-            "mae": np.abs(measured - simulated),
-        }
-        for metric, own in values.items():
-            found[metric].append(float(own.mean()))
+        for metric, value in figures(measured, simulated).items():
+            found[metric].append(value)
     return found
 
 

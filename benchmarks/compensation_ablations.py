@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.compensation import CONTROL_S, SHORT, STOCK, plants, prepared, table
+from benchmarks.compensation import CONTROL_S, SHORT, STOCK, plants, prepared, table, trained
 from benchmarks.gapo_data import FOLDER, SEEN_KG, data_of, robot_of
 from benchmarks.table import Row, rounded, shown
 from trueup.augment.corrector import Corrector
@@ -35,7 +35,6 @@ from trueup.compensate.training import Teacher
 from trueup.compensate.windows import Windows
 from trueup.core.atomic import as_read_back, json_hash, make_folder, read_json, write_json
 from trueup.core.provenance import provenance
-from trueup.stages import compensate
 
 RESULT = Path(__file__).parent / "results" / "compensation_ablations.json"
 SEEDS = range(3)
@@ -81,26 +80,11 @@ def tables_of(names: list[str]) -> dict[str, Any]:
             networks = [_told(config, windows, sensors, seed) for seed in SEEDS]
             found[name] = table(STOCK, networks, sensors=sensors)
         else:
-            found[name] = table(STOCK, [_trained(name, config, seed) for seed in SEEDS])
+            # The whole one is that of `compensation`.
+            stem = "operator-on-stock" if name == "whole" else f"ablation {name}"
+            found[name] = table(STOCK, [trained(stem, STOCK, config, seed).corrector for seed in SEEDS])
         print(f"{name}: done", flush=True)
     return found
-
-
-def _trained(name: str, config: CompensateConfig, seed: int) -> Corrector:
-    # The whole one is that of `compensation`.
-    folder = f"operator-on-stock-{seed}" if name == "whole" else f"ablation {name}-{seed}"
-    made = compensate(
-        data_of("train"),
-        robot_of("train"),
-        FOLDER / "networks" / folder,
-        config=config,
-        prepared=prepared(STOCK),
-        name="operator-on-stock" if name == "whole" else name,
-        seed=seed,
-        jobs=1,
-        resume=True,
-    )
-    return made.compensation.corrector
 
 
 def _told(config: CompensateConfig, windows: Windows, sensors: Sensors, seed: int) -> Corrector:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from benchmarks.compensation import FITTED, PAPER_TAU_RAD, TAU_RAD, fitted, prepared
+from benchmarks.compensation import FITTED, TAU_RAD, figures, fitted, prepared
 from benchmarks.gapo_data import DATA, FOLDER, data_of, plans_of, rigs_of, robot_of
 from benchmarks.table import Row, at_most, rounded, shown
 from trueup.compensate.closed_loop import closed_loop
@@ -31,7 +31,6 @@ from trueup.core.atomic import read_json, write_json
 from trueup.core.provenance import provenance
 from trueup.dataset import Dataset
 from trueup.measure import paired_difference, robustness, smoothness, trajectory_consistency
-from trueup.measure.metrics.distribution import gap_iqr, gap_range, large_gap_ratio
 from trueup.robots import find_model
 from trueup.stages import compensate, record
 from trueup.stages.rigs import CompensatedRig
@@ -138,17 +137,12 @@ def _figures(track: Track, aim: Float64[np.ndarray, "T C"], step_s: float) -> di
     joints, count = track.command.shape[1], min(len(track), len(aim))
     measured, wanted = (np.asarray(values[:count, :joints], np.float64) for values in (track.state, aim))
     clock = step_s * np.arange(count)
-    values = {
-        "mae": np.abs(measured - wanted),
-        "large_gap_ratio": large_gap_ratio(measured, wanted, tau=TAU_RAD),
-        "large_gap_ratio_paper": large_gap_ratio(measured, wanted, tau=PAPER_TAU_RAD),
-        "iqr": gap_iqr(measured, wanted),
-        "range": gap_range(measured, wanted),
+    added = {
         "trajectory_consistency": trajectory_consistency(measured, wanted, clock),
         "smoothness": smoothness(measured, wanted, clock),
         "robustness": robustness(measured, wanted),
     }
-    return {name: float(own.mean()) for name, own in values.items()}
+    return figures(measured, wanted) | {name: float(own.mean()) for name, own in added.items()}
 
 
 def _compared(plain: Sequence[Mapping[str, float]], helped: Sequence[Mapping[str, float]]) -> dict[str, Any]:
@@ -174,11 +168,11 @@ def _rows(result: Mapping[str, Any]) -> list[Row]:
         for (payload, references), reference in itertools.product(
             own["tests"][name]["payloads"].items(), (SIMULATOR, TARGET)
         ):
-            figures = references[reference]["mae"]
+            errors = references[reference]["mae"]
             about = f"seed {seed}, {name}, {payload} kg, to the {reference}"
-            rows.append(shown(f"{about}: mean error, plain", figures[PLAIN], "rad"))
-            rows.append(shown(f"{about}: mean error, compensated", figures[COMPENSATED], "rad"))
-            high = figures["difference"][2]
+            rows.append(shown(f"{about}: mean error, plain", errors[PLAIN], "rad"))
+            rows.append(shown(f"{about}: mean error, compensated", errors[COMPENSATED], "rad"))
+            high = errors["difference"][2]
             rows.append(at_most(f"{about}: difference, upper end", math.nan if high is None else high, 0.0, "rad"))
         rows.append(at_most(f"seed {seed}: training", own["minutes"], 20.0, "min"))
     return rows

@@ -17,14 +17,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.compensation import SHORT, STOCK, prepared, table
-from benchmarks.gapo_data import FOLDER, SEEN_KG, data_of, robot_of
+from benchmarks.compensation import SHORT, STOCK, table, trained
+from benchmarks.gapo_data import SEEN_KG, data_of
 from benchmarks.table import Row, rounded, shown
 from trueup.compensate.config import METHODS, Way
 from trueup.core.atomic import read_json, write_json
 from trueup.core.effort import Effort
 from trueup.core.provenance import provenance
-from trueup.stages import compensate
 
 RESULT = Path(__file__).parent / "results" / "compensation_ways.json"
 WAYS: tuple[Way, ...] = ("direct", "delta", "ppo")
@@ -47,23 +46,13 @@ def _trained(way: Way) -> dict[str, Any]:
     config = replace(METHODS["operator"], training=replace(SHORT, way=way))
     # Trained directly, it is a network of `compensation`.
     name = "operator-on-stock" if way == "direct" else f"operator by {way}"
-    made = compensate(
-        data_of("train"),
-        robot_of("train"),
-        FOLDER / "networks" / f"{name}-{SEED}",
-        config=config,
-        prepared=prepared(STOCK),
-        name=name,
-        seed=SEED,
-        jobs=1,
-        resume=True,
-    )
-    said = made.compensation.card.provenance["training"]
+    made = trained(name, STOCK, config, SEED)
+    said = made.card.provenance["training"]
     effort = Effort(said["seconds"], said["cpu_seconds"])
     return {
         "cpu_seconds": effort.cpu_seconds,
         "joules": effort.joules,
-        "tables": table(STOCK, [made.compensation.corrector]),
+        "tables": table(STOCK, [made.corrector]),
     }
 
 

@@ -94,12 +94,10 @@ class Trained:
     """A network for the robot beside the arms; it begins when the first target is given."""
 
     def __init__(self, folder: Path) -> None:
-        low, high = zip(
-            *(joint.position_limits or (-math.inf, math.inf) for joint in load_robot(ROBOT).joints), strict=True
-        )
-        self._made = deploy.Compensator.load(
-            folder, joints=load_robot(ROBOT).joint_names, limits=Limits(low=low, high=high), payload_kg=0.0
-        )
+        robot = load_robot(ROBOT)
+        low, high = zip(*(joint.position_limits or (-math.inf, math.inf) for joint in robot.joints), strict=True)
+        limits = Limits(low=low, high=high)
+        self._made = deploy.Compensator.load(folder, joints=robot.joint_names, limits=limits, payload_kg=0.0)
         self._carries = 0.0
 
     def __call__(self, position: Arms, velocity: Arms, target: Arms, payload_kg: float) -> Arms:

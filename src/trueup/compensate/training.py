@@ -182,6 +182,11 @@ class Teacher:
         batch = self.windows.batch(
             starts[torch.randint(len(starts), (self.config.training.batch,), generator=generator)], 1
         )
+        return self._sensor_cost(corrector, batch)
+
+    def _sensor_cost(self, corrector: Corrector, batch: Batch) -> Tensor:
+        if self.sensors is None:
+            return torch.zeros(())
         return self.config.loss.sensors * _sensor_loss(corrector, batch, self.sensors)
 
     def _rate(self, update: int) -> float:
@@ -222,9 +227,7 @@ class Teacher:
                 sensors=self.told,
             )
             cost = loss_of(errors, deltas, loss)
-        if self.sensors is not None:
-            cost = cost + loss.sensors * _sensor_loss(corrector, batch, self.sensors)
-        return cost
+        return cost + self._sensor_cost(corrector, batch)
 
 
 def _sensor_loss(corrector: Corrector, batch: Batch, sensors: Sensors) -> Tensor:

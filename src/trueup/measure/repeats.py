@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from trueup.core.engines import ANY_PAYLOAD, MEASURED, JointPlane, Repeated, Shift
 from trueup.core.episode import EpisodeMeta
 from trueup.core.interpolation import columns_at
+from trueup.core.ordering import by_number
 from trueup.core.results import Estimate, GapResult
 from trueup.measure.columns import mean
 from trueup.measure.comparison import COMMAND_RUN, Comparison
@@ -105,7 +106,7 @@ class RepeatBuilder:
         return tuple(
             self._shift(gap, *key, found, seed)
             for key, found in sorted(
-                rows.items(), key=lambda item: (item[0][0], _order(item[0][1]), _order(item[0][2]))
+                rows.items(), key=lambda item: (item[0][0], by_number(item[0][1]), by_number(item[0][2]))
             )
         )
 
@@ -241,10 +242,3 @@ def _at(
 ) -> Float64[np.ndarray, "N J"]:
     assert values is not None
     return columns_at(at, time_s, values)
-
-
-def _order(value: str) -> tuple[bool, float, str]:
-    try:
-        return False, float(value), value
-    except ValueError:
-        return True, 0.0, value

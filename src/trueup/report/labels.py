@@ -6,6 +6,7 @@ import html
 from collections.abc import Iterable
 
 from trueup.core.graybox_result import HELD_OUT
+from trueup.core.ordering import by_number
 from trueup.core.results import Metrics
 from trueup.measure import METRICS as KNOWN
 from trueup.report.numbers import pretty_unit
@@ -34,14 +35,7 @@ def ordered_runs(labels: Iterable[str]) -> list[str]:
 
 def group_order(values: Iterable[str]) -> list[str]:
     """Numbers by size, words by alphabet after them."""
-
-    def key(value: str) -> tuple[bool, float, str]:
-        try:
-            return False, float(value), value
-        except ValueError:
-            return True, 0.0, value
-
-    return sorted(values, key=key)
+    return sorted(values, key=by_number)
 
 
 def run_title(label: str) -> str:
