@@ -16,7 +16,7 @@ from pathlib import Path
 from trueup.core.atomic import write_text
 from trueup.dataset import Dataset, is_dataset
 from trueup.lab import LabSpec, load_lab
-from trueup.lab.spec import Base
+from trueup.lab.spec import Base, Inertial
 from trueup.record import PlanSetSpec, RecordSettings, load_plans
 from trueup.robots import RobotSpec, load_robot
 from trueup.robots.spec import PayloadSpec
@@ -50,6 +50,7 @@ class Recorded:
         robot: name.
         plans: plan set.
         lab: of the virtual hardware; a Panda's if empty.
+        base_sensor: body on which an accelerometer is, which simulations listen to; none if empty.
     """
 
     tested: bool
@@ -61,6 +62,7 @@ class Recorded:
     robot: str = "upper_body"
     plans: str = "upper_body"
     lab: str = "upper_body"
+    base_sensor: str = ""
 
 
 _TRAIN = Recorded(tested=False, units=TRAINED_UNITS, conditions=CONDITIONS)
@@ -70,6 +72,15 @@ DATA: Mapping[str, Recorded] = {
     "train": _TRAIN,
     "test": _TEST,
     "test-unseen-payload": replace(_TEST, payloads_kg=UNSEEN_KG),
+    # The same recordings, and what an accelerometer on the torso says meanwhile.
+    **{
+        f"{name}-sensed": replace(made, base_sensor="torso")
+        for name, made in (
+            ("train", _TRAIN),
+            ("test", _TEST),
+            ("test-unseen-payload", replace(_TEST, payloads_kg=UNSEEN_KG)),
+        )
+    },
     # The same motions on each base (GapONet, 3.3).
     **{name: replace(_TEST, conditions=(name,), payloads_kg=(0.0, 3.0)) for name in CONDITIONS},
     "train-100hz": replace(_TRAIN, settings=AT_100_HZ, payloads_kg=(0.0, 3.0)),
@@ -102,7 +113,10 @@ def data_of(name: str, *, jobs: int = 1, engines: Sequence[str] | None = None) -
 
 def robot_of(name: str) -> RobotSpec:
     """The robot of a data set, which holds its payload where the lab's does."""
-    robot = load_robot(DATA[name].robot)
+    made = DATA[name]
+    robot = load_robot(made.robot)
+    if made.base_sensor:
+        robot = replace(robot, simulation=replace(robot.simulation, base_sensor=made.base_sensor))
     return robot if robot.payload else replace(robot, payload=PayloadSpec(sites=("payload",)))
 
 
@@ -110,6 +124,8 @@ def rigs_of(name: str) -> list[LabRig]:
     """Every unit on every base, in the order in which they take turns."""
     made = DATA[name]
     lab = load_lab(made.lab) if made.lab else LabSpec(robot=made.robot)
+    if made.base_sensor:
+        lab = replace(lab, inertial=Inertial(made.base_sensor))
     return [
         LabRig(replace(lab, base=Base(condition=condition)), unit, load_plans(made.plans).seed)  # type: ignore[arg-type]
         for unit, condition in itertools.product(made.units, made.conditions)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32, Float64, Int
 
 from trueup.augment.corrector import Corrector
 from trueup.compensate.sensors import Sensors
@@ -79,21 +79,32 @@ def _together(
     rows = np.clip(np.arange(-settling, longest), 0, None)
     command = np.stack([track.command[np.minimum(rows, len(track) - 1)] for track in tracks], axis=1).astype(float)
     joints = command.shape[2]
+    gravity = _gravity(tracks, rows)
     state = np.stack([np.concatenate([track.state[0, :joints], np.zeros(joints)]) for track in tracks])
     payload = np.full((len(tracks), 1), tracks[0].payload_kg)
     own, other = _Eyes(corrector, payload), _Eyes(twin, payload)
     states, deltas, before = [], [], command[0]
-    for wanted in command:
+    for step, wanted in enumerate(command):
         sensed = None if sensors is None else sensors.simulated(transitions, state, before)
         delta = own.delta(state, wanted, sensed)
         sent = wanted + delta + other.delta(state, wanted + delta)
         states.append(state)
         deltas.append(delta)
-        state, before = transitions.next(state, before, sent), sent
+        pull = None if gravity is None else gravity[step]
+        state, before = transitions.next(state, before, sent, gravity=pull), sent
         if not np.isfinite(state).all():
             raise DataError("the compensated simulation diverged", got=f"{len(states)} control steps after its start")
     whole, added = np.stack(states)[settling:], np.stack(deltas)[settling:]
     return [Run(whole[: len(track), k], added[: len(track), k]) for k, track in enumerate(tracks)]
+
+
+def _gravity(tracks: Sequence[Track], rows: Int[np.ndarray, "N"]) -> Float64[np.ndarray, "N B 3"] | None:
+    """What pulls on B motions in each step; None where their bases are at rest."""
+    pulls = [track.gravity for track in tracks if track.gravity is not None]
+    if not pulls:
+        return None
+    assert len(pulls) == len(tracks), "all motions say how their bases moved, or none does"
+    return np.stack([pull[np.minimum(rows, len(pull) - 1)] for pull in pulls], axis=1).astype(np.float64)
 
 
 class _Eyes:

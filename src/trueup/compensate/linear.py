@@ -56,10 +56,14 @@ def linear_of(
     """
     state, command = track.state, track.command
     before = np.concatenate([command[:1], command[:-1]])
-    error = transitions.next(state[:-1], before[:-1], command[:-1]) - state[1:]
+    pull = track.gravity
+    there = transitions.next(state[:-1], before[:-1], command[:-1], gravity=None if pull is None else pull[:-1])
+    error = there - state[1:]
     last = len(error) - 1
     rows = np.unique(np.append(np.arange(0, last + 1, every), last))
-    slopes = (smooth or transitions).slopes(state[rows], before[rows], command[rows], size=size)
+    slopes = (smooth or transitions).slopes(
+        state[rows], before[rows], command[rows], size=size, gravity=None if pull is None else pull[rows]
+    )
     place = np.interp(np.arange(last + 1), rows, np.arange(rows.size))
     low = np.minimum(place.astype(int), rows.size - 1)
     high = np.minimum(low + 1, rows.size - 1)

@@ -56,11 +56,14 @@ class Plants:
     def _carried(self, payload_kg: float) -> float:
         return 0.0 if self._empty else self.robot.carried_kg(payload_kg)
 
-    def simulate(self, payload: Tensor, state: Tensor, before: Tensor, command: Tensor) -> Tensor:
+    def simulate(
+        self, payload: Tensor, state: Tensor, before: Tensor, command: Tensor, gravity: Tensor | None = None
+    ) -> Tensor:
         """See `training.Simulate`."""
         out = torch.empty_like(state)
         for value in np.unique(payload.cpu().numpy()).tolist():
             rows = payload[:, 0] == value
             given = (part[rows].detach().cpu().numpy().astype(np.float64) for part in (state, before, command))
-            out[rows] = torch.from_numpy(self(value).next(*given)).to(out)
+            pull = None if gravity is None else gravity[rows].cpu().numpy().astype(np.float64)
+            out[rows] = torch.from_numpy(self(value).next(*given, gravity=pull)).to(out)
         return out

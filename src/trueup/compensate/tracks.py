@@ -12,6 +12,7 @@ from trueup.core.episode import Episode
 from trueup.core.hold import SAME_INSTANT_S
 from trueup.core.interpolation import columns_at
 from trueup.errors import DataError, MissingSignal
+from trueup.sim.moving_base import gravity_at
 
 _RATE_TOLERANCE = 0.02
 _FEWEST = 16
@@ -27,6 +28,8 @@ class Track:
         state: measured positions, then velocities, when each command was given, (T, 2J) [rad or m, and per second].
         command: commanded positions, (T, J).
         time_s: of each row, (T,).
+        gravity: what pulls on the robot from each command to the next, in the axes of its base, (T, 3) [m/s2]; None for
+            a base at rest.
     """
 
     id: str
@@ -34,22 +37,24 @@ class Track:
     state: Float32[np.ndarray, "T S"]
     command: Float32[np.ndarray, "T J"]
     time_s: Float64[np.ndarray, "T"]
+    gravity: Float32[np.ndarray, "T 3"] | None = None
 
     def __len__(self) -> int:
         """The number of commands."""
         return len(self.command)
 
 
-def track_of(episode: Episode, joints: Sequence[str], control_s: float) -> Track:
+def track_of(episode: Episode, joints: Sequence[str], control_s: float, *, base_sensor: str = "") -> Track:
     """A motion at the rate of control.
 
     Args:
         episode: in the robot's joint names.
         joints: J joints.
         control_s: control step [s].
+        base_sensor: the body that the robot stands on, if a sensor says how it moved.
 
     Raises:
-        MissingSignal: no commanded positions, or no measured positions.
+        MissingSignal: no commanded positions, no measured positions, or nothing of the base's sensor.
         DataError: another control rate, values that are not finite, or hardly a command.
     """
     command = episode.commanded().select(joints)
@@ -91,4 +96,5 @@ def track_of(episode: Episode, joints: Sequence[str], control_s: float) -> Track
         state.astype(np.float32),
         wanted.astype(np.float32),
         np.asarray(time_s, np.float64),
+        gravity_at(episode, base_sensor, time_s + 0.5 * control_s).astype(np.float32) if base_sensor else None,
     )

@@ -39,8 +39,13 @@ def delta_of(corrector: Corrector, window: Tensor) -> Tensor:
 class Simulate(Protocol):
     """B robots one control step on."""
 
-    def __call__(self, payload: Tensor, state: Tensor, before: Tensor, command: Tensor, /) -> Tensor:
-        """Payloads (B, 1), states (B, 2J), commands (B, J) and those before; states one control step later."""
+    def __call__(
+        self, payload: Tensor, state: Tensor, before: Tensor, command: Tensor, gravity: Tensor | None, /
+    ) -> Tensor:
+        """States one control step later, (B, 2J).
+
+        Payloads (B, 1), states (B, 2J), commands (B, J) and those before; what pulls, (B, 3), None for a base at rest.
+        """
         ...
 
 
@@ -100,7 +105,8 @@ def unrolled(
         else:
             with torch.no_grad():
                 command = batch.command[row] + moved
-                there = simulate(batch.payload, state, sent, command) - batch.state[row + 1]
+                pull = None if batch.gravity is None else batch.gravity[step]
+                there = simulate(batch.payload, state, sent, command, pull) - batch.state[row + 1]
                 sent = command
             error = there + change - change.detach()
         error, before = torch.clamp(error, -most, most), moved

@@ -26,6 +26,7 @@ class Batch:
         before: (L, B, 2J, J), or None where commands act at once.
         c: (L, B, 2J, J).
         reference: states that are to be followed in place of the measured ones, (L + 1, B, 2J), or None.
+        gravity: see `tracks.Track`, (L, B, 3), or None.
     """
 
     state: Tensor
@@ -36,6 +37,7 @@ class Batch:
     before: Tensor | None
     c: Tensor
     reference: Tensor | None = None
+    gravity: Tensor | None = None
 
 
 class Windows:
@@ -79,6 +81,8 @@ class Windows:
         payload = [np.full(len(part.error) + 1, part.track.payload_kg, np.float32) for part in parts]
         self._payload = torch.from_numpy(np.concatenate(payload)).to(device)
         self._reference = None if references is None else rows(references)
+        pulls = [part.track.gravity for part in parts if part.track.gravity is not None]
+        self._gravity = rows(pulls) if pulls else None
 
     def starts(self, horizon: int) -> Tensor:
         """Where windows of so many control steps may begin."""
@@ -113,6 +117,7 @@ class Windows:
             before=at(self._before, steps),
             c=self._c[steps],
             reference=at(self._reference, torch.arange(horizon + 1)[:, None] + starts),
+            gravity=at(self._gravity, steps),
         )
 
     def samples(self) -> tuple[Tensor, Tensor, Tensor]:

@@ -21,11 +21,14 @@ class RolloutRequest:
         velocity: initial joint velocities, (B, J) [rad/s or m/s].
         command: command signal -> (B, N, J), one row per simulation step, already delayed and held. A position
             servo needs `position`, a torque-driven robot `torque`, PD control may add `velocity`.
+        gravity: what pulls on all bodies in each simulation step, in the axes of the base that the robot stands on,
+            (B, N, 3) [m/s2]; None for a base at rest.
     """
 
     position: Float[np.ndarray, "B J"]
     velocity: Float[np.ndarray, "B J"]
     command: dict[str, Float[np.ndarray, "B N J"]]
+    gravity: Float[np.ndarray, "B N 3"] | None = None
 
 
 @dataclass(frozen=True, eq=False)

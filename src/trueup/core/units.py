@@ -65,6 +65,7 @@ SI_UNIT = MappingProxyType(
         "body.angular_velocity": "rad/s",
         "body.force": "N",
         "body.torque": "Nm",
+        "body.specific_force": "m/s^2",
     }
 )
 

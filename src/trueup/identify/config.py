@@ -68,7 +68,15 @@ class DataChoice:
 
     def rule(self, robot: RobotSpec, seed: int) -> SegmentRule:
         """How to cut logs accordingly."""
-        return SegmentRule(self.window_s, self.cut_s, self.budget_s, self.burn_in_s, seed, robot.replay.settle_s)
+        return SegmentRule(
+            self.window_s,
+            self.cut_s,
+            self.budget_s,
+            self.burn_in_s,
+            seed,
+            robot.replay.settle_s,
+            robot.simulation.base_sensor,
+        )
 
 
 @dataclass(frozen=True)

@@ -226,6 +226,7 @@ class Problem:
             position=np.concatenate([own.position for own in requests]),
             velocity=np.concatenate([own.velocity for own in requests]),
             command={name: np.concatenate([own.command[name] for own in requests]) for name in requests[0].command},
+            gravity=None if (pulls := requests[0].gravity) is None else np.tile(pulls, (len(requests), 1, 1)),
         )
         per_window = [model for row in task.rows if (model := models[row]) is not None for _ in range(windows)]
         result = simulator.rollout_candidates(request, per_window)

@@ -100,6 +100,7 @@ class Scorer:
             cut_s=None,
             budget_s=float("inf"),
             settle_s=nominal.robot.replay.settle_s,
+            base_sensor=nominal.robot.simulation.base_sensor,
         )
         self._nominal, self._jobs, self._seed = nominal, jobs, seed
         self._segments: dict[str, list[Segment]] = {}

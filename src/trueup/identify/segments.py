@@ -27,6 +27,7 @@ class SegmentRule:
             since nobody knows in which state its friction was.
         seed: where in the motions the pieces lie.
         settle_s: hold the first command for this long before a whole motion [s].
+        base_sensor: see `ReplaySettings`.
     """
 
     window_s: float | None = None
@@ -35,6 +36,7 @@ class SegmentRule:
     burn_in_s: float = 1.0
     seed: int = 0
     settle_s: float = 0.0
+    base_sensor: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +102,7 @@ def make_segments(
                 rule.window_s,
                 "measured" if rule.window_s or not whole else None,
                 settle_s=rule.settle_s if whole else 0.0,
+                base_sensor=rule.base_sensor,
             )
             plan = ReplayPlan(piece, simulator, settings)
         except TrueupError as error:

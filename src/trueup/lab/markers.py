@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float64
 
 from trueup.core.timeseries import BODY_PREFIX
-from trueup.core.units import SI_UNIT
 from trueup.lab.spec import Markers
 
 POSITION, ROTATION = (f"{BODY_PREFIX}{name}" for name in ("position", "rotation"))
@@ -25,7 +24,6 @@ class MotionCapture:
 
     def __init__(self, model: mujoco.MjModel, markers: Markers) -> None:
         self.bodies = markers.bodies
-        self.units = {name: (SI_UNIT[name],) * len(self.bodies) for name in (POSITION, ROTATION)}
         self._markers = markers
         self._model, self._data = model, mujoco.MjData(model)
         self._numbers = np.array([model.body(name).id for name in self.bodies], int)

@@ -270,6 +270,21 @@ class Markers:
 
 
 @dataclass(frozen=True)
+class Inertial:
+    """An accelerometer on the base. Not an effect: robots are the same with and without.
+
+    Attributes:
+        body: of the model, on which it sits; none if empty.
+        noise_m_s2: standard deviation of its noise [m/s2].
+        bias_m_s2: standard deviation of its bias, which stays the same in a recording [m/s2].
+    """
+
+    body: str = ""
+    noise_m_s2: float = 0.05
+    bias_m_s2: float = 0.03
+
+
+@dataclass(frozen=True)
 class Base:
     """What the robot stands on, which its simulator takes for fixed.
 
@@ -350,6 +365,7 @@ class LabSpec:
         mounting: where the parts sit on one another.
         base: what the robot stands on.
         markers: bodies that a motion capture follows.
+        inertial: accelerometer on the base.
         controller: inside the robot.
         payload_site: site of the model that a payload hangs on; several, such as both hands, each hold one.
         payload_offset_m: from the site to the payload's center of mass, along the site's z axis [m].
@@ -376,6 +392,7 @@ class LabSpec:
     mounting: Mounting = field(default_factory=Mounting)
     base: Base = field(default_factory=Base)
     markers: Markers = field(default_factory=Markers)
+    inertial: Inertial = field(default_factory=Inertial)
     controller: Controller = field(default_factory=Controller)
     payload_site: str | tuple[str, ...] = "payload"
     payload_offset_m: float = 0.05
@@ -398,6 +415,10 @@ class LabSpec:
                 raise ConfigError(f"lab: {name} must be positive", got=value)
         if len(set(self.markers.bodies)) != len(self.markers.bodies):
             raise ConfigError("lab: markers.bodies names a body twice", got=list(self.markers.bodies))
+        if self.inertial.body and self.markers.bodies:
+            raise ConfigError(
+                "lab: markers or an inertial sensor, not both", got=[self.inertial.body, *self.markers.bodies]
+            )
         steps = self.control_step_s / self.physics_step_s
         if not 0.5 < steps < 1e9 or abs(steps - round(steps)) > 1e-6:
             raise ConfigError("lab: control_step_s must be a whole number of physics steps", got=f"{steps:g} steps")

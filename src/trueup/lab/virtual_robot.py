@@ -12,7 +12,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64, Int
 
 from trueup.core.timeseries import TimeSeries, same_units
+from trueup.core.units import SI_UNIT
 from trueup.errors import ConfigError, DataError, MissingSignal, RobotStopped
+from trueup.lab.accelerometer import Accelerometer
 from trueup.lab.base import draw_base
 from trueup.lab.faults import FOREVER, Fault, stalls
 from trueup.lab.markers import MotionCapture
@@ -56,10 +58,11 @@ _ROWS = dict(zip(_HIDDEN, _PLACES, strict=True))
 
 
 class _Look(NamedTuple):
-    """What is needed to say what a motion capture saw."""
+    """What is needed to say what a motion capture and an accelerometer saw."""
 
     places: np.ndarray  # (N, Q), all coordinates of the model; none where there are no markers
     drawn: np.ndarray  # (N, M, 6)
+    felt: np.ndarray  # (N, 3), noise of the accelerometer; none where there is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +71,9 @@ class Execution:
 
     Attributes:
         measured: `position`, `velocity`, `torque` as the sensors read them, of servos `current` and `voltage` in
-            place of the torque; `body.position` and `body.rotation` of bodies with markers. The first row is from
-            before the first command, the last from after the last one, or from the moment of a stop.
+            place of the torque; `body.position` and `body.rotation` of bodies with markers, `body.specific_force` of
+            a base with an accelerometer. The first row is from before the first command, the last from after the last
+            one, or from the moment of a stop.
         truth: the same signals without sensors, and `motor_position`, `motor_torque`, `rise` (temperature above the
             surroundings). For tests and studies; it belongs into no dataset.
         stopped_s: when a protective stop ended it [s], None if nothing did.
@@ -125,6 +129,9 @@ class VirtualRobot:
         self._sensors = spec.readings.sensors if spec.readings.enabled else Sensors()
         self._bias = np.array([joint.torque_bias_nm for joint in self.truth.joints.values()])
         self._capture = MotionCapture(self._plant.model, spec.markers)
+        if spec.inertial.body and carrier is not None:
+            raise ConfigError("an inertial sensor is on a base that moves as prescribed", got="a carrier")
+        self._accelerometer = Accelerometer(self._plant.model, spec.inertial)
         self._real_time = real_time
         self._advance, self._weigh = compiled()
         self._command = np.zeros((2, len(self.joints)))
@@ -152,8 +159,9 @@ class VirtualRobot:
         """
         if not 0 <= worked_s < np.inf:
             raise ConfigError("worked_s must not be negative", got=worked_s)
-        streams = np.random.default_rng([*np.atleast_1d(seed).tolist(), self.truth.unit]).spawn(5)
-        self._noise, self._jitter, self._losses, self._looks, underfoot = streams
+        streams = np.random.default_rng([*np.atleast_1d(seed).tolist(), self.truth.unit]).spawn(6)
+        self._noise, self._jitter, self._losses, self._looks, underfoot, inertial = streams
+        self._accelerometer.restart(inertial)
         self._base = draw_base(self.truth.spec.base, underfoot)
         self._faults = tuple(faults)
         self._stalls = stalls(self._faults, self.joints, self.control_step_s)
@@ -198,8 +206,8 @@ class VirtualRobot:
     def read(self) -> dict[str, Float64[np.ndarray, "J"]]:
         """What the sensors said last: `position` and `velocity` of the links, `torque` between motor and link.
 
-        Of servos `current` and `voltage` in place of the torque. Markers are none of the robot's own sensors: what is
-        seen of them is in what `execute` has measured.
+        Of servos `current` and `voltage` in place of the torque. What is seen of markers, and felt by the base, is in
+        what `execute` has measured.
         """
         return {signal: values.copy() for signal, values in self._reading.items()}
 
@@ -258,7 +266,7 @@ class VirtualRobot:
         clock = (start + kept) * self.control_step_s
         measured = {name: np.concatenate([before[name][None], readings[name]])[kept] for name in self._measured}
         true = {signal: np.concatenate([true_before[row][None], log[:, row]])[kept] for signal, row in _ROWS.items()}
-        seen, poses = self._of_bodies(look, looks, kept)
+        seen, poses = self._of_bodies(look, looks, kept, clock)
         return Execution(
             measured=self._series(clock, measured, self._measured, seen),
             truth=self._series(clock, true, _HIDDEN, poses),
@@ -266,12 +274,16 @@ class VirtualRobot:
         )
 
     def _of_bodies(
-        self, before: _Look, after: _Look, kept: Int[np.ndarray, "N"]
+        self, before: _Look, after: _Look, kept: Int[np.ndarray, "N"], clock: Float64[np.ndarray, "N"]
     ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-        """Bodies with markers as they are seen, and as they are; nothing where there are none."""
+        """Bodies with sensors as they are seen, and as they are; nothing where there are none."""
+        if self._accelerometer.bodies:
+            standing = self._plant.engine.gravity
+            pull = np.tile(standing, (len(clock), 1)) if self._base is None else self._base.gravity(clock, standing)
+            return self._accelerometer.felt(pull, np.concatenate([before.felt, after.felt])[kept])
         if not self._capture.bodies:
             return {}, {}
-        places, drawn = (np.concatenate(parts)[kept] for parts in zip(before, after, strict=True))
+        places, drawn = (np.concatenate(parts)[kept] for parts in zip(before[:2], after[:2], strict=True))
         poses = self._capture.poses(places)
         return self._capture.seen(poses, drawn), poses
 
@@ -282,13 +294,14 @@ class VirtualRobot:
         units: Mapping[str, str],
         bodies: dict[str, np.ndarray],
     ) -> TimeSeries:
-        of_bodies = {name: self._capture.units[name] for name in bodies}
+        names = self._accelerometer.bodies or self._capture.bodies
+        of_bodies = {name: (SI_UNIT[name],) * len(names) for name in bodies}
         return TimeSeries(
             clock,
             self.joints,
             {**signals, **bodies},
             {**same_units(units, self.joints), **of_bodies},
-            self._capture.bodies,
+            names,
         )
 
     def stop(self) -> None:
@@ -374,7 +387,7 @@ class VirtualRobot:
         looks = self._looked(places[:done], done)
         if done:
             self._reading = {signal: values[-1] for signal, values in readings.items()}
-            self._look = _Look(looks.places[-1:], looks.drawn[-1:])
+            self._look = _Look(*(values[-1:] for values in looks))
         return readings, log, looks
 
     def _pull(self, first: int, count: int) -> Float64[np.ndarray, "N 3"]:
@@ -385,7 +398,7 @@ class VirtualRobot:
         return self._base.gravity(middle, self._plant.engine.gravity)
 
     def _looked(self, places: Float64[np.ndarray, "L Q"], rows: int) -> _Look:
-        return _Look(places, self._capture.draw(self._looks, rows))
+        return _Look(places, self._capture.draw(self._looks, rows), self._accelerometer.draw(rows))
 
     def _sense(self, log: Float64[np.ndarray, "N S J"]) -> dict[str, Float64[np.ndarray, "N J"]]:
         truth = {signal: log[:, _ROWS[signal]] for signal in self._measured}

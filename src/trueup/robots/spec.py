@@ -185,6 +185,11 @@ class SimulationSpec:
         load: also say what each joint gives on to the parts that it moves (SAT, IV-A): the torque of its actuators
             without what friction and the motor's own inertia take.
         bodies: those whose pose, velocity and wrench are also said.
+        base_sensor: the body that the robot stands on, if an inertial sensor is on it: what the logs have of its
+            `body.specific_force` takes the place of gravity. A base at rest if empty.
+
+    Raises:
+        ConfigError: what a moving base leaves wrong is asked for.
     """
 
     timestep_s: float | None = None
@@ -192,6 +197,16 @@ class SimulationSpec:
     gravity_compensation: bool = False
     load: bool = False
     bodies: tuple[str, ...] = ()
+    base_sensor: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse wrenches in the axes of a base that moves."""
+        if self.base_sensor and (self.load or self.bodies):
+            raise ConfigError(
+                "simulation: loads and bodies are said of robots on a base at rest",
+                got=f"base_sensor: {self.base_sensor}",
+                hint="Leave base_sensor out, or load and bodies.",
+            )
 
 
 @dataclass(frozen=True)
@@ -343,6 +358,8 @@ class RobotSpec:
         del tree["folder"]
         if self.payload is None:
             del tree["payload"]  # runs of robots that carry nothing were made before there was one
+        if not self.simulation.base_sensor:
+            del tree["simulation"]["base_sensor"]  # and those on a base at rest likewise
         return tree
 
 

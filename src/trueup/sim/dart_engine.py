@@ -21,6 +21,7 @@ from trueup.sim.dart_blocks import DartBlocks
 from trueup.sim.dart_friction import DartFriction, laws_of
 from trueup.sim.dart_model import JointNumbers, load_dart, refuse_unmatched, skeleton_of
 from trueup.sim.dry_friction import friction_impulse
+from trueup.sim.moving_base import MovingBase
 from trueup.sim.payload import attach_payload
 
 
@@ -57,6 +58,7 @@ class DartSimulator(CompiledRobot):
         self._rotor = self._numbers.armature / float(model.opt.timestep)
         wanted = robot.simulation
         self._blocks = DartBlocks(model, self._dofs, wanted) if wanted.load or wanted.bodies else None
+        self._base = MovingBase(model, robot.simulation.base_sensor)
         self._copies: _Copies | None = None
 
     @staticmethod
@@ -103,7 +105,10 @@ class DartSimulator(CompiledRobot):
         q, v = np.empty((2, count, steps + 1, self.model.nv))
         torque = np.empty((count, steps + 1, len(self._dofs)))
         q[:, 0], v[:, 0] = copies.position, copies.velocity
+        change = None if request.gravity is None else self._base.change(request.gravity)
         for row in range(steps):
+            if change is not None:
+                copies.pull(change[:, row])
             torque[:, row] = self._advance(copies, control[:, row])[:, self._dofs]
             q[:, row + 1], v[:, row + 1] = copies.position, copies.velocity
             # DART is not asked to go on with what is not a number.
@@ -199,6 +204,12 @@ class _Copies:
         for row, dof in np.argwhere(damping != self._damping).tolist():
             self._joints[row][dof].setDampingCoefficient(damping[row, dof])
         self._damping = damping.copy()
+
+    def pull(self, change: Float64[np.ndarray, "B 3"]) -> None:
+        """Of this step, a force on every kilogram beside gravity [m/s2]; DART forgets it at the end of the step."""
+        for skeleton, own in zip(self._skeletons, change, strict=True):
+            for node in skeleton.getBodyNodes():
+                node.addExtForce(node.getMass() * own, node.getLocalCOM(), False, True)  # noqa: FBT003 - DART's own
 
     def friction(self, force: Float64[np.ndarray, "B V"], level: Float64[np.ndarray, "B V"]) -> np.ndarray:
         """The friction of this step, of at most `level`, if `force` acts beside it, (B, V)."""

@@ -22,9 +22,14 @@ from trueup.sim.closed_chains import ClosedChains
 from trueup.sim.compiled_robot import ABSURD, CompiledRobot, compile_robot, load_sensor, torque_sensor
 from trueup.sim.controllers import Channel
 from trueup.sim.friction import has_friction, install
+from trueup.sim.moving_base import MovingBase
 from trueup.sim.payload import attach_payload
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
+_WITH_FORCES = _CONTROL | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
+# Forces on all bodies in every step of motions that are simulated at once [bytes].
+_FORCES_AT_ONCE = 2**27
 _DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 
 # MuJoCo's own handler writes MUJOCO_LOG.TXT into the current folder; a divergence is reported as an error here.
@@ -62,6 +67,7 @@ class MujocoSimulator(CompiledRobot):
         self._layout = _layout(model, robot.joint_names, channels)
         bodies = robot.simulation.bodies
         self._bodies = BodySensors(model, bodies) if bodies else None
+        self._base = MovingBase(model, robot.simulation.base_sensor)
         self._chains = ClosedChains(model, self._layout.qpos, self._layout.qvel) if model.neq else None
         if has_friction(model):
             install()
@@ -145,10 +151,10 @@ class MujocoSimulator(CompiledRobot):
         control = self.control_of(request.command)
         steps = control.shape[1]
         states = self._states(request)
-        if self.model.nplugin and isinstance(model, list):
-            state, sensors = _rollout_apart(model, states, control)
+        if request.gravity is None:
+            state, sensors = self._rollout(model, states, control, _CONTROL)
         else:
-            state, sensors = rollout.rollout(model, self._data[: max(1, min(self.threads, count))], states, control)
+            state, sensors = self._rollout_on_base(model, states, control, self._base.change(request.gravity))
         position = np.empty((count, steps + 1, len(self.joints)))
         velocity, torque = np.empty_like(position), np.empty_like(position)
         position[:, 0], velocity[:, 0] = request.position, request.velocity
@@ -170,6 +176,41 @@ class MujocoSimulator(CompiledRobot):
                 for name, values in self._bodies.read(sensors).items()
             }
         return RolloutResult(position, velocity, torque, further, bodies, self.robot.simulation.bodies)
+
+    def _rollout(
+        self,
+        model: mujoco.MjModel | list[mujoco.MjModel],
+        states: Float64[np.ndarray, "B S"],
+        control: Float64[np.ndarray, "B N U"],
+        what: int,
+    ) -> tuple[Float64[np.ndarray, "B N S"], Float64[np.ndarray, "B N D"]]:
+        """States after and sensors before each step; `what` says what a row of `control` holds."""
+        if self.model.nplugin and isinstance(model, list):
+            return _rollout_apart(model, states, control, what)
+        threads = self._data[: max(1, min(self.threads, len(states)))]
+        state, sensors = rollout.rollout(model, threads, states, control, control_spec=what)
+        return state, sensors
+
+    def _rollout_on_base(
+        self,
+        model: mujoco.MjModel | list[mujoco.MjModel],
+        states: Float64[np.ndarray, "B S"],
+        control: Float64[np.ndarray, "B N U"],
+        change: Float64[np.ndarray, "B N 3"],
+    ) -> tuple[Float64[np.ndarray, "B N S"], Float64[np.ndarray, "B N D"]]:
+        """The same with a force on the center of mass of every body; some motions at once, for memory."""
+        count, steps = control.shape[:2]
+        at_once = max(self.threads, _FORCES_AT_ONCE // (steps * 6 * self.model.nbody * 8))
+        parts = []
+        for start in range(0, count, at_once):
+            own = slice(start, start + at_once)
+            models = model[own] if isinstance(model, list) else model
+            mass = np.stack([each.body_mass for each in models]) if isinstance(models, list) else models.body_mass[None]
+            wrench = np.zeros((*change[own].shape[:2], self.model.nbody, 6))
+            wrench[..., :3] = mass[:, None, :, None] * change[own][:, :, None]
+            given = np.concatenate([control[own], wrench.reshape(*wrench.shape[:2], -1)], axis=2)
+            parts.append(self._rollout(models, states[own], given, _WITH_FORCES))
+        return np.concatenate([state for state, _ in parts]), np.concatenate([sensors for _, sensors in parts])
 
     def reset(self, position: Float[np.ndarray, "B J"], velocity: Float[np.ndarray, "B J"]) -> None:
         """Put B independent copies of the robot into these states, at time 0."""
@@ -250,12 +291,17 @@ class MujocoSimulator(CompiledRobot):
 
 
 def _rollout_apart(
-    models: list[mujoco.MjModel], states: Float64[np.ndarray, "B S"], control: Float64[np.ndarray, "B N U"]
+    models: list[mujoco.MjModel],
+    states: Float64[np.ndarray, "B S"],
+    control: Float64[np.ndarray, "B N U"],
+    what: int,
 ) -> tuple[Float64[np.ndarray, "B N S"], Float64[np.ndarray, "B N D"]]:
     """The same rollout with data of its own for each model: a plugin reads its numbers only when data are made."""
     groups = [list(rows) for _, rows in groupby(range(len(models)), key=lambda row: id(models[row]))]
     parts = [
-        rollout.rollout(models[rows[0]], [mujoco.MjData(models[rows[0]])], states[rows], control[rows])
+        rollout.rollout(
+            models[rows[0]], [mujoco.MjData(models[rows[0]])], states[rows], control[rows], control_spec=what
+        )
         for rows in groups
     ]
     return np.concatenate([state for state, _ in parts]), np.concatenate([sensors for _, sensors in parts])

@@ -12,6 +12,7 @@ from trueup.core.timeseries import TimeSeries
 from trueup.core.units import SI_UNIT, joint_unit
 from trueup.core.windows import window_starts
 from trueup.errors import DataError
+from trueup.sim.moving_base import gravity_at
 from trueup.sim.replay_settings import ReplaySettings
 
 _MOST_STEPS = 50_000_000  # half a day at 1 ms; beyond that the unit of the stamps is wrong
@@ -36,7 +37,7 @@ class ReplayPlan:
 
     Raises:
         DataError: the clocks do not overlap, or the starting state or the command is not finite.
-        MissingSignal: the command lacks what the controller follows.
+        MissingSignal: the command lacks what the controller follows, or the log does not say how its base moved.
     """
 
     def __init__(self, episode: Episode, simulator: Simulator, settings: ReplaySettings) -> None:
@@ -69,6 +70,12 @@ class ReplayPlan:
         }.items():
             if not np.all(np.isfinite(values)):
                 raise DataError(f"episode {episode.id!r}: the {name} has values that are not finite")
+        self._gravity = None
+        if settings.base_sensor:
+            # In the middle of each step; while a motion settles, its base waits.
+            ticks = np.maximum(self._ticks(), 0) + 0.5
+            middle = self.measured.time_s[self.starts][:, None] + ticks * self._step_s
+            self._gravity = gravity_at(episode, settings.base_sensor, middle)
         self._held: dict[tuple[str, int], tuple[float, np.ndarray]] = {}
         self._window, self._row, self._share = self._stamps()
 
@@ -84,7 +91,7 @@ class ReplayPlan:
             name: np.stack([self._column(name, joint, float(delay)) for joint, delay in enumerate(delays)], axis=-1)
             for name in self._signals
         }
-        return RolloutRequest(position=self._position, velocity=self._velocity, command=command)
+        return RolloutRequest(self._position, self._velocity, command, self._gravity)
 
     def at_stamps(self, grid: Float[np.ndarray, "*C W N1 J"]) -> Float[np.ndarray, "*C T J"]:
         """Read simulated values on the grids of the W windows at the measured stamps, by linear interpolation."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
 
 import numpy as np
 
@@ -21,12 +21,15 @@ class ReplaySettings:
             None takes the measured one at the start of windows and zero at that of a whole motion.
         settle_s: a whole motion begins after its first command was held for this long [s]; windows need none.
         delay_s: the command acts this much later [s], >= 0; one number for all joints, or one per joint.
+        base_sensor: the body that the robot stands on, whose specific force takes the place of gravity; a base at rest
+            if empty.
     """
 
     window_s: float | None = None
     initial_velocity: Literal["zero", "measured"] | None = None
     delay_s: float | tuple[float, ...] = 0.0
     settle_s: float = 0.0
+    base_sensor: str = ""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be replayed."""
@@ -42,8 +45,14 @@ class ReplaySettings:
         """Whether a simulation starts with the measured velocity."""
         return self.initial_velocity == "measured" or (self.initial_velocity is None and self.window_s is not None)
 
+    def to_dict(self) -> dict[str, Any]:
+        """JSON types only; without a moving base as it was before there was one."""
+        tree = asdict(self)
+        return tree if self.base_sensor else {key: value for key, value in tree.items() if key != "base_sensor"}
+
     @staticmethod
     def of(robot: RobotSpec) -> ReplaySettings:
         """What the robot description asks for."""
         replay = robot.replay
-        return ReplaySettings(replay.window_s, replay.initial_velocity, robot.delay_s, replay.settle_s)
+        base = robot.simulation.base_sensor
+        return ReplaySettings(replay.window_s, replay.initial_velocity, robot.delay_s, replay.settle_s, base)

@@ -105,6 +105,8 @@ class Transitions:
         state: Float[np.ndarray, "B S"],
         before: Float[np.ndarray, "B J"],
         command: Float[np.ndarray, "B J"],
+        *,
+        gravity: Float[np.ndarray, "B 3"] | None = None,
     ) -> Float64[np.ndarray, "B S"]:
         """Positions, then velocities, one control step later, (B, 2J).
 
@@ -112,6 +114,7 @@ class Transitions:
             state: positions, then velocities.
             before: what was commanded one control step ago.
             command: what is commanded now.
+            gravity: what pulls on the robot meanwhile, see `RolloutRequest`; None for a base at rest.
 
         Raises:
             DataError: a simulation diverged.
@@ -121,7 +124,8 @@ class Transitions:
             part = slice(start, start + _AT_ONCE)
             position, velocity = np.split(np.asarray(state[part], np.float64), 2, axis=1)
             held = self.held(before[part], command[part])
-            result = self.simulator.rollout(RolloutRequest(position, velocity, {"position": held}))
+            pull = None if gravity is None else np.repeat(gravity[part][:, None], self.steps, axis=1)
+            result = self.simulator.rollout(RolloutRequest(position, velocity, {"position": held}, pull))
             out[part] = np.concatenate([result.position[:, -1], result.velocity[:, -1]], axis=1)
         return out
 
@@ -132,6 +136,7 @@ class Transitions:
         command: Float[np.ndarray, "B J"],
         *,
         size: float = 1e-5,
+        gravity: Float[np.ndarray, "B 3"] | None = None,
     ) -> Slopes:
         """Central differences of `next`, `size` to either side [rad or m, and per second]."""
         parts = [state, before, command] if self.delayed else [state, command]
@@ -141,7 +146,8 @@ class Transitions:
         moved = (given[:, None, None, :] + np.stack([moves, -moves])).reshape(-1, width)
         own, joints = state.shape[1], command.shape[1]
         earlier = moved[:, own : own + joints]  # without a delay, the command itself: it does not matter
-        after = self.next(moved[:, :own], earlier, moved[:, -joints:]).reshape(count, 2, width, own)
+        pull = None if gravity is None else np.repeat(gravity, 2 * width, axis=0)
+        after = self.next(moved[:, :own], earlier, moved[:, -joints:], gravity=pull).reshape(count, 2, width, own)
         slopes = ((after[:, 0] - after[:, 1]) / (2.0 * size)).transpose(0, 2, 1)
         late = slopes[:, :, own : own + joints] if self.delayed else np.zeros((count, own, joints))
         return Slopes(slopes[:, :, :own], late, slopes[:, :, -joints:])

@@ -219,6 +219,12 @@ def compensate(
             expected="training: {way: direct}",
             hint="Leave it out.",
         )
+    if config.training.way == "ppo" and robot.simulation.base_sensor:
+        raise ConfigError(
+            "reinforcement knows no base that moves",
+            got=f"simulation: base_sensor: {robot.simulation.base_sensor}",
+            expected="training: {way: direct}",
+        )
     known = None if twin is None or twin[0] is None else network_for_simulator(Path(twin[0]), robot)
     asked = json_hash(
         as_read_back(
@@ -402,7 +408,8 @@ def motion_of(dataset: Dataset, joint_map: JointMap, name: str, robot: RobotSpec
     """One episode, seen once every control step [s]."""
     from trueup.compensate.tracks import track_of
 
-    return track_of(joint_map.of_episode(dataset.episode(name)), robot.joint_names, control_s)
+    episode = joint_map.of_episode(dataset.episode(name))
+    return track_of(episode, robot.joint_names, control_s, base_sensor=robot.simulation.base_sensor)
 
 
 def units_of(dataset: Dataset, robot: RobotSpec) -> tuple[str, ...]:

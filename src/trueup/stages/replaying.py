@@ -6,7 +6,7 @@ import contextlib
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -97,7 +97,7 @@ def replay(
         delay_s=settings.delay_s if delay_s is None else delay_s,
     )
     simulator = make_simulator(engine, robot, path)
-    inputs = _inputs(robot, simulator, asdict(settings))
+    inputs = _inputs(robot, simulator, settings.to_dict())
     info = {
         "engine": engine,
         "inputs": inputs,
@@ -106,7 +106,7 @@ def replay(
         "scored_joints": list(robot.scored_joints),
         "command_signal": robot.controller.signal,
         "torque_limits": simulator.torque_limits,
-        "settings": asdict(settings),
+        "settings": settings.to_dict(),
         "provenance": provenance(config={"robot": robot.to_dict(), "model": path.name}, data_hash=dataset.hash),
     }
     refuse_run(dataset.path, label, allowed=overwrite or resume)

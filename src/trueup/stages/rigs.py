@@ -48,10 +48,12 @@ class Rig(Protocol):
 
 
 def _said(spec: LabSpec) -> dict[str, Any]:
-    """The sizes of a lab; those on a fixed base were recorded before there was another."""
+    """The sizes of a lab; those on a fixed base, or without a sensor on it, were recorded before there was another."""
     tree = asdict(spec)
     if spec.base.condition == "fixed":
         del tree["base"]
+    if not spec.inertial.body:
+        del tree["inertial"]
     return tree
 
 

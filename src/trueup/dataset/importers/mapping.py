@@ -12,7 +12,7 @@ from trueup.core.units import SI_UNIT, UNITS, conversion
 from trueup.errors import ConfigError, UnitError
 
 _FIELD = re.compile(r"\{(\w+)\}")
-COMPONENTS = {"body.position": (3,), "body.rotation": (3, 3)}
+COMPONENTS = {"body.position": (3,), "body.rotation": (3, 3), "body.specific_force": (3,)}
 
 
 def substitute(template: str, values: Mapping[str, str], *, where: str) -> str:
