@@ -20,6 +20,10 @@ NAMES = {
     "mlp": "MLP, on identified",
     "transformer": "transformer, on identified",
     "operator": "operator, on identified",
+    "identified, base sensed": "identified simulator, base sensed",
+    "mlp-sensed": "MLP, on that",
+    "transformer-sensed": "transformer, on that",
+    "operator-sensed": "operator, on that",
 }
 # Metric -> title, factor, digits.
 METRICS = {
@@ -32,9 +36,10 @@ TEXT = """## In a simulator
 
 How far simulated motions are from those of a robot that no training has seen, {motions} unseen motions for each
 payload: a network corrects the commands of the simulator, which then simulates every motion from its commands alone.
-Six networks of each kind, with the same data, updates, batches and windows, from other seeds; two simulators that they
-correct. Mean and standard deviation over seeds; in brackets the 95 % interval over motions of what has no seed. Mean
-over motions and joints.
+{seeds} networks of each kind, with the same data, updates, batches and windows, from other seeds; three simulators that
+they correct, of which the last one hears an accelerometer on the robot's torso
+([how](robots.md#every-key)). Mean and standard deviation over seeds; in brackets the 95 % interval over motions of what
+has no seed. Mean over motions and joints.
 
 ```sh
 python -m benchmarks compensation
@@ -51,6 +56,7 @@ def part(result: Mapping[str, Any]) -> str:
     tables = result["tables"]
     return TEXT.format(
         motions=len(tables["pd"]["test"]["0"]["mae"][0]),
+        seeds=len(tables["operator"]["test"]["0"]["mae"]),
         tables="\n\n".join(
             f"**{title.format(tau=result['tau_rad'])}**, by payload; those with a half were never trained:\n\n"
             f"{by_payload(tables, metric, factor, digits)}"
