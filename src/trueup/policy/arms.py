@@ -1,0 +1,251 @@
+"""Arms that take torques, one or many: simulated in MuJoCo side by side, in any engine, or hardware."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol, runtime_checkable
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Float64, Int
+from mujoco import batch
+
+from trueup.core.protocols import Hardware, Simulator
+from trueup.errors import ConfigError, DataError, RobotStopped
+from trueup.sim import MujocoSimulator
+from trueup.sim.compiled_robot import ABSURD
+
+_PART_OF_STEP = 1e-6
+
+
+@runtime_checkable
+class Arms(Protocol):
+    """N arms of J joints, each at a moment of its own, that hold their weight and add the torques that they are told.
+
+    After a step, `position` and `velocity` are those of its end, NaN of an arm whose simulation diverged.
+    """
+
+    count: int
+    control_s: float
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the J joints."""
+        ...
+
+    @property
+    def position(self) -> Float64[np.ndarray, "N J"]:
+        """Measured [rad or m]."""
+        ...
+
+    @property
+    def velocity(self) -> Float64[np.ndarray, "N J"]:
+        """Measured [rad/s or m/s]."""
+        ...
+
+    def begin(self, rows: Int[np.ndarray, "R"], position: Float[np.ndarray, "R J"], rng: np.random.Generator) -> None:
+        """Put R of them into these poses, at rest; what is drawn anew for each episode is drawn from `rng`."""
+        ...
+
+    def step(self, torque: Float[np.ndarray, "N J"]) -> None:
+        """One control step with these torques [Nm or N]."""
+        ...
+
+
+class MujocoArms:
+    """Arms in MuJoCo itself, on threads of the processor.
+
+    Args:
+        simulator: a robot that follows torques.
+        count: N.
+        control_s: control step [s].
+        threads: of the processor.
+        draw: makes the model of an arm for the next episode, of the same structure as the simulator's; the simulator's
+            own for all if None.
+
+    Raises:
+        ConfigError: the control step is no number of physics steps, or the robot follows no torques.
+    """
+
+    def __init__(
+        self,
+        simulator: MujocoSimulator,
+        count: int,
+        control_s: float,
+        *,
+        threads: int = 1,
+        draw: Callable[[np.random.Generator], mujoco.MjModel] | None = None,
+    ) -> None:
+        self.count, self.control_s = count, control_s
+        self._substeps = substeps_of(simulator, control_s)
+        self._simulator, self._draw = simulator, draw
+        self._batch = batch.Batch(simulator.model, nsim=count, nthread=threads)
+        self._models = [simulator.model] * count
+        self._qpos, self._qvel = simulator.places
+        self._ctrl, self._state = self._batch.bind("ctrl"), (self._batch.bind("qpos"), self._batch.bind("qvel"))
+        self.position = np.zeros((count, len(self.joints)))
+        self.velocity = np.zeros_like(self.position)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """See `Arms`."""
+        return self._simulator.joints
+
+    def begin(self, rows: Int[np.ndarray, "R"], position: Float[np.ndarray, "R J"], rng: np.random.Generator) -> None:
+        """See `Arms`."""
+        if self._draw is not None:
+            for row in rows.tolist():
+                self._models[row] = self._draw(rng)
+            self._batch.set_models(self._models)
+        self._batch.reset(rows, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        qpos, qvel = (own[rows] for own in self._state)
+        self._simulator.place(qpos, qvel, position, np.zeros_like(position))
+        self._state[0][rows], self._state[1][rows] = qpos, qvel
+        self.position[rows], self.velocity[rows] = position, 0.0
+
+    def step(self, torque: Float[np.ndarray, "N J"]) -> None:
+        """See `Arms`."""
+        self._ctrl[:] = self._simulator.control_of({"torque": torque[:, None]})[:, 0]
+        failed: np.ndarray | None = None
+        try:
+            self._batch.step(nstep=self._substeps)
+        except batch.SimulationError as error:
+            failed = error.ids
+        self.position, self.velocity = (
+            own[:, places] for own, places in zip(self._state, (self._qpos, self._qvel), strict=True)
+        )
+        if failed is not None:
+            self.position[failed] = np.nan
+        # A NaN makes the comparison false.
+        if not np.abs(self.velocity).max() <= ABSURD:
+            self.position[~(np.abs(self.velocity).max(axis=1) <= ABSURD)] = np.nan
+
+
+class EngineArm:
+    """One arm in any engine.
+
+    Args:
+        simulator: a robot that follows torques.
+        control_s: control step [s].
+
+    Raises:
+        ConfigError: see `MujocoArms`.
+    """
+
+    count = 1
+
+    def __init__(self, simulator: Simulator, control_s: float) -> None:
+        self.control_s = control_s
+        self._substeps = substeps_of(simulator, control_s)
+        self._simulator = simulator
+        self.position = np.zeros((1, len(simulator.joints)))
+        self.velocity = np.zeros_like(self.position)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """See `Arms`."""
+        return self._simulator.joints
+
+    def begin(self, rows: Int[np.ndarray, "R"], position: Float[np.ndarray, "R J"], rng: np.random.Generator) -> None:
+        """See `Arms`."""
+        del rows, rng
+        self.position, self.velocity = np.array(position, np.float64), np.zeros(position.shape)
+        self._simulator.reset(self.position, self.velocity)
+
+    def step(self, torque: Float[np.ndarray, "N J"]) -> None:
+        """See `Arms`."""
+        command = {"torque": np.asarray(torque, np.float64)}
+        done: dict[str, np.ndarray] = {}
+        for _ in range(self._substeps):
+            done = self._simulator.step(command)
+        self.position, self.velocity = (np.asarray(done[name], np.float64) for name in ("position", "velocity"))
+        if not max(np.abs(self.position).max(), np.abs(self.velocity).max()) <= ABSURD:
+            self.position, self.velocity = np.full_like(self.position, np.nan), np.full_like(self.position, np.nan)
+
+
+class HardwareArm:
+    """One arm that is there, or that behaves as if it were.
+
+    Args:
+        robot: takes torques, and holds its own weight.
+        control_s: control step [s].
+        place: brings it into a pose, at rest, before an episode; what it draws comes from the generator.
+
+    Raises:
+        ConfigError: the robot takes no torques.
+    """
+
+    count = 1
+
+    def __init__(
+        self,
+        robot: Hardware,
+        control_s: float,
+        *,
+        place: Callable[[Float64[np.ndarray, "J"], np.random.Generator], None],
+    ) -> None:
+        if "torque" not in robot.command_signals:
+            raise ConfigError("the robot takes no torques", got=list(robot.command_signals), expected="torque")
+        self.control_s = control_s
+        self._robot, self._place = robot, place
+        self._due_s = 0.0
+        self.position = np.zeros((1, len(robot.joints)))
+        self.velocity = np.zeros_like(self.position)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """See `Arms`."""
+        return self._robot.joints
+
+    def begin(self, rows: Int[np.ndarray, "R"], position: Float[np.ndarray, "R J"], rng: np.random.Generator) -> None:
+        """See `Arms`."""
+        del rows
+        self._place(np.asarray(position[0], np.float64), rng)
+        self._due_s = self._robot.now_s()
+        self._read()
+
+    def step(self, torque: Float[np.ndarray, "N J"]) -> None:
+        """See `Arms`.
+
+        Raises:
+            RobotStopped: the robot has stopped.
+        """
+        self._robot.write({"torque": np.asarray(torque[0], np.float64)})
+        self._due_s += self.control_s
+        try:
+            self._robot.wait_until_s(self._due_s)
+        except DataError:  # virtual hardware whose simulation diverged
+            self.position, self.velocity = np.full_like(self.position, np.nan), np.full_like(self.position, np.nan)
+            return
+        self._read()
+
+    def _read(self) -> None:
+        reading = self._robot.read()
+        missing: Sequence[str] = [name for name in ("position", "velocity") if name not in reading]
+        if missing:
+            raise RobotStopped(f"the robot does not say its {' and '.join(missing)}")
+        self.position, self.velocity = (
+            np.asarray(reading[name], np.float64)[None] for name in ("position", "velocity")
+        )
+
+
+def substeps_of(simulator: Simulator, control_s: float) -> int:
+    """Physics steps of a control step.
+
+    Raises:
+        ConfigError: it is no number of physics steps, or the robot follows no torques.
+    """
+    if simulator.command_signals[0] != "torque":
+        raise ConfigError(
+            "a policy of torques needs a robot that follows them",
+            got=simulator.command_signals[0],
+            expected="controller: {kind: torque}",
+        )
+    steps = control_s / simulator.timestep_s
+    if steps < 1 - _PART_OF_STEP or abs(steps - round(steps)) > _PART_OF_STEP * steps:
+        raise ConfigError(
+            "a control step must be a number of physics steps",
+            got=f"{control_s:g} s of {simulator.timestep_s:g} s",
+            hint="Set simulation.timestep_s in robot.yaml, or the control rate.",
+        )
+    return round(steps)
