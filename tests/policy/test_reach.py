@@ -168,7 +168,7 @@ def test_an_arm_that_diverges_is_lost_and_the_others_are_not():
     models[1].dof_damping[:] = -1e4
     turns = iter([models[0], models[1], models[0]])
     config = ReachConfig()
-    arms = MujocoArms(simulator, 2, config.control_s, draw=lambda _: next(turns))
+    arms = MujocoArms(simulator, 2, config.control_s, draw=lambda _: (next(turns), np.zeros(7)))
     vector = ReachVector(Reaching(arms, simulator.model, config), seed=0)
     vector.reset()
     lost = np.zeros(2, int)

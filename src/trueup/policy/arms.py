@@ -60,8 +60,8 @@ class MujocoArms:
         count: N.
         control_s: control step [s].
         threads: of the processor.
-        draw: makes the model of an arm for the next episode, of the same structure as the simulator's; the simulator's
-            own for all if None.
+        draw: makes the model of an arm for the next episode, of the same structure as the simulator's, and says how
+            much later its torques act, (J,) [s], at most a control step; the simulator's own for all if None.
 
     Raises:
         ConfigError: the control step is no number of physics steps, or the robot follows no torques.
@@ -74,7 +74,7 @@ class MujocoArms:
         control_s: float,
         *,
         threads: int = 1,
-        draw: Callable[[np.random.Generator], mujoco.MjModel] | None = None,
+        draw: Callable[[np.random.Generator], tuple[mujoco.MjModel, Float64[np.ndarray, "J"]]] | None = None,
     ) -> None:
         self.count, self.control_s = count, control_s
         self._substeps = substeps_of(simulator, control_s)
@@ -85,6 +85,9 @@ class MujocoArms:
         self._ctrl, self._state = self._batch.bind("ctrl"), (self._batch.bind("qpos"), self._batch.bind("qvel"))
         self.position = np.zeros((count, len(self.joints)))
         self.velocity = np.zeros_like(self.position)
+        # What of the torque before still acts in each physics step, and that torque.
+        self._late = np.zeros((count, self._substeps, len(self.joints)))
+        self._before = np.zeros_like(self.position)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -95,8 +98,10 @@ class MujocoArms:
         """See `Arms`."""
         if self._draw is not None:
             for row in rows.tolist():
-                self._models[row] = self._draw(rng)
+                self._models[row], delays = self._draw(rng)
+                self._late[row] = self._held_back(delays)
             self._batch.set_models(self._models)
+        self._before[rows] = 0.0
         self._batch.reset(rows, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         qpos, qvel = (own[rows] for own in self._state)
         self._simulator.place(qpos, qvel, position, np.zeros_like(position))
@@ -105,10 +110,15 @@ class MujocoArms:
 
     def step(self, torque: Float[np.ndarray, "N J"]) -> None:
         """See `Arms`."""
-        self._ctrl[:] = self._simulator.control_of({"torque": torque[:, None]})[:, 0]
         failed: np.ndarray | None = None
         try:
-            self._batch.step(nstep=self._substeps)
+            if self._late.any():
+                acting = self._late * self._before[:, None] + (1.0 - self._late) * torque[:, None]
+                self._batch.rollout(self._substeps, self._simulator.control_of({"torque": acting}), record=())
+                self._before = np.array(torque)
+            else:
+                self._ctrl[:] = self._simulator.control_of({"torque": torque[:, None]})[:, 0]
+                self._batch.step(nstep=self._substeps)
         except batch.SimulationError as error:
             failed = error.ids
         self.position, self.velocity = (
@@ -119,6 +129,16 @@ class MujocoArms:
         # A NaN makes the comparison false.
         if not np.abs(self.velocity).max() <= ABSURD:
             self.position[~(np.abs(self.velocity).max(axis=1) <= ABSURD)] = np.nan
+
+    def _held_back(self, delays: Float64[np.ndarray, "J"]) -> Float64[np.ndarray, "K J"]:
+        steps = delays / self._simulator.timestep_s
+        if not (steps.min() >= 0 and steps.max() <= self._substeps):
+            raise ConfigError(
+                "torques may be late by a control step at most",
+                got=f"{delays.max():g} s",
+                expected=f"0 to {self.control_s:g} s",
+            )
+        return np.clip(steps - np.arange(self._substeps)[:, None], 0.0, 1.0)
 
 
 class EngineArm:

@@ -1,0 +1,212 @@
+"""Randomization: what is drawn has the spread that was asked for, moves nothing else, and stays physical."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from trueup.core.atomic import read_json, write_json
+from trueup.errors import ConfigError, DataError, NameMismatch
+from trueup.identify.candidate import Nominal
+from trueup.identify.inertial import inertial_of
+from trueup.policy.arms import MujocoArms
+from trueup.policy.environment import ReachVector
+from trueup.policy.randomization import THESIS, Individuals, RandomizationConfig, posterior_samples
+from trueup.policy.reach import ReachConfig
+from trueup.policy.reaching import Reaching
+from trueup.robots import JointFriction, find_model, load_robot
+
+PANDA = load_robot("panda_torque")
+RUBBED = replace(
+    PANDA,
+    friction={
+        name: JointFriction(sigmoid_level=1.0 + k, sigmoid_slope=8.0, sigmoid_shift=0.02)
+        for k, name in enumerate(PANDA.joint_names)
+    },
+)
+COUNT = 300
+
+
+@pytest.fixture(scope="module")
+def nominal():
+    return Nominal(RUBBED, find_model(PANDA))
+
+
+def drawn(nominal, config, count=COUNT, seed=0):
+    make, rng = Individuals(nominal, config.draws()), np.random.default_rng(seed)
+    return [make(rng) for _ in range(count)]
+
+
+def numbers(models, field, rows=slice(None)):
+    return np.array([getattr(model, field)[rows] for model, _ in models])
+
+
+def uniform(values, low, high):
+    """Whether all lie within, and fill it evenly: mean and spread of a uniform distribution, within five errors."""
+    assert values.min() >= low - 1e-9
+    assert values.max() <= high + 1e-9
+    spread = (high - low) / np.sqrt(12)
+    assert values.mean(axis=0) == pytest.approx((low + high) / 2, abs=5 * spread / np.sqrt(len(values)))
+    assert values.std(axis=0) == pytest.approx(spread, rel=0.15)
+
+
+def test_nothing_asked_for_is_the_model_itself(nominal):
+    (model, delays), plain = drawn(nominal, RandomizationConfig(), 1)[0], nominal.model
+    for field in ("dof_damping", "dof_frictionloss", "body_mass", "body_inertia", "jnt_user", "actuator_gainprm"):
+        np.testing.assert_allclose(getattr(model, field), getattr(plain, field), rtol=1e-12)
+    assert not delays.any()
+
+
+def test_friction_is_the_thesis_ten_percent_number_by_number(nominal):
+    models, plain = drawn(nominal, RandomizationConfig(friction=0.1)), nominal.model
+    damping = numbers(models, "dof_damping") / plain.dof_damping
+    uniform(damping, 0.9, 1.1)
+    assert np.abs(np.corrcoef(damping.T) - np.eye(7)).max() < 0.25
+    levels = numbers(models, "jnt_user")
+    there = np.abs(plain.jnt_user) > 0
+    moved = (levels / np.where(there, plain.jnt_user, 1.0))[:, there]
+    moving = moved[:, moved.std(axis=0) > 1e-9]
+    assert moving.shape[1] == 21  # three numbers of seven joints; what marks them stays
+    uniform(moving, 0.9, 1.1)
+    for field in ("body_mass", "body_inertia", "actuator_gainprm"):
+        np.testing.assert_allclose(numbers(models, field)[-1], getattr(plain, field), rtol=1e-12)
+
+
+def test_inertia_is_the_thesis_five_percent_and_such_as_bodies_can_have(nominal):
+    models, plain = drawn(nominal, RandomizationConfig(inertia=0.05)), nominal.model
+    for body in nominal.bodies:
+        own = inertial_of(plain, body).inertia
+        found = np.array([inertial_of(model, body).inertia for model, _ in models])
+        for row, column in ((0, 0), (1, 1), (2, 2), (0, 1)):
+            if abs(own[row, column]) > 1e-2 * np.abs(own).max():
+                ratio = found[:, row, column] / own[row, column]
+                assert ratio.min() >= 0.95 - 1e-6
+                assert ratio.max() <= 1.05 + 1e-6
+        moments = np.array([inertial_of(model, body).second_moment for model, _ in models])
+        assert np.linalg.eigvalsh(moments).min() >= -1e-12
+        assert found[:, 0, 0].std() > 0
+    np.testing.assert_allclose(numbers(models, "body_mass")[-1], plain.body_mass, rtol=1e-12)
+
+
+def test_what_mujoco_derives_follows(nominal):
+    for model, _ in drawn(nominal, THESIS, 5):
+        derived = model.dof_invweight0.copy(), model.body_subtreemass.copy()
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        np.testing.assert_allclose(model.dof_invweight0, derived[0], rtol=1e-9)
+        np.testing.assert_allclose(model.body_subtreemass, derived[1], rtol=1e-12)
+        assert np.abs(model.dof_invweight0 / nominal.model.dof_invweight0 - 1).max() > 1e-3
+
+
+def test_gains_delays_and_payloads(nominal):
+    models = drawn(nominal, RandomizationConfig(gains=0.2, delay_s=(0.001, 0.005), payload_kg=(0.5, 2.0)))
+    plain = nominal.model
+    uniform(numbers(models, "actuator_gainprm")[:, :, 0] / plain.actuator_gainprm[:, 0], 0.8, 1.2)
+    delays = np.array([own for _, own in models])
+    assert (delays == delays[:, :1]).all()
+    uniform(delays[:, 0], 0.001, 0.005)
+    uniform(numbers(models, "body_mass").sum(axis=1) - plain.body_mass.sum(), 0.5, 2.0)
+
+
+def test_draws_depend_on_the_generator_alone(nominal):
+    one, same, other = (drawn(nominal, THESIS, 3, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(numbers(one, "dof_damping"), numbers(same, "dof_damping"))
+    assert not np.array_equal(numbers(one, "dof_damping"), numbers(other, "dof_damping"))
+
+
+def fitted(folder, status="ok", samples=None):
+    """A folder of an identification with correlated damping and armature of joint1."""
+    rng = np.random.default_rng(0)
+    common = rng.standard_normal(1000)
+    if samples is None:
+        samples = {
+            "damping[joint1]": 1.0 + 0.1 * common,
+            "armature[joint1]": 0.1 - 0.009 * common + 1e-4 * rng.standard_normal(1000),
+            "delay_s": np.clip(0.003 + 0.0005 * rng.standard_normal(1000), 0, None),
+        }
+    folder.mkdir(exist_ok=True)
+    np.savez(folder / "fit.samples.npz", **samples)
+    tree = {"schema": "trueup.fit/1", "status": status, "statements": ["Joint 1 never moved."], "solver": {}}
+    empty = {key: {} for key in ("errors", "correlation", "whiteness", "data", "provenance")}
+    write_json(folder / "fit.json", {**tree, **empty, "parameters": [], "directions": [], "models": []})
+    return folder
+
+
+def test_a_posterior_keeps_what_hangs_together(nominal, tmp_path):
+    models = drawn(nominal, RandomizationConfig(posterior=str(fitted(tmp_path / "fit"))), 600)
+    joint = int(nominal.model.joint("joint1").dofadr[0])
+    damping, armature = (numbers(models, name, joint) for name in ("dof_damping", "dof_armature"))
+    assert damping.mean() == pytest.approx(1.0, abs=0.02)
+    assert damping.std() == pytest.approx(0.1, rel=0.1)
+    assert np.corrcoef(damping, armature)[0, 1] < -0.99
+    others = [k for k in range(7) if k != joint]
+    np.testing.assert_array_equal(numbers(models, "dof_damping", others)[5], nominal.model.dof_damping[others])
+    delays = np.array([own for _, own in models])
+    assert delays.mean() == pytest.approx(0.003, abs=2e-4)
+    assert delays.std() == pytest.approx(0.0005, rel=0.15)
+
+
+def test_an_identification_that_is_not_ok_is_refused_unless_forced(nominal, tmp_path):
+    folder = fitted(tmp_path / "fit", status="not-identifiable")
+    config = RandomizationConfig(posterior=str(folder))
+    with pytest.raises(ConfigError, match=r"not-identifiable: Joint 1 never moved.*status ok"):
+        config.draws()
+    assert len(config.draws(force=True)) == 1
+    (folder / "fit.samples.npz").write_bytes(b"PK nonsense")
+    with pytest.raises(DataError, match="holds no samples"):
+        posterior_samples(folder, force=True)
+    (folder / "fit.samples.npz").unlink()
+    with pytest.raises(DataError, match="is not there"):
+        posterior_samples(folder, force=True)
+    with pytest.raises(NameMismatch, match="unknown parameters"):
+        posterior_samples(fitted(tmp_path / "odd", samples={"colour[joint1]": np.ones(3)}))
+    with pytest.raises(DataError, match="not finite"):
+        posterior_samples(fitted(tmp_path / "nan", samples={"damping[joint1]": np.array([1.0, np.nan])}))
+    assert read_json(folder / "fit.json")["status"] == "not-identifiable"
+
+
+def test_widths_that_are_none():
+    for wrong in ({"friction": -0.1}, {"inertia": 1.5}, {"delay_s": (0.01, 0.0)}, {"noise_rad": np.inf}):
+        with pytest.raises(ConfigError, match="randomization"):
+            RandomizationConfig(**wrong)
+
+
+def test_every_arm_is_another_and_a_new_one_after_each_episode(nominal):
+    config = ReachConfig(episode_s=0.1)
+    make = Individuals(nominal, RandomizationConfig(friction=0.1, delay_s=(0.0, 0.01)).draws())
+    arms = MujocoArms(nominal.simulator, 3, config.control_s, draw=make)
+    vector = ReachVector(Reaching(arms, nominal.model, config), seed=0)
+    vector.reset()
+    first = [model.dof_damping[0] for model in arms._models]
+    assert len(set(first)) == 3
+    for _ in range(5):
+        vector.step_async(np.ones((3, 7)))
+        vector.step_wait()
+    assert not set(first) & {model.dof_damping[0] for model in arms._models}
+
+
+def test_a_late_torque_acts_late(nominal):
+    def moved(delay_s):
+        late = lambda _: (nominal.model, np.full(7, delay_s))  # noqa: E731
+        arms = MujocoArms(nominal.simulator, 1, 0.02, draw=late)
+        arms.begin(np.zeros(1, int), nominal.model.key("home").qpos[None, :7], np.random.default_rng(0))
+        way = []
+        for torque in np.random.default_rng(1).uniform(-3, 3, (10, 1, 7)):
+            arms.step(torque)
+            way.append(arms.position[0].copy())
+        return np.array(way)
+
+    # By hand: ten physics steps of 1 ms each with the torque before.
+    data = mujoco.MjData(nominal.model)
+    data.qpos[:7] = nominal.model.key("home").qpos[:7]
+    before, way = np.zeros(7), []
+    for torque in np.random.default_rng(1).uniform(-3, 3, (10, 7)):
+        for step in range(20):
+            data.ctrl[:] = before if step < 10 else torque
+            mujoco.mj_step(nominal.model, data)
+        before = torque
+        way.append(data.qpos[:7].copy())
+    np.testing.assert_allclose(moved(0.010), way, atol=1e-9)
+    assert np.abs(moved(0.010) - moved(0.0)).max() > 1e-3
+    with pytest.raises(ConfigError, match="late by a control step"):
+        moved(0.05)
