@@ -29,6 +29,7 @@ ARROWS = {
     "deploy": set(),
     "augment": {"dataset", "measure", "deploy"},
     "compensate": {"augment", "deploy", "robots", "sim"},
+    "policy": {"identify", "robots", "sim"},
     "zoo": {"augment"},
     "report": {"measure"},
     "stages": {
