@@ -5,16 +5,28 @@ from dataclasses import fields
 from pathlib import Path
 
 from trueup.policy import ReachConfig, Reward
+from trueup.policy.config import LearnerConfig, PolicyConfig
+from trueup.policy.evaluation import UNITS
 from trueup.policy.randomization import RandomizationConfig
 
 TEXT = (Path(__file__).parent.parent.parent / "docs" / "policies.md").read_text()
 
 
-def test_the_python_of_the_page_runs(capsys):
-    names = {}
-    for block in re.findall(r"^```python\n(.*?)^```$", TEXT, re.M | re.S):
+# The page's training takes an hour.
+SHORT = ("steps=400_000", "steps=640, rounds=2, learner=LearnerConfig(starts=320, updates=1, layers=(16,))")
+
+
+def test_the_python_of_the_page_runs(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {"LearnerConfig": LearnerConfig}
+    assert SHORT[0] in TEXT
+    for block in re.findall(r"^```python\n(.*?)^```$", TEXT.replace(*SHORT), re.M | re.S):
         exec(compile(block, "policies.md", "exec"), names)
-    assert "m from the goal" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "m from the goal" in out
+    assert "2 of 2:" in out
+    assert names["found"].estimates()["distance"].value < 1.0
+    assert len(names["found"].goals) == 100
     assert names["vector"].num_envs == 16
     for _ in range(5):
         seen, reward, terminated, _, _ = names["real"].step(names["real"].action_space.high)
@@ -32,4 +44,23 @@ def rows(head):
 def test_every_field_is_explained():
     assert rows("`ReachConfig`") == {item.name for item in fields(ReachConfig)}
     assert rows("`RandomizationConfig`") == {item.name for item in fields(RandomizationConfig)}
+    assert rows("`PolicyConfig`") == {item.name for item in fields(PolicyConfig)}
+    assert rows("`LearnerConfig`") == {item.name for item in fields(LearnerConfig)}
+    assert rows("metric") == set(UNITS)
     assert all(f"`{item.name}`" in TEXT for item in fields(Reward))
+
+
+def test_defaults_are_those_of_the_page():
+    learner, config = LearnerConfig(), PolicyConfig()
+    for name, value in (
+        ("rate", "0.001"),
+        ("gamma", "0.97"),
+        ("batch", "256"),
+        ("buffer", "500000"),
+        ("starts", "5000"),
+    ):
+        assert f"| `{name}` | {value} |" in TEXT
+        assert float(value) == getattr(learner, name)
+    for name, value in (("arms", 16), ("steps", 400000), ("rounds", 20)):
+        assert f"| `{name}` | {value} |" in TEXT
+        assert getattr(config, name) == value

@@ -1,0 +1,217 @@
+"""Training in rounds: arms act, networks improve, and after each round the policy is judged and can be resumed."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from trueup.augment.checkpoint import of_this_version, part_of, read_tensors, restore, slots_of, write_tensors
+from trueup.core.config import build
+from trueup.errors import DataError, needing
+from trueup.policy.config import PolicyConfig
+from trueup.policy.environment import ReachVector
+from trueup.policy.learners import make_learner, optimizers_of
+from trueup.policy.reaching import Reaching
+
+with needing("training a policy", "rl"):
+    from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+
+# What of the replay buffer is remembered.
+_BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+@dataclass(frozen=True)
+class Round:
+    """One line of the history.
+
+    Attributes:
+        number: from 1.
+        steps: control steps of all arms so far.
+        updates: of the networks so far.
+        reward: of a control step, mean over the judged episodes.
+        distance_m: median distance at the end of a judged episode [m].
+        worst_m: nine of ten are nearer [m].
+        lost: arms whose engine or policy said what is no number, so far.
+        seconds: all rounds so far [s].
+        cpu_seconds: likewise, all threads together [s].
+    """
+
+    number: int
+    steps: int
+    updates: int
+    reward: float
+    distance_m: float
+    worst_m: float
+    lost: int
+    seconds: float
+    cpu_seconds: float
+
+
+@dataclass(frozen=True)
+class _Stand:
+    inputs: str
+    history: tuple[Round, ...]
+    best: int
+
+
+def train(
+    config: PolicyConfig,
+    arms: Reaching,
+    judging: Reaching,
+    *,
+    checkpoint: Path,
+    inputs: str,
+    seed: int = 0,
+    device: str = "cpu",
+    resume: bool = False,
+    on_round: Callable[[Round, int], None] = lambda *_: None,
+    stop: Callable[[Round], bool] = lambda _: False,
+) -> tuple[OffPolicyAlgorithm, tuple[Round, ...]]:
+    """Train a policy; what is returned has the networks of the best round.
+
+    Round n draws from generators seeded with (seed, n), and its arms begin anew: a training that was interrupted and
+    resumed ends with the same weights as one that was not.
+
+    Args:
+        config: algorithm and numbers.
+        arms: where it learns.
+        judging: where it is judged after each round, with the same goals each time; arms of their own.
+        checkpoint: file that is written after each round.
+        inputs: hash of everything that decides about the training; a checkpoint with another one is refused.
+        seed: of all draws.
+        device: of the networks, `cpu` or `cuda`.
+        resume: go on from the checkpoint, if there is one.
+        on_round: called after each round with what it did and the number of rounds.
+        stop: asked after each round whether that was enough.
+
+    Raises:
+        OutputExists: the checkpoint is of another training.
+        DataError: it is broken, or the training has diverged.
+    """
+    vector, trial = ReachVector(arms), ReachVector(judging)
+    history: list[Round] = []
+    best_number = 0
+    best: dict[str, Tensor] = {}
+    with own_draws():
+        draw_from(seed, 0)
+        learner = make_learner(config, vector, device=device, seed=seed)
+        if resume and checkpoint.is_file():
+            history, best_number, best = _read(checkpoint, inputs, learner)
+            arms.lost_episodes = history[-1].lost
+        began, cpu_began = time.perf_counter(), time.process_time()
+        earlier, cpu_earlier = (history[-1].seconds, history[-1].cpu_seconds) if history else (0.0, 0.0)
+        while len(history) < config.rounds and not (history and stop(history[-1])):
+            number = len(history) + 1
+            vector.seed(draw_from(seed, number))
+            end = config.steps * number // config.rounds
+            learner._last_obs = None  # noqa: SLF001 - arms begin anew with each round
+            diverged = DataError("training diverged", got=f"round {number}", hint="Lower learner: {rate: ...}.")
+            try:
+                learner.learn(end - learner.num_timesteps, reset_num_timesteps=not history)
+            except ValueError as error:  # torch's, of a distribution without numbers
+                raise diverged from error
+            if not all(bool(value.isfinite().all()) for value in learner.policy.state_dict().values()):
+                raise diverged
+            reward, median, worst = judged(learner, trial, seed)
+            history.append(
+                Round(
+                    number,
+                    learner.num_timesteps,
+                    learner._n_updates,  # noqa: SLF001
+                    reward,
+                    median,
+                    worst,
+                    arms.lost_episodes,
+                    earlier + time.perf_counter() - began,
+                    cpu_earlier + time.process_time() - cpu_began,
+                )
+            )
+            if reward >= max(item.reward for item in history):
+                best_number, best = number, {k: v.detach().clone() for k, v in learner.policy.state_dict().items()}
+            _write(checkpoint, _Stand(inputs, tuple(history), best_number), learner, best)
+            on_round(history[-1], config.rounds)
+        learner.policy.load_state_dict(best)
+    return learner, tuple(history)
+
+
+def judged(learner: OffPolicyAlgorithm, trial: ReachVector, seed: int) -> tuple[float, float, float]:
+    """Mean reward of a control step, median distance at the end, and what nine of ten stay below [m]."""
+    trial.seed(seed)
+    seen: np.ndarray = trial.reset()
+    total, away = 0.0, np.full(trial.num_envs, math.nan)
+    steps = trial.reaching.config.steps
+    for step in range(steps):
+        action, _ = learner.predict(seen, deterministic=True)
+        trial.step_async(action)
+        now, reward, _, infos = trial.step_wait()
+        seen = np.asarray(now)
+        total += float(reward.mean())
+        if step == steps - 1:
+            away = np.array([info["distance_m"] for info in infos])
+    median, worst = np.quantile(away, (0.5, 0.9))
+    return total / steps, float(median), float(worst)
+
+
+@contextmanager
+def own_draws() -> Iterator[None]:
+    """Stable-Baselines3 draws from the generators of numpy and torch that everybody shares; they are put back."""
+    numpys, torchs = np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
+    try:
+        yield
+    finally:
+        np.random.set_state(numpys)  # noqa: NPY002
+        torch.set_rng_state(torchs)
+
+
+def draw_from(seed: int, number: int) -> int:
+    """Seed these generators for a round; returns the seed of everything else in it."""
+    own = int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+    np.random.seed(own)  # noqa: NPY002
+    torch.manual_seed(own)
+    return own
+
+
+def _write(path: Path, stand: _Stand, learner: OffPolicyAlgorithm, best: dict[str, Tensor]) -> None:
+    tensors = {f"policy.{name}": value for name, value in learner.policy.state_dict().items()}
+    tensors |= {f"best.{name}": value for name, value in best.items()}
+    for name, optimizer in optimizers_of(learner).items():
+        tensors |= {f"{name}.{key}": value for key, value in slots_of(optimizer).items()}
+    entropy = getattr(learner, "log_ent_coef", None)
+    if entropy is not None:
+        tensors["log_ent_coef"] = entropy
+    buffer = learner.replay_buffer
+    assert buffer is not None
+    filled = buffer.buffer_size if buffer.full else buffer.pos
+    for name in _BUFFER:
+        tensors[f"buffer.{name}"] = torch.from_numpy(getattr(buffer, name)[:filled])
+    tensors["count"] = torch.tensor([buffer.pos, int(buffer.full), learner.num_timesteps, learner._n_updates])  # noqa: SLF001
+    write_tensors(path, tensors, asdict(stand))
+
+
+def _read(path: Path, inputs: str, learner: OffPolicyAlgorithm) -> tuple[list[Round], int, dict[str, Tensor]]:
+    tensors, tree = read_tensors(path, inputs)
+    with of_this_version(path):
+        stand = build(_Stand, tree, str(path))
+        learner.policy.load_state_dict(part_of(tensors, "policy."))
+        for name, optimizer in optimizers_of(learner).items():
+            restore(optimizer, part_of(tensors, f"{name}."))
+        entropy = getattr(learner, "log_ent_coef", None)
+        if entropy is not None:
+            with torch.no_grad():
+                entropy.copy_(tensors["log_ent_coef"])
+        buffer = learner.replay_buffer
+        assert buffer is not None
+        for name in _BUFFER:
+            value = tensors[f"buffer.{name}"].numpy()
+            getattr(buffer, name)[: len(value)] = value
+        buffer.pos, full, learner.num_timesteps, learner._n_updates = tensors["count"].tolist()  # noqa: SLF001
+        buffer.full = bool(full)
+    return list(stand.history), stand.best, part_of(tensors, "best.")
