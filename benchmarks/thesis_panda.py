@@ -17,6 +17,7 @@ from jaxtyping import Float64
 
 from trueup.core.atomic import write_text
 from trueup.lab.simulated_robot import Sensors, SimulatedRobot
+from trueup.policy.thesis_friction import PUBLISHED
 from trueup.robots import JointFriction, RobotSpec, find_model, load_robot
 from trueup.robots.model import compile_spec, load_spec
 from trueup.sim import MujocoSimulator
@@ -26,16 +27,6 @@ HOME = MappingProxyType(
     {"joint1": 0.0, "joint2": -0.3, "joint3": 0.0, "joint4": -1.7, "joint5": 0.0, "joint6": 1.8, "joint7": 0.0}
 )
 
-# ES thesis, Table 2.3 (after Gaz et al. 2019): phi_1 [Nm], phi_2 [s/rad], phi_3 [rad/s].
-PUBLISHED_FRICTION = (
-    (0.5462, 5.1181, 0.0395),
-    (0.8722, 9.0657, 0.0259),
-    (0.6407, 10.1360, -0.0461),
-    (1.2794, 5.5903, 0.0362),
-    (0.8390, 8.3469, 0.0262),
-    (0.3030, 17.1330, -0.0210),
-    (0.5649, 10.3360, 0.0036),
-)
 # ES thesis, Table 3.4, new values.
 FOUND_FRICTION = (
     (3.40395, 9.67118, 6.748e-05),
@@ -159,7 +150,7 @@ def published_panda(folder: Path) -> tuple[RobotSpec, Path]:
     write_text(path, spec.to_xml())
     friction = {
         joint: JointFriction(sigmoid_level=level, sigmoid_slope=slope, sigmoid_shift=shift)
-        for joint, (level, slope, shift) in zip(robot.joint_names, PUBLISHED_FRICTION, strict=True)
+        for joint, (level, slope, shift) in zip(robot.joint_names, PUBLISHED, strict=True)
     }
     return replace(robot, friction=friction, model=path.name), path
 

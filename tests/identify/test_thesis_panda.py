@@ -8,7 +8,7 @@ import pytest
 from benchmarks.thesis_panda import (
     FOUND_INERTIA_SCALES,
     HOME,
-    PUBLISHED_FRICTION,
+    PUBLISHED,
     HiddenPanda,
     published_panda,
 )
@@ -39,7 +39,7 @@ def test_the_model_has_the_published_friction_and_no_other(published):
     model = published.model
     assert not model.dof_damping.any()
     assert model.dof_frictionloss.max() <= 1e-6
-    for number, (level, slope, shift) in enumerate(PUBLISHED_FRICTION, start=1):
+    for number, (level, slope, shift) in enumerate(PUBLISHED, start=1):
         own = published.robot.friction[f"joint{number}"]
         assert own == JointFriction(sigmoid_level=level, sigmoid_slope=slope, sigmoid_shift=shift)
     # Gaz et al., link 4: M11 and M23 as the thesis prints them in Table 3.5.
@@ -51,7 +51,7 @@ def test_a_truth_is_far_from_the_model_and_belongs_to_its_seed(seed):
     truth = HiddenPanda.draw(seed)
     assert truth == HiddenPanda.draw(seed)
     assert truth != HiddenPanda.draw(seed + 1)
-    ratio = [own.sigmoid_level / level for own, (level, _, _) in zip(truth.friction, PUBLISHED_FRICTION, strict=True)]
+    ratio = [own.sigmoid_level / level for own, (level, _, _) in zip(truth.friction, PUBLISHED, strict=True)]
     # Table 3.4: from 1.9 to 6.2 times the old level.
     assert min(ratio) > 1.4
     assert max(ratio) > 3.0

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from trueup.augment.corrector import Corrector
+from trueup.augment.draws import draw_from, own_draws
 from trueup.compensate.environment import TrackingEnvironment
 from trueup.compensate.ppo_checkpoint import Iteration, Stand, read_checkpoint, save_checkpoint
 from trueup.compensate.ppo_config import PpoConfig
@@ -92,8 +92,8 @@ def train_ppo(
         seed=seed,
     )
     history: list[Iteration] = []
-    with _own_draws():
-        _draw_from(seed, 0)
+    with own_draws():
+        draw_from(seed, 0)
         learner = Learner(corrector, environment, config, device=device, auxiliary=auxiliary)
         if checkpoint is not None and checkpoint.exists():
             done, memory = read_checkpoint(checkpoint, inputs, learner.policy, learner.policy.optimizer)
@@ -104,7 +104,7 @@ def train_ppo(
         while len(history) < total and not enough:
             meter, number = Meter(), len(history) + 1
             # Draws depend on seed and iteration alone, so that an interrupted training goes on as if it had not been.
-            own = _draw_from(seed, number)
+            own = draw_from(seed, number)
             environment.seed(own)
             learner.iterate(number, total, torch.Generator().manual_seed(own))
             tally = environment.tally()
@@ -265,24 +265,6 @@ class Learner(PPO):
 class _Silent(BaseCallback):
     def _on_step(self) -> bool:
         return True
-
-
-@contextmanager
-def _own_draws() -> Iterator[None]:
-    """Stable-Baselines3 draws from the generators of numpy and torch that everybody shares; they are put back."""
-    numpys, torchs = np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
-    try:
-        yield
-    finally:
-        np.random.set_state(numpys)  # noqa: NPY002
-        torch.set_rng_state(torchs)
-
-
-def _draw_from(seed: int, iteration: int) -> int:
-    own = int(np.random.SeedSequence([seed, iteration]).generate_state(1)[0])
-    np.random.seed(own)  # noqa: NPY002
-    torch.manual_seed(own)
-    return own
 
 
 def _digest(

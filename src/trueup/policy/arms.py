@@ -14,8 +14,7 @@ from trueup.core.protocols import Hardware, Simulator
 from trueup.errors import ConfigError, DataError, RobotStopped
 from trueup.sim import MujocoSimulator
 from trueup.sim.compiled_robot import ABSURD
-
-_PART_OF_STEP = 1e-6
+from trueup.sim.transitions import physics_steps
 
 
 @runtime_checkable
@@ -261,11 +260,4 @@ def substeps_of(simulator: Simulator, control_s: float) -> int:
             got=simulator.command_signals[0],
             expected="controller: {kind: torque}",
         )
-    steps = control_s / simulator.timestep_s
-    if steps < 1 - _PART_OF_STEP or abs(steps - round(steps)) > _PART_OF_STEP * steps:
-        raise ConfigError(
-            "a control step must be a number of physics steps",
-            got=f"{control_s:g} s of {simulator.timestep_s:g} s",
-            hint="Set simulation.timestep_s in robot.yaml, or the control rate.",
-        )
-    return round(steps)
+    return physics_steps(simulator, control_s)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -14,6 +13,7 @@ import torch
 from torch import Tensor
 
 from trueup.augment.checkpoint import of_this_version, part_of, read_tensors, restore, slots_of, write_tensors
+from trueup.augment.draws import draw_from, own_draws
 from trueup.core.config import build
 from trueup.errors import DataError, needing
 from trueup.policy.config import PolicyConfig
@@ -158,25 +158,6 @@ def judged(learner: OffPolicyAlgorithm, trial: ReachVector, seed: int) -> tuple[
             away = np.array([info["distance_m"] for info in infos])
     median, worst = np.quantile(away, (0.5, 0.9))
     return total / steps, float(median), float(worst)
-
-
-@contextmanager
-def own_draws() -> Iterator[None]:
-    """Stable-Baselines3 draws from the generators of numpy and torch that everybody shares; they are put back."""
-    numpys, torchs = np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
-    try:
-        yield
-    finally:
-        np.random.set_state(numpys)  # noqa: NPY002
-        torch.set_rng_state(torchs)
-
-
-def draw_from(seed: int, number: int) -> int:
-    """Seed these generators for a round; returns the seed of everything else in it."""
-    own = int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
-    np.random.seed(own)  # noqa: NPY002
-    torch.manual_seed(own)
-    return own
 
 
 def _write(path: Path, stand: _Stand, learner: OffPolicyAlgorithm, best: dict[str, Tensor]) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float64
 
-from trueup.core.protocols import RolloutRequest
+from trueup.core.protocols import RolloutRequest, Simulator
 from trueup.errors import ConfigError
 from trueup.sim.mujoco_engine import MujocoSimulator
 
@@ -49,13 +49,7 @@ class Transitions:
     """
 
     def __init__(self, simulator: MujocoSimulator, control_s: float, delay_s: float | Sequence[float] = 0.0) -> None:
-        steps = control_s / simulator.timestep_s
-        if steps < 1 - _PART_OF_STEP or abs(steps - round(steps)) > _PART_OF_STEP * steps:
-            raise ConfigError(
-                "a control step must be a number of physics steps",
-                got=f"{control_s:g} s of {simulator.timestep_s:g} s",
-                hint="Set simulation.timestep_s in robot.yaml.",
-            )
+        self.steps = physics_steps(simulator, control_s)
         if simulator.command_signals[0] != "position" or simulator.model.na:
             raise ConfigError(
                 f"robot {simulator.robot.name!r} follows no positions, or its controller remembers",
@@ -64,7 +58,6 @@ class Transitions:
             )
         self.simulator = simulator
         self.control_s = control_s
-        self.steps = round(steps)
         delays = np.broadcast_to(np.asarray(delay_s, float), (len(simulator.joints),)) / simulator.timestep_s
         if not (delays.min() >= 0 and delays.max() <= self.steps * (1 + _PART_OF_STEP)):
             raise ConfigError(
@@ -151,6 +144,22 @@ class Transitions:
         slopes = ((after[:, 0] - after[:, 1]) / (2.0 * size)).transpose(0, 2, 1)
         late = slopes[:, :, own : own + joints] if self.delayed else np.zeros((count, own, joints))
         return Slopes(slopes[:, :, :own], late, slopes[:, :, -joints:])
+
+
+def physics_steps(simulator: Simulator, control_s: float) -> int:
+    """How many make a control step.
+
+    Raises:
+        ConfigError: it is no whole number.
+    """
+    steps = control_s / simulator.timestep_s
+    if steps < 1 - _PART_OF_STEP or abs(steps - round(steps)) > _PART_OF_STEP * steps:
+        raise ConfigError(
+            "a control step must be a number of physics steps",
+            got=f"{control_s:g} s of {simulator.timestep_s:g} s",
+            hint="Set simulation.timestep_s in robot.yaml, or another control rate.",
+        )
+    return round(steps)
 
 
 def refuse_others(transitions: Sequence[Transitions]) -> None:
