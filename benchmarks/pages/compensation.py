@@ -63,7 +63,8 @@ At the paper's threshold of {paper_tau:g} rad nobody has large gaps to speak of:
 - The threshold is chosen so that plain PD has about 12 % of large gaps without a payload, as in GapONet's Table 1. The
   operator on the identified simulator has {operator_0} % there and {operator_3} % with 3 kg; where the simulator also
   hears the base, {sensed_0} % and {sensed_3} %. The paper's has 0.1 % and 0.9 %. Payloads that were never trained are
-  hardly worse: {unseen} times the mean error of the worse of the trained neighbors, {unseen_sensed} times with the base.
+  hardly worse: {unseen} times the mean error of the worse of the trained neighbors, {unseen_sensed} times with the
+  base.
 - Nearly all of it is identification. What the operator adds to the identified simulator's mean error stands in this
   table, with the 95 % interval over motions: a few hundredths. On an individual that it has never seen it helps with
   heavy payloads, and costs a little without. The last rows are other motions of the individuals that it was trained
