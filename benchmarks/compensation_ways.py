@@ -52,6 +52,7 @@ def _trained(way: Way) -> dict[str, Any]:
     return {
         "cpu_seconds": effort.cpu_seconds,
         "joules": effort.joules,
+        "val": float(np.mean([item["after"] for item in said["val"]])),
         "tables": table(STOCK, [made.corrector]),
     }
 
