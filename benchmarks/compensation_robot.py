@@ -36,7 +36,7 @@ from trueup.stages import compensate, record
 from trueup.stages.rigs import CompensatedRig
 
 RESULT = Path(__file__).parent / "results" / "compensation_robot.json"
-SEEDS = (0,)
+SEEDS = (0, 1, 2)
 # Between the targets of a loop at 200 Hz, the network at 50 Hz has its corrections approached along straight lines.
 TESTS = ("test", "test-unseen-payload", "test-200hz")
 CONFIG = METHODS["operator-robot"]
