@@ -29,7 +29,7 @@ ARROWS = {
     "deploy": set(),
     "augment": {"dataset", "measure", "deploy"},
     "compensate": {"augment", "deploy", "robots", "sim"},
-    "policy": {"augment", "identify", "measure", "robots", "sim"},
+    "policy": {"augment", "deploy", "identify", "measure", "robots", "sim"},
     "zoo": {"augment"},
     "report": {"measure"},
     "stages": {

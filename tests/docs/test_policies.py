@@ -27,6 +27,7 @@ def test_the_python_of_the_page_runs(capsys, tmp_path, monkeypatch):
     assert "2 of 2:" in out
     assert names["found"].estimates()["distance"].value < 1.0
     assert len(names["found"].goals) == 100
+    assert names["said"].sound
     assert names["vector"].num_envs == 16
     for _ in range(5):
         seen, reward, terminated, _, _ = names["real"].step(names["real"].action_space.high)

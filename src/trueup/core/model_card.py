@@ -20,7 +20,6 @@ network for bodies has channels of bodies where others have those of joints.
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -30,10 +29,11 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from trueup.core.atomic import as_read_back, file_hash, json_hash, read_json, regular, without_nan, write_json
+from trueup.core.atomic import file_hash, read_json, write_json
+from trueup.core.card import sealed, unsealed, verified
 from trueup.core.config import build
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
-from trueup.errors import ConfigError, DataError, FormatError, MissingSignal
+from trueup.errors import ConfigError, DataError, MissingSignal
 
 CARD_SCHEMA = "trueup.model/1"
 CARD_NAME = "model.json"
@@ -43,7 +43,6 @@ STEP_NAME = "step.npz"
 ANY_JOINT = "*"
 # Beyond, an input would be in range whatever it is.
 LARGEST_MARGIN = 1e6
-_HASH = "sha256"
 
 
 @dataclass(frozen=True)
@@ -276,8 +275,7 @@ class ModelCard:
 
     def to_json(self) -> dict[str, Any]:
         """The content of model.json, with a hash over all the rest."""
-        content = as_read_back({"schema": CARD_SCHEMA, **without_nan(asdict(self))})
-        return {**content, _HASH: json_hash(content)}
+        return sealed(CARD_SCHEMA, asdict(self))
 
     @staticmethod
     def from_json(data: Any, where: str = CARD_NAME) -> ModelCard:
@@ -287,16 +285,7 @@ class ModelCard:
             FormatError: not a model, or of another version.
             DataError: a model, but changed after it was written, or broken.
         """
-        found = data.get("schema") if isinstance(data, Mapping) else type(data).__name__
-        if found != CARD_SCHEMA:
-            raise FormatError(f"{where} describes no network of this version", got=found, expected=CARD_SCHEMA)
-        content = {key: value for key, value in data.items() if key != _HASH}
-        if data.get(_HASH) != json_hash(content):
-            raise DataError(
-                f"{where} was changed after it was written (its hash differs)",
-                hint="Export the model again, or fetch it again.",
-            )
-        del content["schema"]
+        content = unsealed(data, where, schema=CARD_SCHEMA, what="network")
         try:
             content["inputs"] = [_with_open_ends(item) for item in content.get("inputs", ())]
             return build(ModelCard, content, where)
@@ -329,21 +318,7 @@ class ModelCard:
         Raises:
             DataError: it is missing, truncated or changed, or the card does not know it.
         """
-        if name not in self.files:
-            raise DataError(f"{folder / CARD_NAME} knows no {name}", available=self.files)
-        try:
-            data = regular(folder / name).read_bytes()
-        except OSError as error:
-            raise DataError(f"cannot read {folder / name}", got=error.strerror or str(error)) from error
-        found = hashlib.sha256(data).hexdigest()
-        if found != self.files[name]:
-            raise DataError(
-                f"{folder / name} is not the file that {CARD_NAME} describes",
-                got=f"{len(data)} bytes, SHA-256 {found[:12]}…",
-                expected=f"{self.files[name][:12]}…",
-                hint="It is truncated or was replaced: export the model again, or fetch it again.",
-            )
-        return data
+        return verified(folder, name, self.files, CARD_NAME)
 
 
 def counterparts(inputs: Sequence[Channel]) -> Int[np.ndarray, "I"]:

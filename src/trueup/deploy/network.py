@@ -40,9 +40,6 @@ class Network:
     def load(folder: Path | str) -> Network:
         """Open a model folder.
 
-        One thread: a network of this size gains nothing from more, and a second thread that wakes up late would delay
-        the control loop.
-
         Raises:
             DataError: a file is missing, truncated or changed, or graph and card do not belong together.
             FormatError: the card is of another version.
@@ -51,25 +48,8 @@ class Network:
         folder = Path(folder)
         card = ModelCard.load(folder)
         _check_card(card, folder)
-        with needing("running a network", "run"):
-            runtime = importlib.import_module("onnxruntime")
-        options = runtime.SessionOptions()
-        options.intra_op_num_threads = 1
-        options.inter_op_num_threads = 1
-        options.execution_mode = runtime.ExecutionMode.ORT_SEQUENTIAL
-        # The few kB between a small network's nodes come faster from malloc than from onnxruntime's own pool: by a
-        # tenth for a step of 21 -> 100 -> 21, and with a tail that is no longer.
-        options.enable_cpu_mem_arena = False
-        options.log_severity_level = 3  # errors come as exceptions; warnings about the machine are none of the caller's
         # The bytes whose hash was taken, not the file again; so the graph cannot refer to other files, either.
-        graph = card.verified(folder, ONNX_NAME)
-        try:
-            session = runtime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # onnxruntime has a class of its own for each of its codes, with no common base
-            raise DataError(
-                f"onnxruntime {runtime.__version__} cannot run {folder / ONNX_NAME}",
-                got=error,
-            ) from error
+        session = session_of(card.verified(folder, ONNX_NAME), str(folder / ONNX_NAME))
         _check_graph(session, card, folder)
         return Network(folder, card, session, _step_of(folder, card))
 
@@ -154,3 +134,29 @@ def _shape(state: State) -> tuple[int | None, ...]:
 
 def _names(card: ModelCard) -> list[str]:
     return [state.name for state in card.states]
+
+
+def session_of(graph: bytes, where: str) -> Any:
+    """Onnxruntime's session over a graph, on one thread of the CPU.
+
+    One thread: a network of this size gains nothing from more, and a second thread that wakes up late would delay the
+    control loop.
+
+    Raises:
+        DataError: onnxruntime cannot run it.
+        MissingDependency: onnxruntime is not installed.
+    """
+    with needing("running a network", "run"):
+        runtime = importlib.import_module("onnxruntime")
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.execution_mode = runtime.ExecutionMode.ORT_SEQUENTIAL
+    # The few kB between a small network's nodes come faster from malloc than from onnxruntime's own pool: by a tenth
+    # for a step of 21 -> 100 -> 21, and with a tail that is no longer.
+    options.enable_cpu_mem_arena = False
+    options.log_severity_level = 3  # errors come as exceptions; warnings about the machine are none of the caller's
+    try:
+        return runtime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime has a class of its own for each of its codes, with no common base
+        raise DataError(f"onnxruntime {runtime.__version__} cannot run {where}", got=error) from error

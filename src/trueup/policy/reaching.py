@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Bool, Float, Float64, Int
 
+from trueup.deploy.looking import compiled
 from trueup.errors import ConfigError
 from trueup.policy.arms import Arms
-from trueup.policy.looking import compiled
 from trueup.policy.reach import ReachConfig
 from trueup.policy.thesis_friction import ThesisFriction
 from trueup.policy.workspace import Chain, Workspace

@@ -8,8 +8,10 @@ import mujoco
 import numpy as np
 from jaxtyping import Float, Float64
 
+from trueup.core.policy_card import Kinematics
+from trueup.deploy.looking import compiled
+from trueup.deploy.policy import arrays_of
 from trueup.errors import ConfigError, NameMismatch
-from trueup.policy.looking import compiled
 
 # Poses that stand for all, and how near one of them a place must be to count as reachable [m].
 _POSES = 20_000
@@ -65,13 +67,14 @@ class Chain:
             body = int(model.body_parentid[body])
         turns.reverse()
         fixed = [_product(parts), *(after for _, _, _, after in turns)]
-        self._arrays = (
-            np.array([column for column, _, _, _ in turns]),
-            np.array([axis for _, axis, _, _ in turns]),
-            np.array([hinge for _, _, hinge, _ in turns]),
-            np.array([frame[:3, :3] for frame in fixed]),
-            np.array([frame[:3, 3] for frame in fixed]),
+        self.kinematics = Kinematics(
+            tuple(column for column, _, _, _ in turns),
+            tuple(tuple(map(float, axis)) for _, axis, _, _ in turns),
+            tuple(hinge for _, _, hinge, _ in turns),
+            tuple(tuple(map(float, frame[:3, :3].ravel())) for frame in fixed),
+            tuple(tuple(map(float, frame[:3, 3])) for frame in fixed),
         )
+        self._arrays = arrays_of(self.kinematics)
         self._places, _ = compiled()
 
     def place(
