@@ -44,6 +44,7 @@ ARROWS = {
         "deploy",
         "augment",
         "compensate",
+        "policy",
         "zoo",
     },
     "cli": {
@@ -59,6 +60,7 @@ ARROWS = {
             "deploy",
             "augment",
             "compensate",
+            "policy",
             "zoo",
         ),
         *("report", "stages"),

@@ -89,6 +89,11 @@ class Policy:
             )
         return Policy(card, session)
 
+    def act(self, seen: Float[np.ndarray, "N O"]) -> Float64[np.ndarray, "N J"]:
+        """Torques of N arms for what is seen of each, as `looking` makes it [Nm]; NaN where the network says so."""
+        said = self._session.run(None, {self._input: np.asarray(seen, np.float32)})[0]
+        return np.clip(np.asarray(said, np.float64), -self._most, self._most)
+
     def step(
         self, position: Float[np.ndarray, "J"], velocity: Float[np.ndarray, "J"], goal: Float[np.ndarray, "3"]
     ) -> PolicyStep:
@@ -112,10 +117,9 @@ class Policy:
         before, start_m, costs, reward = self._nothing
         self._places(q, *self._chain, self._place)
         self._look(q, dq, before, self._place, place, start_m, 1.0, costs, self._seen, reward, self._distance_m)
-        said = self._session.run(None, {self._input: self._seen.astype(np.float32)})[0][0].astype(np.float64)
+        said = self.act(self._seen)[0]
         sound = bool(np.isfinite(said).all())
-        torque = np.clip(said, -self._most, self._most) if sound else np.zeros(joints)
-        return PolicyStep(torque, float(self._distance_m[0]), sound)
+        return PolicyStep(said if sound else np.zeros(joints), float(self._distance_m[0]), sound)
 
 
 def arrays_of(kinematics: Kinematics) -> tuple[np.ndarray, ...]:

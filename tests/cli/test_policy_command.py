@@ -1,0 +1,100 @@
+"""`trueup policy`: a small training, its policy judged on two engines and virtual hardware, and bad input in a line."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from trueup.cli.main import main
+from trueup.core.policy_card import PolicyCard
+from trueup.stages.policy_training import CHECKPOINT
+
+SMALL = {
+    "reach": {"control_hz": 25.0, "episode_s": 0.4},
+    "learner": {"starts": 40, "updates": 1, "batch": 16, "layers": [16], "buffer": 2000},
+    "arms": 4,
+    "steps": 160,
+    "rounds": 2,
+}
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "small.yaml").write_text(yaml.safe_dump(SMALL))
+
+    def call(*arguments):
+        with pytest.raises(SystemExit) as caught:
+            main(["policy", *map(str, arguments)])
+        printed = capsys.readouterr()
+        return caught.value.code, printed.out, printed.err
+
+    return call
+
+
+def test_from_nothing_to_figures(run, tmp_path):
+    code, out, _ = run("train", "--out", "reach", "--config", "small.yaml", "--algorithm", "sac", "--jobs", 1)
+    assert code == 0
+    assert "panda_torque-sac: median distance" in out
+    assert "trueup policy eval reach" in out
+    assert not (tmp_path / "reach" / CHECKPOINT).exists()
+    card = PolicyCard.load(tmp_path / "reach")
+    assert card.provenance["config"]["algorithm"] == "sac"
+    assert [item["number"] for item in card.provenance["history"]] == [1, 2]
+    again = run("train", "--out", "reach", "--config", "small.yaml", "--algorithm", "sac", "--resume", "--jobs", 1)
+    assert again[:2] == (code, out)
+    places = ("eval", "reach", "--on", "mujoco,dart,lab", "--unit", 1, "--unit", 3, "--goals", 3)
+    code, out, _ = run(*places, "--out", "found.json", "--jobs", 1)
+    assert code == 0
+    for label in ("mujoco", "dart", "lab-1", "lab-3"):
+        assert label in out
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert set(found["places"]) == {"mujoco", "dart", "lab-1", "lab-3"}
+    one, other = (np.array(found["places"][label]["values"]["distance"]) for label in ("mujoco", "dart"))
+    np.testing.assert_allclose(one, other, atol=5e-3)
+    assert found["places"]["lab-1"]["goals"] == found["places"]["mujoco"]["goals"]
+
+
+def test_what_is_there_is_not_lost(run, tmp_path):
+    assert run("train", "--out", "reach", "--config", "small.yaml", "--jobs", 1)[0] == 0
+    card = (tmp_path / "reach" / "policy.json").read_text()
+    code, _, err = run("train", "--out", "reach", "--config", "small.yaml")
+    assert code == 2
+    assert "is not empty" in err
+    code, _, err = run("train", "--out", "reach", "--config", "small.yaml", "--seed", 1, "--resume")
+    assert code == 2
+    assert "another robot, configuration or seed" in err
+    assert (tmp_path / "reach" / "policy.json").read_text() == card
+    assert run("train", "--out", "reach", "--config", "small.yaml", "--seed", 1, "--overwrite", "--jobs", 1)[0] == 0
+    assert (tmp_path / "reach" / "policy.json").read_text() != card
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("train", "--out", "x", "--algorithm", "dqn"), "no such algorithm"),
+        (("train", "--out", "x", "--robot", "panda"), "follows them"),
+        (("train", "--out", "x", "--randomize", "nowhere"), "nowhere"),
+        (("train", "--out", "x", "--config", "odd.yaml"), "learner"),
+        (("eval", "nowhere"), "policy.json"),
+        (("eval", "x", "--goals", 1), "goals"),
+    ],
+)
+def test_bad_input(run, tmp_path, arguments, said):
+    (tmp_path / "odd.yaml").write_text("learner: {rate: -1.0}\n")
+    code, _, err = run(*arguments)
+    assert code == 2
+    assert said in err
+    assert "Traceback" not in err
+
+
+def test_a_place_that_is_none_and_a_robot_that_does_not_fit(run):
+    assert run("train", "--out", "reach", "--config", "small.yaml", "--jobs", 1)[0] == 0
+    code, _, err = run("eval", "reach", "--on", "gazebo")
+    assert code == 2
+    assert "gazebo" in err
+    assert "mujoco" in err
+    code, _, err = run("eval", "reach", "--robot", "upper_body")
+    assert code == 2
+    assert "another robot" in err
