@@ -44,6 +44,7 @@ NAMES = (
     "compensate_env",
     "whole_body",
     "compensate_speed",
+    "policy_env",
 )
 
 

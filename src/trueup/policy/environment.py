@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from trueup.errors import ConfigError, needing
-from trueup.policy.arms import EngineArm
+from trueup.policy.arms import Arms, EngineArm, MujocoArms
 from trueup.policy.reach import ReachConfig
 from trueup.policy.reaching import Reaching
 from trueup.robots import RobotSpec, find_model, load_robot
-from trueup.sim import make_simulator
+from trueup.sim import MujocoSimulator, make_simulator
 
 with needing("policies", "rl"):
     import gymnasium
@@ -56,7 +56,13 @@ class PandaReach(gymnasium.Env[Observation, Action]):
             config = config or ReachConfig()
             spec = robot if isinstance(robot, RobotSpec) else load_robot(robot)
             simulator = make_simulator(engine, spec, find_model(spec))
-            reaching = Reaching(EngineArm(simulator, config.control_s), simulator.model, config)
+            # MuJoCo takes the physics steps of a control step at once.
+            arm: Arms = (
+                MujocoArms(simulator, 1, config.control_s)
+                if isinstance(simulator, MujocoSimulator)
+                else EngineArm(simulator, config.control_s)
+            )
+            reaching = Reaching(arm, simulator.model, config)
         if reaching.arms.count != 1:
             raise ConfigError("an environment of Gymnasium has one arm", got=reaching.arms.count)
         self.reaching, self.render_mode = reaching, render_mode
@@ -87,8 +93,7 @@ class PandaReach(gymnasium.Env[Observation, Action]):
         """One control step."""
         done = self.reaching.step(np.asarray(action)[None], self.np_random)
         seen = done.observation[0].astype(np.float32)
-        info = self._info(done.distance_m[0])
-        return seen, float(done.reward[0]), bool(done.lost[0]), bool(done.ended[0]), info
+        return seen, float(done.reward[0]), bool(done.lost[0]), bool(done.ended[0]), self._info(done.distance_m[0])
 
     def _info(self, distance_m: float | np.floating[Any]) -> dict[str, Any]:
         return {"distance_m": float(distance_m), "goal": self.reaching.goal[0].copy()}

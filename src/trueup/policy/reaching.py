@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import mujoco
@@ -135,15 +136,18 @@ class Reaching:
             rng: of the noise of what is seen.
         """
         torque = np.asarray(action, np.float64)
-        sound: Bool[np.ndarray, "N"] = np.asarray(np.isfinite(torque).all(axis=1))
-        if not sound.all():
-            torque = np.where(sound[:, None], torque, 0.0)
+        mad: Bool[np.ndarray, "N"] | None = None
+        if not _sound(torque):
+            mad = np.asarray(~np.isfinite(torque).all(axis=1))
+            torque = np.where(mad[:, None], 0.0, torque)
         torque = np.minimum(np.maximum(torque, -self.most), self.most)
         if self._friction is not None:
             torque = self._friction.applied(torque, self.arms.velocity)
         self.arms.step(torque if self._offset is None else torque + self._offset)
         self._age += 1
-        lost = self._look(rng) | ~sound
+        lost = self._look(rng)
+        if mad is not None:
+            lost = lost | mad
         self.lost_episodes += int(np.count_nonzero(lost))
         return Outcome(
             self._seen.copy(), self._reward.copy(), lost, self._age >= self.config.steps, self._distance_m.copy()
@@ -152,9 +156,9 @@ class Reaching:
     def _look(self, rng: np.random.Generator) -> Bool[np.ndarray, "N"]:
         """See all arms, and say which are lost: those are seen at home, at rest."""
         position, velocity = self.arms.position, self.arms.velocity
-        here: Bool[np.ndarray, "N"] = np.isfinite(position).all(axis=1) & np.isfinite(velocity).all(axis=1)
-        lost = ~here
-        if lost.any():
+        lost: Bool[np.ndarray, "N"] = np.zeros(len(position), bool)
+        if not (_sound(position) and _sound(velocity)):
+            lost = np.asarray(~(np.isfinite(position).all(axis=1) & np.isfinite(velocity).all(axis=1)))
             position, velocity = position.copy(), velocity.copy()
             position[lost], velocity[lost] = self.home, 0.0
         self._compare(position, velocity, self._reward)
@@ -181,6 +185,12 @@ class Reaching:
             *(position, velocity, self._velocity, self._place, self.goal, self._start_m),
             *(self.config.control_s, self._costs, self._seen, reward, self._distance_m),
         )
+
+
+def _sound(values: Float64[np.ndarray, "N J"]) -> bool:
+    """Whether all are numbers; quicker than to ask each."""
+    with np.errstate(all="ignore"):
+        return math.isfinite(values.sum())
 
 
 def home_of(model: mujoco.MjModel, joints: tuple[str, ...]) -> Float64[np.ndarray, "J"]:
