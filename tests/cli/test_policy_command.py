@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import yaml
 
+from trueup.augment.config import CHECKPOINT_NAME
 from trueup.cli.main import main
 from trueup.core.policy_card import PolicyCard
-from trueup.stages.policy_training import CHECKPOINT
 
 SMALL = {
     "reach": {"control_hz": 25.0, "episode_s": 0.4},
@@ -38,7 +38,7 @@ def test_from_nothing_to_figures(run, tmp_path):
     assert code == 0
     assert "panda_torque-sac: median distance" in out
     assert "trueup policy eval reach" in out
-    assert not (tmp_path / "reach" / CHECKPOINT).exists()
+    assert not (tmp_path / "reach" / CHECKPOINT_NAME).exists()
     card = PolicyCard.load(tmp_path / "reach")
     assert card.provenance["config"]["algorithm"] == "sac"
     assert [item["number"] for item in card.provenance["history"]] == [1, 2]
@@ -68,6 +68,28 @@ def test_what_is_there_is_not_lost(run, tmp_path):
     assert (tmp_path / "reach" / "policy.json").read_text() == card
     assert run("train", "--out", "reach", "--config", "small.yaml", "--seed", 1, "--overwrite", "--jobs", 1)[0] == 0
     assert (tmp_path / "reach" / "policy.json").read_text() != card
+
+
+def test_an_old_policy_stays_until_the_new_one_takes_its_place(run, tmp_path, monkeypatch):
+    import trueup.policy.export as exporting
+
+    small = ("train", "--out", "reach", "--config", "small.yaml", "--jobs", 1)
+    assert run(*small)[0] == 0
+    card = (tmp_path / "reach" / "policy.json").read_text()
+    whole = exporting.export
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(exporting, "export", interrupted)
+    assert run(*small, "--seed", 1, "--overwrite")[0] == 130
+    assert (tmp_path / "reach" / "policy.json").read_text() == card
+    assert run("eval", "reach", "--goals", 2, "--jobs", 1)[0] == 0
+    monkeypatch.setattr(exporting, "export", whole)
+    # Resumed, it is the new one that is meant.
+    assert run(*small, "--seed", 1, "--resume")[0] == 0
+    assert PolicyCard.load(tmp_path / "reach").provenance["seed"] == 1
+    assert sorted(file.name for file in (tmp_path / "reach").iterdir()) == ["policy.json", "policy.onnx"]
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int
 
+from trueup.augment.side_by_side import SideBySide
 from trueup.compensate.ppo_config import PpoConfig
 from trueup.compensate.tracks import Track
 from trueup.errors import ConfigError, DataError, needing
@@ -22,8 +23,7 @@ from trueup.sim.transitions import Transitions
 
 with needing("training by reinforcement", "rl"):
     from gymnasium import spaces
-    from stable_baselines3.common.vec_env import VecEnv
-    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 # Control steps that a motion must still have where an episode begins, if any motion has as many.
 _LEFT = 16
@@ -52,7 +52,7 @@ class Tally:
     lost: int
 
 
-class TrackingEnvironment(VecEnv):
+class TrackingEnvironment(SideBySide):
     """N robots; a step is a control step of all.
 
     Args:
@@ -69,8 +69,6 @@ class TrackingEnvironment(VecEnv):
         DataError: no motion is long enough.
         MissingDependency: see `make_fleet`.
     """
-
-    render_mode = None
 
     def __init__(
         self,
@@ -254,28 +252,6 @@ class TrackingEnvironment(VecEnv):
     def _clear(self) -> None:
         self._steps, self._rewards, self._errors = 0, 0.0, 0.0
         self._ends: Int[np.ndarray, "3"] = np.zeros(3, int)
-
-    def close(self) -> None:
-        """Nothing is open."""
-
-    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """The same of every robot."""
-        return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
-
-    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Refused: robots side by side have no attributes of their own."""
-        raise NotImplementedError(attr_name)
-
-    def env_method(
-        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
-    ) -> list[Any]:
-        """Refused likewise."""
-        raise NotImplementedError(method_name)
-
-    def env_is_wrapped(self, wrapper_class: Any, indices: VecEnvIndices = None) -> list[bool]:
-        """None is."""
-        del wrapper_class
-        return [False] * len(list(self._get_indices(indices)))
 
 
 # What of an environment changes from step to step.

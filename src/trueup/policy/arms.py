@@ -14,7 +14,7 @@ from trueup.core.protocols import Hardware, Simulator
 from trueup.errors import ConfigError, DataError, RobotStopped
 from trueup.sim import MujocoSimulator
 from trueup.sim.compiled_robot import ABSURD
-from trueup.sim.transitions import physics_steps
+from trueup.sim.transitions import late_shares, physics_steps
 
 
 @runtime_checkable
@@ -101,7 +101,7 @@ class MujocoArms:
         if self._draw is not None:
             for row in rows.tolist():
                 self._models[row], delays = self._draw(rng)
-                self._late[row] = self._held_back(delays)
+                self._late[row] = late_shares(self._simulator, self.control_s, delays)
             self._delayed = bool(self._late.any())
             self._batch.set_models(self._models)
         self._before[rows] = 0.0
@@ -132,16 +132,6 @@ class MujocoArms:
         # A NaN makes the comparison false.
         if not max(self.velocity.max(), -self.velocity.min()) <= ABSURD:
             self.position[~(np.abs(self.velocity).max(axis=1) <= ABSURD)] = np.nan
-
-    def _held_back(self, delays: Float64[np.ndarray, "J"]) -> Float64[np.ndarray, "K J"]:
-        steps = delays / self._simulator.timestep_s
-        if not (steps.min() >= 0 and steps.max() <= self._substeps):
-            raise ConfigError(
-                "torques may be late by a control step at most",
-                got=f"{delays.max():g} s",
-                expected=f"0 to {self.control_s:g} s",
-            )
-        return np.clip(steps - np.arange(self._substeps)[:, None], 0.0, 1.0)
 
 
 class EngineArm:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from trueup.augment.side_by_side import SideBySide
 from trueup.errors import ConfigError, needing
 from trueup.policy.arms import Arms, EngineArm, MujocoArms
 from trueup.policy.reach import ReachConfig
@@ -18,8 +19,7 @@ from trueup.sim import MujocoSimulator, make_simulator
 with needing("policies", "rl"):
     import gymnasium
     from gymnasium import spaces
-    from stable_baselines3.common.vec_env import VecEnv
-    from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
+    from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 Observation = Float32[np.ndarray, "O"]
 Action = Float32[np.ndarray, "J"]
@@ -99,15 +99,13 @@ class PandaReach(gymnasium.Env[Observation, Action]):
         return {"distance_m": float(distance_m), "goal": self.reaching.goal[0].copy()}
 
 
-class ReachVector(VecEnv):
+class ReachVector(SideBySide):
     """Many arms as Stable-Baselines3 wants to see them; an episode that ends is followed by the next at once.
 
     Args:
         reaching: episodes of N arms.
         seed: of all draws.
     """
-
-    render_mode = None
 
     def __init__(self, reaching: Reaching, *, seed: int = 0) -> None:
         self.reaching = reaching
@@ -153,28 +151,6 @@ class ReachVector(VecEnv):
             self._sum[rows], self._length[rows] = 0.0, 0
             seen = self.reaching.begin(rows, self._rng)
         return seen.astype(np.float32), done.reward.astype(np.float32), over, infos
-
-    def close(self) -> None:
-        """Nothing is open."""
-
-    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """The same of every arm."""
-        return [getattr(self, attr_name)] * len(list(self._get_indices(indices)))
-
-    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """Refused: arms side by side have no attributes of their own."""
-        raise NotImplementedError(attr_name)
-
-    def env_method(
-        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
-    ) -> list[Any]:
-        """Refused likewise."""
-        raise NotImplementedError(method_name)
-
-    def env_is_wrapped(self, wrapper_class: Any, indices: VecEnvIndices = None) -> list[bool]:
-        """None is."""
-        del wrapper_class
-        return [False] * len(list(self._get_indices(indices)))
 
 
 def _place(goal: Any) -> Float64[np.ndarray, "3"]:

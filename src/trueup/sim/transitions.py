@@ -58,16 +58,7 @@ class Transitions:
             )
         self.simulator = simulator
         self.control_s = control_s
-        delays = np.broadcast_to(np.asarray(delay_s, float), (len(simulator.joints),)) / simulator.timestep_s
-        if not (delays.min() >= 0 and delays.max() <= self.steps * (1 + _PART_OF_STEP)):
-            raise ConfigError(
-                "commands may be late by a control step at most",
-                got=f"{float(delays.max()) * simulator.timestep_s:g} s",
-                expected=f"0 to {control_s:g} s",
-            )
-        # What of the command before acts in each physics step; where a delay ends within one, a mean of both.
-        late = np.clip(delays - np.arange(self.steps)[:, None], 0.0, 1.0)
-        self._late: Float64[np.ndarray, "N J"] = np.where(late > 1 - _PART_OF_STEP, 1.0, late)
+        self._late = late_shares(simulator, control_s, delay_s)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -160,6 +151,33 @@ def physics_steps(simulator: Simulator, control_s: float) -> int:
             hint="Set simulation.timestep_s in robot.yaml, or another control rate.",
         )
     return round(steps)
+
+
+def late_shares(
+    simulator: Simulator, control_s: float, delay_s: float | Sequence[float] | Float64[np.ndarray, "J"]
+) -> Float64[np.ndarray, "N J"]:
+    """What of the command before acts in each of the N physics steps of a control step.
+
+    Where a delay ends within a physics step, a mean of both commands acts in it.
+
+    Args:
+        simulator: of J joints.
+        control_s: control step [s].
+        delay_s: how much later commands act, one per joint or one for all, at most a control step [s].
+
+    Raises:
+        ConfigError: a delay is longer, or negative.
+    """
+    steps = physics_steps(simulator, control_s)
+    delays = np.broadcast_to(np.asarray(delay_s, float), (len(simulator.joints),)) / simulator.timestep_s
+    if not (delays.min() >= 0 and delays.max() <= steps * (1 + _PART_OF_STEP)):
+        raise ConfigError(
+            "commands may be late by a control step at most",
+            got=f"{float(delays.max()) * simulator.timestep_s:g} s",
+            expected=f"0 to {control_s:g} s",
+        )
+    late = np.clip(delays - np.arange(steps)[:, None], 0.0, 1.0)
+    return np.where(late > 1 - _PART_OF_STEP, 1.0, late)
 
 
 def refuse_others(transitions: Sequence[Transitions]) -> None:

@@ -3,18 +3,52 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from trueup.augment.config import CHECKPOINT_NAME
 from trueup.core.atomic import file_hash, make_folder, read_json, remove, write_json
 from trueup.core.model_card import CARD_NAME, ONNX_NAME, STEP_NAME, WEIGHTS_NAME, ModelCard
+from trueup.core.policy_card import POLICY_CARD, POLICY_GRAPH, PolicyCard
 from trueup.errors import DataError, OutputExists, TrueupError
 
 # Names that nobody else gives: what is called so is deleted.
 SCRATCH_NAME = ".trueup-pairs"
 _REPLACING = ".trueup-replacing.json"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What is trained into a folder.
+
+    Attributes:
+        card: the file that is written last.
+        files: the others.
+        provenance: what the card in a folder says of where it comes from.
+        differs: that another one was asked for, in words.
+    """
+
+    card: str
+    files: tuple[str, ...]
+    provenance: Callable[[Path], Mapping[str, Any]]
+    differs: str
+
+
+NETWORK = Kind(
+    CARD_NAME,
+    (ONNX_NAME, WEIGHTS_NAME, STEP_NAME),
+    lambda path: ModelCard.load(path).provenance,
+    "a model of other data, or of another run, name, configuration or seed",
+)
+POLICY = Kind(
+    POLICY_CARD,
+    (POLICY_GRAPH,),
+    lambda path: PolicyCard.load(path).provenance,
+    "a policy of another robot, configuration or seed",
+)
 
 
 class ModelFolder:
@@ -23,16 +57,17 @@ class ModelFolder:
     Args:
         path: the folder.
         asked: hash of what the caller asks for.
+        kind: of model.
 
     Attributes:
         path: the folder.
         checkpoint: where a training keeps what it has.
     """
 
-    def __init__(self, path: Path, asked: str) -> None:
+    def __init__(self, path: Path, asked: str, kind: Kind = NETWORK) -> None:
         self.path = path
-        self._asked = asked
-        self._card = path / CARD_NAME
+        self._asked, self._kind = asked, kind
+        self._card = path / kind.card
         self.checkpoint = path / CHECKPOINT_NAME
         self._replacing = path / _REPLACING
 
@@ -66,9 +101,9 @@ class ModelFolder:
                         hint="Give --overwrite to begin anew, or choose another --out.",
                     )
                 return False
-        if ModelCard.load(self.path).provenance.get("asked") != self._asked:
+        if self._kind.provenance(self.path).get("asked") != self._asked:
             raise OutputExists(
-                f"{self.path} holds a model of other data, or of another run, name, configuration or seed",
+                f"{self.path} holds {self._kind.differs}",
                 hint="Give --overwrite to replace it, or choose another --out.",
             )
         return True
@@ -102,6 +137,6 @@ class ModelFolder:
         remove(self._replacing)
         remove(self.checkpoint)
         shutil.rmtree(self.path / SCRATCH_NAME, ignore_errors=True)
-        for name in (CHECKPOINT_NAME, CARD_NAME, ONNX_NAME, WEIGHTS_NAME, STEP_NAME, _REPLACING):
+        for name in (CHECKPOINT_NAME, self._kind.card, *self._kind.files, _REPLACING):
             for left in self.path.glob(f".{name}.*.tmp"):  # of a writer that was killed
                 left.unlink(missing_ok=True)

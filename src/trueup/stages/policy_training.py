@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from trueup.core.atomic import as_read_back, json_hash, make_folder, remove, write_json
-from trueup.core.policy_card import POLICY_CARD, POLICY_GRAPH, PolicyCard
+from trueup.core.atomic import as_read_back, json_hash, make_folder, write_json
+from trueup.core.policy_card import PolicyCard
 from trueup.core.provenance import provenance
 from trueup.core.results import Estimate
-from trueup.errors import ConfigError, OutputExists, needing
+from trueup.errors import ConfigError, needing
 from trueup.robots import RobotSpec, find_model
+from trueup.stages.model_folder import POLICY, ModelFolder
 
 if TYPE_CHECKING:
     from trueup.policy.config import PolicyConfig
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from trueup.policy.reaching import Reaching
     from trueup.policy.training import Round
 
-CHECKPOINT = "checkpoint.safetensors"
 EVALUATION_SCHEMA = "trueup.policy-evaluation/1"
 
 PLACES = ("mujoco", "dart", "lab")
@@ -95,28 +95,23 @@ def train_policy(
     config, out = config or PolicyConfig(), Path(out)
     path = find_model(robot, given=model)
     threads = jobs or os.cpu_count() or 1
-    arms = simulated(config, robot, path, threads=threads, force=force)
-    judging = simulated(config, robot, path, count=_JUDGED, threads=threads, randomized=False)
     same = MujocoSimulator.from_robot(robot, path).fingerprint
     asked = json_hash(
         as_read_back({"robot": robot.to_dict(), "model": same, "config": asdict(config), "name": name, "seed": seed})
     )
     make_folder(out)
-    card_path, checkpoint = out / POLICY_CARD, out / CHECKPOINT
-    if overwrite:
-        for old in (card_path, out / POLICY_GRAPH, checkpoint):
-            remove(old)
-    elif not resume and any(out.iterdir()):
-        raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
-    elif card_path.is_file():
+    if not (overwrite or resume):
+        ModelFolder.refuse_full(out)
+    folder = ModelFolder(out, asked, POLICY)
+    if not overwrite and folder.is_finished():
+        folder.clean()
         card = PolicyCard.load(out)
-        if card.provenance.get("asked") != asked:
-            raise OutputExists(
-                f"{out} holds a policy of another robot, configuration or seed",
-                hint="Give --overwrite to replace it, or choose another --out.",
-            )
         card.graph(out)
         return TrainedPolicy(card, out, tuple(Round(**item) for item in card.provenance["history"]))
+    arms = simulated(config, robot, path, threads=threads, force=force)
+    judging = simulated(config, robot, path, count=_JUDGED, threads=threads, randomized=False)
+    if overwrite:
+        folder.begin_anew()
     before = torch.get_num_threads()
     torch.set_num_threads(threads)
     try:
@@ -124,7 +119,7 @@ def train_policy(
             config,
             arms,
             judging,
-            checkpoint=checkpoint,
+            checkpoint=folder.checkpoint,
             inputs=asked,
             seed=seed,
             device=device,
@@ -145,7 +140,7 @@ def train_policy(
         )
     finally:
         torch.set_num_threads(before)
-    remove(checkpoint)
+    folder.clean()
     return TrainedPolicy(card, out, history)
 
 
