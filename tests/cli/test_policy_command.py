@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
+from policy.test_randomization import fitted
 from trueup.augment.config import CHECKPOINT_NAME
 from trueup.cli.main import main
 from trueup.core.policy_card import PolicyCard
@@ -68,6 +69,17 @@ def test_what_is_there_is_not_lost(run, tmp_path):
     assert (tmp_path / "reach" / "policy.json").read_text() == card
     assert run("train", "--out", "reach", "--config", "small.yaml", "--seed", 1, "--overwrite", "--jobs", 1)[0] == 0
     assert (tmp_path / "reach" / "policy.json").read_text() != card
+
+
+def test_a_training_knows_which_posterior_it_drew_from(run, tmp_path):
+    folder = fitted(tmp_path / "fit")
+    small = ("train", "--out", "reach", "--config", "small.yaml", "--randomize", "fit", "--jobs", 1)
+    assert run(*small)[0] == 0
+    assert run(*small, "--resume")[0] == 0
+    fitted(folder, samples={"damping[joint1]": np.full(10, 2.0)})
+    code, _, err = run(*small, "--resume")
+    assert code == 2
+    assert "another robot, configuration or seed" in err
 
 
 def test_an_old_policy_stays_until_the_new_one_takes_its_place(run, tmp_path, monkeypatch):

@@ -17,6 +17,7 @@ from trueup.core.atomic import read_json
 from trueup.core.fit_result import FitResult
 from trueup.errors import ConfigError, DataError, NameMismatch
 from trueup.identify.candidate import Candidate, Nominal
+from trueup.identify.export import SAMPLES_FILE
 from trueup.identify.quantities import QUANTITIES, quantity
 from trueup.robots.friction import LAWS
 from trueup.sim import friction_of, set_friction
@@ -207,7 +208,7 @@ def posterior_samples(folder: Path, *, force: bool = False) -> dict[str, Float64
             expected="status ok",
             hint="Record what it asks for, or force it if you accept what it says.",
         )
-    path = folder / "fit.samples.npz"
+    path = folder / SAMPLES_FILE
     if not path.is_file():
         raise DataError(f"{path} is not there", hint="Run trueup identify again; it writes them beside fit.json.")
     try:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from trueup.core.atomic import as_read_back, json_hash, make_folder, write_json
+from trueup.core.atomic import as_read_back, file_hash, json_hash, make_folder, write_json
 from trueup.core.policy_card import PolicyCard
 from trueup.core.provenance import provenance
 from trueup.core.results import Estimate
@@ -86,6 +86,7 @@ def train_policy(
     with needing("training a policy", "rl"):
         import torch
 
+        from trueup.identify.export import SAMPLES_FILE
         from trueup.policy.config import PolicyConfig
         from trueup.policy.export import export
         from trueup.policy.simulated import simulated
@@ -96,8 +97,19 @@ def train_policy(
     path = find_model(robot, given=model)
     threads = jobs or os.cpu_count() or 1
     same = MujocoSimulator.from_robot(robot, path).fingerprint
+    # The folder of an identification may hold another one by the time that a training goes on.
+    samples = Path(config.randomization.posterior) / SAMPLES_FILE
     asked = json_hash(
-        as_read_back({"robot": robot.to_dict(), "model": same, "config": asdict(config), "name": name, "seed": seed})
+        as_read_back(
+            {
+                "robot": robot.to_dict(),
+                "model": same,
+                "config": asdict(config),
+                "posterior": file_hash(samples) if config.randomization.posterior and samples.is_file() else "",
+                "name": name,
+                "seed": seed,
+            }
+        )
     )
     make_folder(out)
     if not (overwrite or resume):
