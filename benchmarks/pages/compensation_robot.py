@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchmarks.pages.augment_cells import span
+from benchmarks.pages.compensation import over_neighbors
 from benchmarks.pages.markdown import table
 
 # Reference -> title, how many of the metrics.
@@ -105,7 +106,7 @@ def _unseen(tests: Mapping[str, Any]) -> list[float]:
         {float(kg): found["simulator"]["mae"]["compensated"] for kg, found in tests[name]["payloads"].items()}
         for name in ("test", "test-unseen-payload")
     )
-    return [error / max(seen[other] for other in seen if abs(other - kg) < 1.0) for kg, error in unseen.items()]
+    return over_neighbors(seen, unseen)
 
 
 def _cell(found: Mapping[str, Any], factor: float, digits: int) -> str:
