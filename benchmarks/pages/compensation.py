@@ -68,8 +68,8 @@ At the paper's threshold of {paper_tau:g} rad nobody has large gaps to speak of:
 - Nearly all of it is identification. What the operator adds to the identified simulator's mean error stands in this
   table, with the 95 % interval over motions: a few hundredths. On an individual that it has never seen it helps with
   heavy payloads, and costs a little without. The last rows are other motions of the individuals that it was trained
-  on, most of which it knows better: if you have several robots and want a network for others of their kind, keep the motions of
-  one of them for val, and look whether anything is left.
+  on, most of which it knows better: if you have several robots and want a network for others of their kind, keep the
+  motions of one of them for val, and look whether anything is left.
 
 {differences}
 
