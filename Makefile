@@ -50,7 +50,7 @@ $(VENV)/.venv:
 	touch $@
 
 $(VENV)/.base: $(VENV)/.venv pyproject.toml requirements.lock
-	$(PIP) install --quiet -c requirements.lock -e '.[plan]'
+	$(PIP) install --quiet -c requirements.lock -e '.[plan,learn]'
 	touch $@
 
 $(VENV)/.dev: $(VENV)/.venv pyproject.toml requirements.lock

@@ -45,6 +45,11 @@ NAMES = (
     "whole_body",
     "compensate_speed",
     "policy_env",
+    "policy_loop",
+    "policy_transfer",
+    "policy_going_on",
+    "policy_algorithms",
+    "policy_grid",
 )
 
 

@@ -17,6 +17,7 @@ from trueup.lab import LabSpec
 from trueup.record import load_plans
 from trueup.robots import load_robot
 from trueup.stages import LabRig, record, replay
+from trueup.stages.policy_judging import judge_policies
 
 RUN = "mujoco/stock"
 
@@ -98,7 +99,7 @@ def test_an_unknown_name_is_refused_by_the_commands(run, command, tmp_path, monk
     (tmp_path / "data").symlink_to(panda.path)
     code, _, err = run(*command, "zoo:panda-realtime")
     assert code == 2
-    assert "no network 'panda-realtime': available: panda-realeasy-rt" in err
+    assert "no 'panda-realtime': available: panda-realeasy-rt" in err
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
 
 
@@ -140,3 +141,23 @@ def test_it_runs_in_a_loop_and_refuses_another_robot(panda):
     assert step.status is Status.OK
     with pytest.raises(NameMismatch, match="pan"):
         model.stream(rate_hz=100.0, joints=["pan", "lift"])
+
+
+@pytest.mark.parametrize("name", trueup.zoo.policies())
+def test_a_policy_is_small_has_a_card_and_comes_near_in_a_simulator_and_on_a_robot_never_seen(name):
+    folder = trueup.zoo.folder(name)
+    assert sum(path.stat().st_size for path in folder.iterdir()) < 1_000_000
+    assert {path.name for path in folder.iterdir()} == {"policy.json", "policy.onnx", "CARD.md"}
+    found = judge_policies(
+        [folder], load_robot("panda_torque"), places=("mujoco", "lab"), goals=24, units=(12,), seed=77, jobs=1
+    )
+    (own,) = found.evaluation.policies
+    for place in ("mujoco", "lab-12"):
+        assert own.places[place].estimates["distance_median"].value < 0.05, place
+
+
+def test_policies_are_found_by_their_name():
+    assert trueup.zoo.policies() == ("panda-reach",)
+    assert trueup.zoo.folder_of("zoo:panda-reach") == trueup.zoo.folder("panda-reach")
+    with pytest.raises(MissingSignal, match="no 'panda-throw'"):
+        trueup.zoo.folder_of("zoo:panda-throw")

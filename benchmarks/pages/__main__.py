@@ -28,6 +28,7 @@ PARTS = {
         "what-compensation-brings.md",
     ),
     "whole_body": "whole-body.md",
+    **dict.fromkeys(("policy_transfer", "policy_going_on", "policy_algorithms", "policy_grid"), "policy-transfer.md"),
 }
 
 
@@ -43,7 +44,7 @@ def text(name: str) -> str:
 
 
 def figures(name: str) -> dict[str, str]:
-    """The page's figures, file in docs/ -> SVG; most pages have none."""
+    """Figures of a page or a section, file in docs/ -> SVG; most have none."""
     module = import_module(f"benchmarks.pages.{name}")
     found: dict[str, str] = module.figures(_result(name)) if hasattr(module, "figures") else {}
     return found
@@ -77,6 +78,9 @@ def main() -> None:
             print(f"docs/{file} is left as it is: benchmarks/results/{name}.json is not there yet")
     for file in dict.fromkeys(PARTS.values()):
         (ROOT / "docs" / file).write_text(with_parts(file))
+    for name in filter(is_stored, PARTS):
+        for path, content in figures(name).items():
+            (ROOT / "docs" / path).write_text(content)
     for file, content in {**kinds.pages(), **laws.pages()}.items():
         (ROOT / "docs" / file).write_text(content)
 

@@ -84,6 +84,10 @@ class DataError(TrueupError):
     """The content of a file or array cannot be used: empty, truncated, ragged, not finite, not increasing."""
 
 
+class Diverged(DataError):
+    """A training came to numbers that are not finite; with other settings it may not."""
+
+
 class FormatError(TrueupError):
     """A file or folder is of no known format, or of a version that this release cannot read."""
 

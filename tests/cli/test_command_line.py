@@ -1,6 +1,7 @@
 """The command line as its users meet it: exit codes, one or two lines of error, nothing lost."""
 
 import contextlib
+import importlib.util
 import json
 import os
 import shutil
@@ -12,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from trueup.cli import options
 from trueup.cli.main import main
 from trueup.core.results import GapResult, Ladder
 from trueup.dataset import Dataset, DatasetWriter
@@ -63,18 +65,21 @@ def test_every_command_explains_itself(run, command):
 
 
 def test_an_unknown_option_or_command_is_bad_input(run):
-    for arguments in (["gap", "--runz", "x"], ["measure"], ["close"]):
+    for arguments in (["gap", "--runz", "x"], ["measure"], ["close"], ["demo", "--until", "tomorrow"]):
         code, _, err = run(*arguments)
         assert code == 2
         assert err.startswith("error: ")
         assert len(err.strip().splitlines()) == 2
 
 
-def test_doctor_says_what_is_there_and_how_to_get_the_rest(run):
+def test_doctor_says_what_is_there_and_how_to_get_the_rest(run, monkeypatch):
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "ray" else found(name))
     code, out, _ = run("doctor")
     assert code == 0
     assert "mujoco 3." in out
     assert "trueup[ray]" in out
+    assert "trueup[dart]" not in out
 
 
 def test_the_steps_one_by_one(run, demo, tmp_path):
@@ -118,7 +123,7 @@ def test_a_second_engine_makes_a_run_of_its_own(run, demo, tmp_path):
 
 
 def test_close_writes_the_ladder_and_says_whether_it_is_better(run, demo, tmp_path):
-    code, out, _ = run("close", demo, "--robot", "demo_arm", "--out", tmp_path / "out")
+    code, out, _ = run("close", demo, "--until", "gap", "--robot", "demo_arm", "--out", tmp_path / "out")
     assert code == 0
     assert "mujoco/stock against command, test: " in out
     ladder = Ladder.load(tmp_path / "out" / "ladder.json")
@@ -132,7 +137,9 @@ def test_close_writes_the_ladder_and_says_whether_it_is_better(run, demo, tmp_pa
     ("bar", "code"), [("position.rmse=0.001", 3), ("position.rmse=9", 0), (":test:position.rmse=9", 0)]
 )
 def test_a_bar_that_is_not_met_is_exit_code_3(run, demo, tmp_path, bar, code):
-    got, _, err = run("close", demo, "--robot", "demo_arm", "--out", tmp_path / "out", "--fail-above", bar)
+    got, _, err = run(
+        "close", demo, "--until", "gap", "--robot", "demo_arm", "--out", tmp_path / "out", "--fail-above", bar
+    )
     assert got == code
     assert ("bar not met" in err) == (code == 3)
 
@@ -141,22 +148,26 @@ def test_a_bar_that_is_not_met_is_exit_code_3(run, demo, tmp_path, bar, code):
     "bar", ["position.rmse", "position.rmse=x", "rmse=1", "position.magic=1", "position.pearson=1"]
 )
 def test_a_bar_that_is_none_is_refused_before_the_work(run, demo, tmp_path, bar):
-    code, _, err = run("close", demo, "--robot", "demo_arm", "--out", tmp_path / "out", "--fail-above", bar)
+    code, _, err = run(
+        "close", demo, "--until", "gap", "--robot", "demo_arm", "--out", tmp_path / "out", "--fail-above", bar
+    )
     assert code == 2
     assert err.count("\n") <= 2
     assert not (tmp_path / "out").exists()
 
 
 def test_results_are_not_overwritten_unasked(run, demo, tmp_path):
-    assert run("close", demo, "--robot", "demo_arm", "--out", tmp_path / "out")[0] == 0
-    code, _, err = run("close", demo, "--robot", "demo_arm", "--out", tmp_path / "out")
+    assert run("close", demo, "--until", "gap", "--robot", "demo_arm", "--out", tmp_path / "out")[0] == 0
+    code, _, err = run("close", demo, "--until", "gap", "--robot", "demo_arm", "--out", tmp_path / "out")
     assert code == 2
     assert "--overwrite" in err
-    assert run("close", demo, "--robot", "demo_arm", "--out", tmp_path / "out", "--overwrite")[0] == 0
+    assert run("close", demo, "--until", "gap", "--robot", "demo_arm", "--out", tmp_path / "out", "--overwrite")[0] == 0
 
 
 def test_logs_of_another_robot_print_both_lists_of_joints(run, demo, tmp_path):
-    code, _, err = run("close", demo, "--robot", "double_pendulum", "--model", demo, "--out", tmp_path / "out")
+    code, _, err = run(
+        "close", demo, "--until", "gap", "--robot", "double_pendulum", "--model", demo, "--out", tmp_path / "out"
+    )
     assert code == 2
     model = tmp_path / "double_pendulum_A0.xml"
     model.write_text(
@@ -164,7 +175,9 @@ def test_logs_of_another_robot_print_both_lists_of_joints(run, demo, tmp_path):
         '<geom size=".1"/></body></body></worldbody><actuator><motor name="a" joint="joint1"/>'
         '<motor name="b" joint="joint2"/></actuator></mujoco>'
     )
-    code, _, err = run("close", demo, "--robot", "double_pendulum", "--model", model, "--out", tmp_path / "out2")
+    code, _, err = run(
+        "close", demo, "--until", "gap", "--robot", "double_pendulum", "--model", model, "--out", tmp_path / "out2"
+    )
     assert code == 2
     assert "yaw, shoulder, elbow" in err
     assert "joint1, joint2" in err
@@ -299,3 +312,18 @@ def test_gap_json_is_what_other_programs_read(run, demo, tmp_path):
         np.mean([rmse["per_joint"][joint]["value"] for joint in tree["scored_joints"]])
     )
     assert {"trueup", "git", "seed", "data_hash", "config", "packages"} <= set(tree["provenance"])
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"), [("90s", 90.0), ("10m", 600.0), ("1.5h", 5400.0), ("45", 45.0), ("none", None)]
+)
+def test_a_budget_is_a_time(text, seconds):
+    assert options.budget_s(text) == seconds
+
+
+@pytest.mark.parametrize("text", ["", "m", "0", "-3s", "ten minutes", "nan", "inf", "1e400h", "10 m!"])
+def test_what_is_no_time_is_no_budget(run, demo, tmp_path, text):
+    code, _, err = run("close", demo, "--robot", "demo_arm", "--out", tmp_path / "out", "--budget", text)
+    assert code == 2
+    assert "--budget" in err
+    assert not (tmp_path / "out").exists()

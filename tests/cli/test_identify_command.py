@@ -175,7 +175,7 @@ def test_a_new_gap_stands_beside_nothing_old(run, measured, tmp_path):
     assert "fit of another dataset" in said
     assert (out / "fit.json").exists()
     (out / "model.fitted.xml").write_text("<mujoco/>")
-    code, _, said = run("close", measured, "--robot", "demo_arm", "--out", out, "--overwrite")
+    code, _, said = run("close", measured, "--until", "gap", "--robot", "demo_arm", "--out", out, "--overwrite")
     assert code == 0, said
     assert not [name for name in ("fit.json", "model.fitted.xml") if (out / name).exists()]
 

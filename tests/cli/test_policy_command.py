@@ -46,11 +46,11 @@ def test_from_nothing_to_figures(run, tmp_path):
     again = run("train", "--out", "reach", "--config", "small.yaml", "--algorithm", "sac", "--resume", "--jobs", 1)
     assert again[:2] == (code, out)
     places = ("eval", "reach", "--on", "mujoco,dart,lab", "--unit", 1, "--unit", 3, "--goals", 3)
-    code, out, _ = run(*places, "--out", "found.json", "--jobs", 1)
+    code, out, _ = run(*places, "--out", "found", "--jobs", 1)
     assert code == 0
     for label in ("mujoco", "dart", "lab-1", "lab-3"):
         assert label in out
-    found = json.loads((tmp_path / "found.json").read_text())
+    found = json.loads((tmp_path / "found" / "evaluation.json").read_text())["policies"][0]
     assert set(found["places"]) == {"mujoco", "dart", "lab-1", "lab-3"}
     one, other = (np.array(found["places"][label]["values"]["distance"]) for label in ("mujoco", "dart"))
     np.testing.assert_allclose(one, other, atol=5e-3)
@@ -101,7 +101,8 @@ def test_an_old_policy_stays_until_the_new_one_takes_its_place(run, tmp_path, mo
     # Resumed, it is the new one that is meant.
     assert run(*small, "--seed", 1, "--resume")[0] == 0
     assert PolicyCard.load(tmp_path / "reach").provenance["seed"] == 1
-    assert sorted(file.name for file in (tmp_path / "reach").iterdir()) == ["policy.json", "policy.onnx"]
+    names = sorted(file.name for file in (tmp_path / "reach").iterdir())
+    assert names == ["learner.safetensors", "policy.json", "policy.onnx"]
 
 
 @pytest.mark.parametrize(
@@ -132,3 +133,37 @@ def test_a_place_that_is_none_and_a_robot_that_does_not_fit(run):
     code, _, err = run("eval", "reach", "--robot", "upper_body")
     assert code == 2
     assert "another robot" in err
+
+
+def test_configurations_by_name_and_options_over_them(tmp_path):
+    from trueup.cli.policy_config import configured
+    from trueup.policy.config import LAPTOP, PAPER
+
+    assert configured("laptop", None, None, None) == LAPTOP
+    assert configured("laptop", "tqc", None, 5000).algorithm == "tqc"
+    assert configured("laptop", None, None, 5000).steps == 5000
+    assert configured("paper", None, None, None).learner == PAPER["tqc"]
+    assert configured("paper", "ddpg", "thesis", None).learner == PAPER["ddpg"]
+    assert configured("paper", "ddpg", "thesis", None).randomization.friction == 0.1
+    (tmp_path / "own.yaml").write_text("algorithm: td3\nrandomization: {inertia: 0.2}\n")
+    own = configured(str(tmp_path / "own.yaml"), None, None, None)
+    assert (own.algorithm, own.randomization.inertia) == ("td3", 0.2)
+    over = configured(str(tmp_path / "own.yaml"), "sac", "none", None)
+    assert (over.algorithm, over.randomization.inertia) == ("sac", 0.0)
+
+
+@pytest.mark.parametrize("command", [("policy", "eval"), ("deploy", "run")])
+def test_a_folder_without_a_policy_says_what_to_give(command, tmp_path, capsys):
+    with pytest.raises(SystemExit) as end:
+        main([*command, str(tmp_path)])
+    assert end.value.code == 2
+    said = capsys.readouterr().err
+    assert "holds no policy: expected policy.json" in " ".join(said.split())
+    assert "zoo:panda-reach" in said
+
+
+def test_curves_of_a_policy_of_the_zoo(tmp_path, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["policy", "curves", "zoo:panda-reach", "--out", str(tmp_path / "curves.html")])
+    assert end.value.code == 0, capsys.readouterr().err
+    assert "panda-reach" in (tmp_path / "curves.html").read_text()

@@ -2,7 +2,7 @@
 
 An HTML comment before a fenced block says what is done with it here: `<!-- run -->` runs it, `<!-- run: exit 3 -->`
 expects this exit code of its last command, `<!-- file: NAME -->` writes it to a file. The blocks of a page run in
-order in one folder, in which `runs/arm` is what `trueup demo --robot demo_arm` made. All other `trueup ...` lines are only parsed.
+order in one folder, in which `runs/arm` is what `trueup demo --robot demo_arm --until gap` made. All other `trueup ...` lines are only parsed.
 """
 
 import ast
@@ -60,7 +60,7 @@ def command_lines(block):
 def demo(tmp_path_factory):
     folder = tmp_path_factory.mktemp("demo")
     with pytest.raises(SystemExit) as left:
-        main(["demo", "--robot", "demo_arm", "--out", str(folder / "arm")])
+        main(["demo", "--robot", "demo_arm", "--until", "gap", "--out", str(folder / "arm")])
     assert left.value.code == 0
     return folder / "arm"
 

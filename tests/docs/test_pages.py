@@ -1,12 +1,13 @@
 """Pages of the docs that are made from stored results: what they say is what was measured, and the bars are kept."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 from benchmarks.acceptance.lines import LINES, REASONS
-from benchmarks.pages import kinds, laws, thesis
-from benchmarks.pages.__main__ import NAMES, PARTS, figures, text, with_parts
+from benchmarks.pages import curves_figure, kinds, laws, thesis
+from benchmarks.pages.__main__ import NAMES, PARTS, figures, is_stored, text, with_parts
 from benchmarks.pages.markdown import with_section
 
 ROOT = Path(__file__).parent.parent.parent
@@ -25,6 +26,18 @@ def test_a_page_and_its_figures_are_made_from_its_result(name, file):
 @pytest.mark.parametrize("file", sorted(set(PARTS.values())))
 def test_the_parts_of_a_page_are_made_from_their_results(file):
     assert (ROOT / "docs" / file).read_text() == with_parts(file)
+
+
+@pytest.mark.parametrize("name", [*filter(is_stored, PARTS)])
+def test_the_figures_of_a_part_are_made_from_its_result(name):
+    for path, content in figures(name).items():
+        assert (ROOT / "docs" / path).read_text() == content
+
+
+def test_curves_of_several_seeds_end_where_the_shortest_ends():
+    made = curves_figure.figure("Curves", {"one": {"a": [[(0, -1.0), (10, -0.5)], [(0, -0.8)]]}})
+    assert made.count("<polyline") == made.count("<polygon") == 1
+    assert len(re.search('<polyline[^>]*points="([^"]*)"', made)[1].split()) == 1
 
 
 def test_a_section_has_one_place_in_its_page():

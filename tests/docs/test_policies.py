@@ -7,6 +7,7 @@ from pathlib import Path
 from trueup.policy import ReachConfig, Reward
 from trueup.policy.config import LearnerConfig, PolicyConfig
 from trueup.policy.evaluation import UNITS
+from trueup.policy.grid import NAMES, THESIS
 from trueup.policy.randomization import RandomizationConfig
 
 TEXT = (Path(__file__).parent.parent.parent / "docs" / "policies.md").read_text()
@@ -49,6 +50,16 @@ def test_every_field_is_explained():
     assert rows("`LearnerConfig`") == {item.name for item in fields(LearnerConfig)}
     assert rows("metric") == set(UNITS)
     assert all(f"`{item.name}`" in TEXT for item in fields(Reward))
+
+
+def test_the_thesis_grids_are_those_of_the_page():
+    for algorithm, grid in THESIS.items():
+        (row,) = re.findall(rf"^\| [^|]*`{algorithm}`[^|]* \|(.*)\| (\d+) \|$", TEXT, re.M)
+        assert int(row[1]) == len(grid)
+        said = {float(number) for number in re.findall(r"\d\.\d+", row[0])}
+        tried = {value for axis in grid.axes for values in axis.rows for value in values if not isinstance(value, str)}
+        assert said == tried
+    assert all(f"`{name}`" in TEXT for name in NAMES if not name.startswith("learner."))
 
 
 def test_defaults_are_those_of_the_page():

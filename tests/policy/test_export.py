@@ -32,7 +32,9 @@ def arms(count=4):
 
 def exported(folder, algorithm="tqc"):
     reaching = arms()
-    config = PolicyConfig(algorithm=algorithm, reach=TASK, learner=LearnerConfig(layers=(32, 16), buffer=100))
+    config = PolicyConfig(
+        algorithm=algorithm, reach=TASK, learner=LearnerConfig(layers=(32, 16), buffer=100, goal_scale=7.0)
+    )
     torch.manual_seed(3)
     learner = make_learner(config, ReachVector(reaching), device="cpu", seed=3)
     with torch.no_grad():  # far from zero, so that torques reach their limits

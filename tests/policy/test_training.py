@@ -1,12 +1,13 @@
 """Training policies: all four algorithms learn, the thesis's numbers are the thesis's, and what is interrupted goes on."""
 
+import resource
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from trueup.errors import ConfigError, DataError, OutputExists
+from trueup.errors import ConfigError, DataError, Diverged, OutputExists
 from trueup.policy.arms import MujocoArms
 from trueup.policy.config import ALGORITHMS, PAPER, LearnerConfig, PolicyConfig
 from trueup.policy.environment import ReachVector
@@ -15,7 +16,7 @@ from trueup.policy.randomization import RandomizationConfig
 from trueup.policy.reach import ReachConfig
 from trueup.policy.reaching import Reaching
 from trueup.policy.simulated import simulated
-from trueup.policy.training import judged, train
+from trueup.policy.training import judged, rounds_of, train
 from trueup.robots import find_model, load_robot
 from trueup.sim import MujocoSimulator
 
@@ -74,25 +75,63 @@ def test_every_algorithm_gets_its_numbers_and_learns(algorithm, noise):
     assert any(not torch.equal(before[name], value) for name, value in weights(made).items())
 
 
-def test_an_interrupted_training_ends_with_the_same_weights(tmp_path):
+AHEAD = replace(SMALL, learner=replace(SMALL.learner, n_steps=3, last_rate=1e-4, goal_scale=20.0))
+
+
+@pytest.mark.parametrize("config", [SMALL, AHEAD], ids=["plain", "n steps"])
+def test_an_interrupted_training_ends_with_the_same_weights(tmp_path, config):
     for folder in ("whole", "parts"):
         (tmp_path / folder).mkdir()
-    whole, history = trained(tmp_path / "whole")
+    whole, history = trained(tmp_path / "whole", config)
 
     def stop(done, _):
         if done.number == 1:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        trained(tmp_path / "parts", on_round=stop)
-    parts, again = trained(tmp_path / "parts", resume=True)
+        trained(tmp_path / "parts", config, on_round=stop)
+    parts, again = trained(tmp_path / "parts", config, resume=True)
     assert [item.number for item in again] == [1, 2, 3]
     assert [(item.steps, item.updates) for item in history] == [(item.steps, item.updates) for item in again]
     assert [item.reward for item in history] == [item.reward for item in again]
     for name, value in weights(whole).items():
         assert torch.equal(value, weights(parts)[name]), name
-    other, _ = trained(tmp_path, seed=1)
+    other, _ = trained(tmp_path, config, seed=1)
     assert any(not torch.equal(value, weights(other)[name]) for name, value in weights(whole).items())
+
+
+def test_rewards_are_not_counted_into_another_episode(tmp_path):
+    """Of what is remembered, whatever is not followed by what came next is marked as the end of an episode."""
+    learner, _ = trained(tmp_path, AHEAD)
+    buffer = learner.replay_buffer
+    rows = np.arange(buffer.pos - 1)
+    after = (buffer.next_observations[rows] == buffer.observations[rows + 1]).all(axis=-1)
+    ended = np.maximum(buffer.dones, buffer.timeouts)[rows] > 0
+    assert (after | ended).all()
+    # Episodes of 20 control steps do not end with rounds of 40.
+    assert (~after).sum() >= 2 * SMALL.arms
+    # Ends are bootstrapped from, as those of time are.
+    assert (buffer.dones * (1 - buffer.timeouts)).sum() == 0
+
+
+def test_the_learning_rate_falls_from_round_to_round(tmp_path):
+    learner, _ = trained(tmp_path, AHEAD)
+    assert learner.actor.optimizer.param_groups[0]["lr"] == pytest.approx(1e-4)
+    (tmp_path / "one").mkdir()
+    learner, _ = trained(tmp_path / "one", replace(AHEAD, rounds=1))
+    assert learner.actor.optimizer.param_groups[0]["lr"] == pytest.approx(AHEAD.learner.rate)
+    (tmp_path / "two").mkdir()
+    learner, _ = trained(tmp_path / "two", SMALL)
+    assert learner.actor.optimizer.param_groups[0]["lr"] == pytest.approx(SMALL.learner.rate)
+
+
+def test_networks_are_given_the_way_to_the_goal_scaled(tmp_path):
+    learner = make_learner(AHEAD, ReachVector(arms(4)), device="cpu", seed=0)
+    seen = torch.rand(2, 24)
+    expected = seen.clone()
+    expected[:, 21:] *= 20.0
+    for network in (learner.actor, learner.critic, learner.critic_target):
+        torch.testing.assert_close(network.features_extractor(seen), expected)
 
 
 def test_the_best_round_is_kept_and_numbers_of_others_are_left_alone(tmp_path):
@@ -125,6 +164,22 @@ def test_a_checkpoint_of_another_training_or_a_broken_one(tmp_path):
         trained(tmp_path, config=other, resume=True)
 
 
+def test_a_full_disk_is_said_and_the_last_checkpoint_stays(tmp_path):
+    trained(tmp_path, stop=lambda _: True)
+    before = (tmp_path / "checkpoint").read_bytes()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
+    try:
+        with pytest.raises(DataError, match=r"cannot write .*checkpoint: got .*File too large"):
+            trained(tmp_path, resume=True)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert [file.name for file in tmp_path.iterdir()] == ["checkpoint"]
+    assert (tmp_path / "checkpoint").read_bytes() == before
+    assert len(rounds_of(tmp_path / "checkpoint", "x")) == 1
+    assert len(trained(tmp_path, resume=True)[1]) == SMALL.rounds
+
+
 def test_a_training_that_diverges_is_said(tmp_path, monkeypatch):
     from trueup.policy import training
 
@@ -135,7 +190,7 @@ def test_a_training_that_diverges_is_said(tmp_path, monkeypatch):
         return learner
 
     monkeypatch.setattr(training, "make_learner", poisoned)
-    with pytest.raises(DataError, match=r"training diverged.*round 1"):
+    with pytest.raises(Diverged, match=r"training diverged.*round 1"):
         trained(tmp_path)
 
 

@@ -26,7 +26,7 @@ DOUBLE_PENDULUM = {
 
 @pytest.fixture(scope="module")
 def so101(so101_logs, tmp_path_factory):
-    return close(so101_logs, load_robot("so101"), tmp_path_factory.mktemp("so101") / "out", jobs=2)
+    return close(so101_logs, load_robot("so101"), tmp_path_factory.mktemp("so101") / "out", jobs=2, until="gap")
 
 
 def test_the_stock_so101_is_as_far_off_as_its_readme_says(so101):
@@ -58,7 +58,7 @@ def test_intervals_contain_their_value(so101):
 
 
 def test_the_stock_double_pendulum_is_as_far_off_as_its_readme_says(double_pendulum_logs, tmp_path):
-    closed = close(double_pendulum_logs, load_robot("double_pendulum"), tmp_path / "out", jobs=2)
+    closed = close(double_pendulum_logs, load_robot("double_pendulum"), tmp_path / "out", jobs=2, until="gap")
     gap = GapResult.load(tmp_path / "out" / "gap.json")
     assert gap.to_json() == closed.measurement.gap.to_json()
     for split, files in DOUBLE_PENDULUM.items():
@@ -68,7 +68,7 @@ def test_the_stock_double_pendulum_is_as_far_off_as_its_readme_says(double_pendu
 
 
 def test_a_dataset_of_the_simple_pendulum_with_two_files_a_motion(simple_pendulum_logs, tmp_path):
-    closed = close(simple_pendulum_logs, load_robot("simple_pendulum"), tmp_path / "out")
+    closed = close(simple_pendulum_logs, load_robot("simple_pendulum"), tmp_path / "out", until="gap")
     assert len(closed.dataset) == 6
     assert not closed.replayed.failed
     assert Dataset(tmp_path / "out" / "dataset").splits["control_method_ddp"] == "test"

@@ -46,7 +46,7 @@ def twin_dataset(folder, *, rename=None, scale=1.0, offset=0.0):
 
 
 def test_a_robot_like_its_simulator_has_no_gap(tmp_path):
-    closed = close(twin_dataset(tmp_path / "twin").path, load_robot("demo_arm"), tmp_path / "out")
+    closed = close(twin_dataset(tmp_path / "twin").path, load_robot("demo_arm"), tmp_path / "out", until="gap")
     runs = closed.measurement.gap.runs
     assert runs["mujoco/stock"]["test"]["position"]["rmse"].total.value < 1e-8
     assert runs["command"]["test"]["position"]["rmse"].total.value > 1e-3
@@ -58,11 +58,11 @@ def test_the_words_of_the_log_do_not_matter(tmp_path):
     data = twin_dataset(tmp_path / "twin", rename=lambda name: f"J_{name}", scale=0.5, offset=0.2)
     robot = load_robot("demo_arm")
     joints = tuple(JointSpec(joint.name, log=f"J_{joint.name}", scale=0.5, offset=0.2) for joint in robot.joints)
-    closed = close(data.path, replace(robot, joints=joints), tmp_path / "out")
+    closed = close(data.path, replace(robot, joints=joints), tmp_path / "out", until="gap")
     assert closed.measurement.gap.joints == ("yaw", "shoulder", "elbow")
     assert closed.measurement.gap.runs["mujoco/stock"]["test"]["position"]["rmse"].total.value < 1e-8
     with pytest.raises(NameMismatch, match=r"J_yaw.*yaw"):
-        close(data.path, robot, tmp_path / "other")
+        close(data.path, robot, tmp_path / "other", until="gap")
 
 
 def test_a_second_replay_needs_a_word(demo):
@@ -139,7 +139,7 @@ def test_one_bad_motion_does_not_stop_a_close(tmp_path):
                 measured=replace(episode.measured, signals={"position": broken}),
             )
         )
-    closed = close(data.path, load_robot("demo_arm"), tmp_path / "out")
+    closed = close(data.path, load_robot("demo_arm"), tmp_path / "out", until="gap")
     assert set(closed.replayed.failed) == {"bad"}
     assert closed.measurement.gap.runs["mujoco/stock"]["test"]["position"]["rmse"].episodes == 1
 
@@ -148,7 +148,7 @@ def test_the_same_inputs_give_the_same_results(tmp_path):
     results = []
     for name in ("a", "b"):
         data = demo_dataset(tmp_path / name / "data")
-        close(data, load_robot("demo_arm"), tmp_path / name / "out", jobs=2)
+        close(data, load_robot("demo_arm"), tmp_path / name / "out", jobs=2, until="gap")
         gap_json = (tmp_path / name / "out" / "gap.json").read_text()
         results.append([line for line in gap_json.splitlines() if '"created"' not in line])
     assert results[0] == results[1]
@@ -166,7 +166,7 @@ def test_a_motion_far_from_the_simulation_is_noted(tmp_path):
             }
             measured = replace(episode.measured, signals=position)
             writer.append(replace(episode, meta=EpisodeMeta(f"motion{index}"), measured=measured))
-    closed = close(tmp_path / "noisy", load_robot("demo_arm"), tmp_path / "out")
+    closed = close(tmp_path / "noisy", load_robot("demo_arm"), tmp_path / "out", until="gap")
     flags = {name: item.flags for name, item in closed.measurement.quality.episodes.items()}
     assert {name for name, found in flags.items() if "far_from_simulation" in {flag.kind for flag in found}} == {
         "motion5"
@@ -329,7 +329,7 @@ def test_a_split_that_is_given_is_the_only_one(tmp_path):
 
 
 def test_results_carry_their_origin(tmp_path):
-    close(twin_dataset(tmp_path / "twin").path, load_robot("demo_arm"), tmp_path / "out")
+    close(twin_dataset(tmp_path / "twin").path, load_robot("demo_arm"), tmp_path / "out", until="gap")
     for name in ("gap", "ladder", "analysis", "quality", "traces"):
         origin = json.loads((tmp_path / "out" / f"{name}.json").read_text())["provenance"]
         assert all(origin[key] for key in ("data_hash", "trueup", "config"))
@@ -383,7 +383,7 @@ def test_a_motion_that_is_too_short_to_differ_is_left_out(tmp_path):
     data = twin_dataset(tmp_path / "twin")
     with DatasetWriter.resume(data.path) as writer:
         writer.append(replace(data[0], meta=EpisodeMeta("stub"), measured=data[0].measured.rows(slice(0, 2))))
-    closed = close(data.path, load_robot("demo_arm"), tmp_path / "out")
+    closed = close(data.path, load_robot("demo_arm"), tmp_path / "out", until="gap")
     assert closed.measurement.gap.runs["command"]["all"]["position"]["rmse"].episodes == 4
     assert any("stub" in warning for warning in closed.measurement.gap.settings["warnings"])
 
@@ -449,7 +449,7 @@ def test_two_engines_or_two_payloads_are_compared(demo, tmp_path):
 
 
 def test_one_engine_and_one_payload_are_not(tmp_path):
-    closed = close(twin_dataset(tmp_path / "twin").path, load_robot("demo_arm"), tmp_path / "out")
+    closed = close(twin_dataset(tmp_path / "twin").path, load_robot("demo_arm"), tmp_path / "out", until="gap")
     assert closed.measurement.engines is None
     (tmp_path / "out" / "engines.json").write_text("{}")
     closed.measurement.save(tmp_path / "out")

@@ -41,6 +41,7 @@ from trueup.core.model_card import (
 )
 from trueup.core.provenance import provenance
 from trueup.core.step_times import LATENCY_NAME
+from trueup.core.time_limit import TimeLimit
 from trueup.core.timeseries import TimeSeries
 from trueup.deploy import Stream, StreamSettings
 from trueup.errors import DataError
@@ -109,6 +110,7 @@ class Augmentation:
         device: str = "cpu",
         threads: int | None = None,
         on_progress: OnProgress | None = None,
+        limit: TimeLimit | None = None,
     ) -> Augmentation:
         """Train, switch off the outputs that do not help on val, and calibrate intervals on val.
 
@@ -121,12 +123,13 @@ class Augmentation:
             device: `cpu` or `cuda`.
             threads: of torch; its own choice if None.
             on_progress: called after every batch and epoch, and once training is over.
+            limit: when training has to end.
 
         Raises:
             TrueupError: see `training.train`.
         """
         with _threads(threads):
-            return Augmentation._fit(task, config, folder, seed, device, on_progress, resume=resume)
+            return Augmentation._fit(task, config, folder, seed, device, on_progress, limit, resume=resume)
 
     @staticmethod
     def _fit(
@@ -136,6 +139,7 @@ class Augmentation:
         seed: int,
         device: str,
         on_progress: OnProgress | None,
+        limit: TimeLimit | None,
         *,
         resume: bool,
     ) -> Augmentation:
@@ -164,6 +168,7 @@ class Augmentation:
             resume=resume,
             device=device,
             on_progress=on_progress,
+            limit=limit,
         )
         if on_progress:
             on_progress(Progress(config.epochs, len(trained.history), 0, 0, None, None, judging=True))

@@ -68,12 +68,19 @@ def save_checkpoint(
 
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], state: Mapping[str, Any]) -> None:
-    """Write a file atomically: tensors, and JSON that says what they are, with a hash of both."""
+    """Write a file atomically: tensors, and JSON that says what they are, with a hash of both.
+
+    Raises:
+        DataError: the disk is full or not writable.
+    """
     # Weights that two modules share are one tensor to torch, which safetensors does not write.
     tensors = {name: value.detach().cpu().clone().contiguous() for name, value in tensors.items()}
     said = json.dumps(state)
     with replacing(path) as temporary:
-        save_file(tensors, temporary, {"state": said, "sha256": digest_of(tensors, said)})
+        try:
+            save_file(tensors, temporary, {"state": said, "sha256": digest_of(tensors, said)})
+        except SafetensorError as error:  # it has no errors of the system
+            raise DataError(f"cannot write {path}", got=error) from error
 
 
 def read_tensors(path: Path, inputs: str) -> tuple[dict[str, Tensor], dict[str, Any]]:

@@ -20,6 +20,7 @@ from trueup.augment.corrector import Corrector
 from trueup.augment.loss import Loss, on_device
 from trueup.augment.pairs import Pairs
 from trueup.augment.windows import Batch, Windows, whole_motions
+from trueup.core.time_limit import TimeLimit
 from trueup.errors import ConfigError, MissingDependency
 
 # A loss this many times the lowest of an earlier epoch has run away.
@@ -59,7 +60,8 @@ class Outcome:
     Attributes:
         history: epochs.
         best: number of the epoch whose weights are kept; 0 if there was nothing to train.
-        status: `finished`, `stopped early` (val no longer improves) or `diverged` (weights of the best epoch are kept).
+        status: `finished`, `stopped early` (val no longer improves), `out of time` or `diverged` (weights of the best
+            epoch are kept).
         seconds: of all epochs, those before a resume included [s].
     """
 
@@ -81,6 +83,7 @@ def train(
     resume: bool = False,
     device: str = "cpu",
     on_progress: OnProgress | None = None,
+    limit: TimeLimit | None = None,
 ) -> Outcome:
     """Train a corrector in place; in the end it has the weights of the best epoch on val.
 
@@ -98,6 +101,8 @@ def train(
         resume: go on from the checkpoint, if there is one.
         device: `cpu` or `cuda`.
         on_progress: called after every batch and epoch.
+        limit: when training ends, the last epoch early; learning rates that fall by the number of epochs fall by the
+            time then, if that is faster.
 
     Raises:
         ConfigError: no such device, mixed precision without a GPU, or training diverges before the end of an epoch.
@@ -122,10 +127,13 @@ def train(
         if _is_over(history, best_number, config.stop_after):
             status = "stopped early"
             break
+        if limit is not None and limit.over and history:
+            status = "out of time"
+            break
         number = len(history) + 1
         started = time.perf_counter()
         with torch.random.fork_rng(devices=[place] if place.type == "cuda" else []):
-            mean, rate = _epoch(corrector, windows, optimizer, config, history, loss, seed, on_progress)
+            mean, rate = _epoch(corrector, windows, optimizer, config, history, loss, seed, on_progress, limit)
         val = float(val_loss(corrector, val_pairs, loss)) if math.isfinite(mean) else math.nan
         if _runs_away(mean, [epoch.train for epoch in history]) or _runs_away(val, [e.val for e in history]):
             status = "diverged"
@@ -179,6 +187,7 @@ def _epoch(
     loss: Loss,
     seed: int,
     on_progress: OnProgress | None,
+    limit: TimeLimit | None,
 ) -> tuple[float, float]:
     """Mean loss and last learning rate of one epoch."""
     corrector.train()
@@ -188,7 +197,10 @@ def _epoch(
     total, rate = 0.0, 0.0
     started = time.perf_counter()
     for done, batch in enumerate(windows.epoch(np.random.default_rng([seed, number]))):
-        rate = _rate(config, history, done + len(windows) * (number - 1), len(windows))
+        if limit is not None and limit.over and done:
+            return total / done, rate
+        spent = 0.0 if limit is None else limit.spent
+        rate = _rate(config, history, done + len(windows) * (number - 1), len(windows), spent)
         for group in optimizer.param_groups:
             group["lr"] = rate
         with torch.autocast(corrector.center.device.type, torch.bfloat16, enabled=config.precision == "mixed"):
@@ -244,12 +256,12 @@ def _optimizer(parameters: list[torch.nn.Parameter], config: OptimizerConfig) ->
     return torch.optim.AdamW(parameters, lr=config.rate, weight_decay=config.weight_decay)
 
 
-def _rate(config: AugmentConfig, history: Sequence[Epoch], step: int, batches: int) -> float:
+def _rate(config: AugmentConfig, history: Sequence[Epoch], step: int, batches: int, spent: float) -> float:
     optimizer = config.optimizer
     if optimizer.schedule == "cosine":
         total = config.epochs * batches
         rise = min(1.0, (step + 1) / max(1, min(optimizer.warmup_steps, total // 10)))
-        return optimizer.rate * rise * 0.5 * (1 + math.cos(math.pi * step / total))
+        return optimizer.rate * rise * 0.5 * (1 + math.cos(math.pi * max(step / total, spent)))
     rate, lowest, waited = optimizer.rate, math.inf, 0
     for epoch in history:
         if epoch.val < lowest:

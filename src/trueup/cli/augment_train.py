@@ -142,7 +142,7 @@ def _watching(folder: Path | None) -> Iterator[Callable[[Progress], None]]:
                     board.add_scalar(
                         f"loss/{name}" if name != "rate" else name, getattr(progress.epoch, name), progress.number
                     )
-            line(_line(progress))
+            line(progress_line(progress))
 
         yield show
 
@@ -155,7 +155,8 @@ def _board(folder: Path) -> Iterator[Any]:
         yield writer
 
 
-def _line(progress: Progress) -> str:
+def progress_line(progress: Progress) -> str:
+    """Where a training stands."""
     if progress.judging:
         return "train: done; val motions tell which outputs help, and how far to trust them"
     where = f"epoch {progress.number}/{progress.epochs}"

@@ -2,20 +2,43 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from trueup.cli import options
-from trueup.cli.console import note, out, problem, track
+from trueup.cli.augment_train import progress_line
+from trueup.cli.console import err, note, out, problem, search_line, status_line, track, warning
 from trueup.cli.convert import show_flags, show_import
+from trueup.cli.fit_tables import status_line as fit_status
 from trueup.cli.gap import hold_bars
-from trueup.cli.tables import ladder_table, verdicts
+from trueup.cli.tables import ladder_table, steps_table, verdicts
+from trueup.core.close_result import StepName
 from trueup.dataset.importers.base import ImportOptions
 
 if TYPE_CHECKING:
-    from trueup.stages import Closed
+    from trueup.augment import Progress as TrainingProgress
+    from trueup.identify import Progress as SearchProgress
+    from trueup.stages import Closed, Watch
+
+# A literal that typer can read; the same as `StepName`.
+UntilStep = Annotated[
+    Literal["import", "replay", "gap", "explain", "identify", "augment"],
+    typer.Option("--until", help="The last step: replay, gap, explain, identify or augment."),
+]
+_BEGINS: dict[StepName, str] = {
+    "import": "import: logs to a dataset",
+    "replay": "replay: the commands through the simulator as it came",
+    "gap": "gap: how far it is from the robot",
+    "explain": "explain: where that comes from",
+    "identify": "identify: the numbers that the model has wrong",
+    "augment": "augment: networks for what is left",
+}
+# What is said of a fit at the end of everything: the report says the rest.
+_MOST_NOTES = 8
 
 
 def register(app: typer.Typer) -> None:
@@ -27,6 +50,17 @@ def close(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset, or logs of any known format.")],
     robot: options.Robot,
     out_dir: Annotated[Path, typer.Option("--out", help="Folder for the results.")],
+    until: UntilStep = "augment",
+    budget: Annotated[
+        str, typer.Option("--budget", help="Time for all steps together, e.g. 90s, 10m, 1h; `none` for no limit.")
+    ] = "15m",
+    config: Annotated[
+        Path | None, typer.Option("--config", help="YAML that says what to fit; see docs/identification.md.")
+    ] = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option("--method", help="Network to try on what is left; repeatable; three of them if not given."),
+    ] = None,
     model: options.Model = None,
     format: options.Format = None,
     mapping: options.Mapping = None,
@@ -42,54 +76,111 @@ def close(
     resume: options.Resume = False,
     skip_bad: options.SkipBad = False,
 ) -> int:
-    """From logs to the ladder: import if needed, check, replay, measure, report."""
+    """From logs to a corrected simulator: import, replay, gap, explain, identify, augment, and a report of it all."""
+    from trueup.identify import IdentifyConfig
     from trueup.measure import parse_bar, refuse_unknown
     from trueup.robots import load_robot
-    from trueup.stages import STOCK
     from trueup.stages import close as run
+    from trueup.stages.close_networks import METHODS, possible_runs
 
     bars = [parse_bar(text) for text in fail_above or []]
-    refuse_unknown(bars, runs=(STOCK,))
-    closed = run(
-        dataset,
-        load_robot(robot),
-        out_dir,
-        model=model,
-        format=format,
-        options=ImportOptions(
-            mapping=mapping,
-            units=options.unit_choices(unit),
-            command_topic=command_topic,
-            measured_topic=measured_topic,
-        ),
-        splits=options.splits_choice(splits),
-        drop_flagged=drop_flagged,
-        seed=seed,
-        jobs=jobs,
-        overwrite=overwrite,
-        resume=resume,
-        track=track,
-        on_import=show_import,
-    )
+    methods = tuple(method or METHODS)
+    refuse_unknown(bars, runs=possible_runs(until, methods))
+    with watching() as watch:
+        closed = run(
+            dataset,
+            load_robot(robot),
+            out_dir,
+            model=model,
+            format=format,
+            options=ImportOptions(
+                mapping=mapping,
+                units=options.unit_choices(unit),
+                command_topic=command_topic,
+                measured_topic=measured_topic,
+            ),
+            splits=options.splits_choice(splits),
+            drop_flagged=drop_flagged,
+            until=until,
+            budget_s=options.budget_s(budget),
+            config=IdentifyConfig.load(config) if config else None,
+            methods=methods,
+            seed=seed,
+            jobs=jobs,
+            overwrite=overwrite,
+            resume=resume,
+            track=track,
+            watch=watch,
+        )
     show(closed, out_dir)
     hold_bars(closed.measurement.gap, bars)
     refused = closed.replayed.failed or (closed.imported and closed.imported.refused)
     return 2 if refused and not skip_bad else 0
 
 
+@contextlib.contextmanager
+def watching() -> Iterator[Watch]:
+    """Shows which step is under way, and where searches and trainings stand."""
+    from trueup.stages import Watch
+
+    with contextlib.ExitStack() as stack:
+        lines: list[Callable[[str], None]] = []
+
+        def on_step(name: StepName) -> None:
+            stack.close()  # a step has a line of its own
+            err.print(_BEGINS[name], markup=False)
+            lines[:] = [stack.enter_context(status_line())]
+
+        def on_fit(model: str, progress: SearchProgress) -> None:
+            lines[0](search_line(model, progress))
+
+        def on_training(network: str, progress: TrainingProgress) -> None:
+            lines[0](f"{network}: {progress_line(progress)}")
+
+        yield Watch(on_step=on_step, on_import=show_import, on_fit=on_fit, on_training=on_training)
+
+
+def _told(closed: Closed) -> dict[str, Any]:
+    """Which comparisons are told: all of a single run; of more, those of the chosen one and of the fit, on test."""
+    from trueup.stages import FITTED, STOCK
+
+    if len(closed.ladder.rungs) <= 2:
+        return {}
+    labels = {"stock": STOCK, "fitted": FITTED, **{network.rung: network.label for network in closed.networks}}
+    best = next((labels[rung.name] for rung in closed.ladder.rungs if rung.chosen and rung.name in labels), None)
+    splits = set(closed.dataset.splits.values())
+    split = next((name for name in ("test", "val", "train") if name in splits), None)
+    return {"of": {label for label in (best, FITTED) if label is not None}, "split": split}
+
+
 def show(closed: Closed, out_dir: Path) -> None:
-    """Ladder, verdicts, and the report's path."""
+    """Steps, ladder, verdicts, and the report's path."""
     from trueup.report import write_report
 
     if not closed.imported:
         show_flags(closed.measurement.quality)
     for name, error in closed.replayed.failed.items():
         problem(f"{name} was not replayed: {error.what}: {error.details}", error.hint)
+    if len(closed.result.steps) > 2:
+        out.print(steps_table(closed.result))
     out.print(ladder_table(closed.ladder))
     if any(rung.chosen for rung in closed.ladder.rungs):
         out.print("* best on val", markup=False)
-    for line in verdicts(closed.measurement.gap):
+    for line in verdicts(closed.measurement.gap, **_told(closed)):
         out.print(line, markup=False)
     for line in closed.measurement.gap.settings["warnings"]:
         note(line)
+    if closed.identified is not None:
+        text, hint = fit_status(closed.identified.fit)
+        if closed.identified.fit.status == "ok":
+            out.print(text, markup=False)
+        else:
+            warning(text, hint)
+    for step in closed.result.steps:
+        if step.status in ("failed", "left out"):
+            warning(f"{step.name} {step.status}: {step.what}")
+    for line in closed.notes[:_MOST_NOTES]:
+        note(line)
+    if len(closed.notes) > _MOST_NOTES:
+        note(f"{len(closed.notes) - _MOST_NOTES} more are in the report")
     out.print(f"report: {write_report(out_dir)}", markup=False)

@@ -16,6 +16,7 @@ from trueup.errors import ConfigError
 if TYPE_CHECKING:
     from trueup.compensate.config import CompensateConfig
     from trueup.compensate.judging import PayloadErrors
+    from trueup.robots import RobotSpec
 
 app = typer.Typer(
     help="Learned compensation: networks that say what commands lack, in the simulator or on the robot.",
@@ -37,7 +38,13 @@ def train(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset with commands.")],
     robot: options.Robot,
     out_dir: Annotated[Path, typer.Option("--out", help="Folder for the model.")],
-    method: Annotated[str, typer.Option("--method", help="operator, mlp or transformer.")] = "operator",
+    method: Annotated[
+        str | None,
+        typer.Option(
+            "--method",
+            help="operator, mlp or transformer; of robots that take torques, torques. The first or last if not given.",
+        ),
+    ] = None,
     config: Annotated[
         str | None, typer.Option("--config", help="paper, default, or a YAML file; see docs/compensation.md.")
     ] = None,
@@ -84,7 +91,7 @@ def train(
             Dataset(dataset),
             own,
             out_dir,
-            config=_configured(method, config, "" if twin_robot is None else "-robot"),
+            config=_configured(method or _usual(own), config, "" if twin_robot is None else "-robot"),
             model=model,
             control_hz=control_hz,
             twin=None if twin_robot is None else (twin, load_robot(twin_robot)),
@@ -144,6 +151,10 @@ def replay(
     out.print(f"{summary.replayed} episodes replayed in {summary.seconds:.1f} s -> run {summary.label}", markup=False)
     out.print(f"next: trueup gap {dataset} --runs mujoco/stock,{summary.label} --out RESULTS", markup=False)
     return 2 if summary.failed else 0
+
+
+def _usual(robot: RobotSpec) -> str:
+    return "torques" if robot.controller.signal == "torque" else "operator"
 
 
 def _configured(method: str, config: str | None, side: str) -> CompensateConfig:

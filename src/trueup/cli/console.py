@@ -107,14 +107,19 @@ def iterations() -> Iterator[OnModel]:
     with status_line() as show:
 
         def on_model(model: str, progress: SearchProgress) -> None:
-            show(
-                f"{model}: {progress.phase} {progress.iteration}, residual {progress.rms:.4g}, "
-                f"{progress.evaluations} candidates, {progress.evaluations / max(progress.seconds, 1e-9):.3g}/s, "
-                f"{progress.seconds:.0f} s"
-            )
+            show(search_line(model, progress))
 
         show("looking for a start")
         yield on_model
+
+
+def search_line(model: str, progress: SearchProgress) -> str:
+    """Where the search of one model stands."""
+    return (
+        f"{model}: {progress.phase} {progress.iteration}, residual {progress.rms:.4g}, "
+        f"{progress.evaluations} candidates, {progress.evaluations / max(progress.seconds, 1e-9):.3g}/s, "
+        f"{progress.seconds:.0f} s"
+    )
 
 
 def _plain_text(text: str) -> str:

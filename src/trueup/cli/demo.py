@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from trueup.cli import options
-from trueup.cli.close import show
+from trueup.cli.close import UntilStep, show, watching
 from trueup.cli.console import err, out, track
 
 
@@ -24,6 +24,10 @@ def demo(
     ] = "panda",
     seed: options.Seed = 0,
     jobs: options.Jobs = None,
+    until: UntilStep = "augment",
+    budget: Annotated[
+        str, typer.Option("--budget", help="Time for all of it, e.g. 5m; `none` for as long as it takes.")
+    ] = "5m",
     overwrite: options.Overwrite = False,
 ) -> int:
     """Record virtual hardware, whose physics its model does not know, and close on the recording."""
@@ -31,7 +35,18 @@ def demo(
 
     # Before the first motion come processes that start and plans that are made.
     err.print(f"planning and recording motions of a virtual {robot}", markup=False)
-    closed = run(out_dir, robot=robot, seed=seed, jobs=jobs, overwrite=overwrite, track=track)  # type: ignore[arg-type]
+    with watching() as watch:
+        closed = run(
+            out_dir,
+            robot=robot,  # type: ignore[arg-type]
+            seed=seed,
+            jobs=jobs,
+            overwrite=overwrite,
+            until=until,
+            budget_s=options.budget_s(budget),
+            track=track,
+            watch=watch,
+        )
     out.print(
         f"{len(closed.dataset)} motions of a virtual {robot}, whose physics its model does not know", markup=False
     )

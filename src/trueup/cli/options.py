@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -44,6 +45,26 @@ FailAbove = Annotated[
     ),
 ]
 SkipBad = Annotated[bool, typer.Option("--skip-bad", help="Exit with 0 even if some episodes were refused.")]
+
+_SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}
+
+
+def budget_s(text: str) -> float | None:
+    """`90s`, `10m`, `1.5h` in seconds, of which a bare number is some; None for `none`.
+
+    Raises:
+        ConfigError: something else, or no time.
+    """
+    if text == "none":
+        return None
+    number, unit = (text[:-1], text[-1]) if text[-1:] in _SECONDS else (text, "s")
+    try:
+        found = float(number) * _SECONDS[unit]
+    except ValueError:
+        found = math.nan
+    if not 0 < found < math.inf:
+        raise ConfigError("--budget", got=repr(text), expected="a time such as 90s, 10m or 1h, or none")
+    return found
 
 
 def splits_choice(text: str | None) -> Path | dict[str, float] | None:

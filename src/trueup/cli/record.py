@@ -69,6 +69,12 @@ def record(
     path_tolerance_rad: Annotated[
         float, typer.Option("--path-tolerance-rad", help="How far a joint may be from its command on its way.")
     ] = 0.2,
+    servo_hz: Annotated[
+        float | None,
+        typer.Option(
+            "--servo-hz", help="Of a robot that takes torques: natural frequency of the springs that lead it."
+        ),
+    ] = None,
     model: Annotated[
         Path | None, typer.Option("--model", help="MJCF or URDF; what robot.yaml names if not given.")
     ] = None,
@@ -109,6 +115,7 @@ def record(
             fault_share=faults,
             control_hz=max(control_hz, record_hz),
             base=under,
+            servo_hz=servo_hz,
         )
         for one, under in itertools.product(unit or (1,), base or (None,))
     ]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
+from rich.markup import escape
 from rich.table import Table
 
+from trueup.core.close_result import CloseResult
 from trueup.core.results import Estimate, GapResult, Ladder, MetricResult, Metrics
 
 _MAIN = "rmse"
@@ -45,6 +47,16 @@ def ladder_table(ladder: Ladder, *, signal: str = "position", metric: str = "rms
     return table
 
 
+def steps_table(result: CloseResult) -> Table:
+    """One row per step of a close."""
+    table = Table(title="steps", title_justify="left")
+    for name in ("step", "", "seconds", "what"):
+        table.add_column(name, justify="right" if name == "seconds" else "left", overflow="fold")
+    for step in result.steps:
+        table.add_row(step.name, step.status, f"{step.seconds:.1f}", escape(step.what))
+    return table
+
+
 def gap_table(gap: GapResult, *, metric: str = "rmse") -> Table:
     """One row per run, split and signal."""
     has_bodies = metric == _MAIN and any(
@@ -67,12 +79,20 @@ def gap_table(gap: GapResult, *, metric: str = "rmse") -> Table:
     return table
 
 
-def verdicts(gap: GapResult) -> list[str]:
-    """What else must be known of the table, one line each: windows, and runs compared in pairs."""
+def verdicts(gap: GapResult, *, of: Collection[str] | None = None, split: str | None = None) -> list[str]:
+    """What else must be known of the table, one line each: windows, and runs compared in pairs.
+
+    Args:
+        gap: the numbers.
+        of: runs whose comparisons are told; all if None.
+        split: the only one of which they are; all if None.
+    """
     window_s = gap.settings.get("window_s")
     lines = [] if window_s is None else [f"simulations restarted from the measured state every {window_s:g} s"]
     whole = not any(gap.splits.values())  # no splits: the comparison over all motions is the only one
     for pair in gap.paired:
+        if (of is not None and pair.run not in of) or split not in (None, pair.split):
+            continue
         if _COMPARED.get(pair.signal) == pair.metric and (pair.split != "all" or whole):
             change = f"{100 * abs(pair.relative):.1f} % {'less' if pair.difference.value < 0 else 'more'}"
             about = f"{pair.signal}, " if pair.signal in _OF_BODIES else ""

@@ -50,7 +50,8 @@ def closed_loop(
         corrector: says what commands lack; None for commands as they are.
         twin: makes the simulator the robot, whose commands are corrected then; see `training.unrolled`.
         sensors: of an operator that asks the simulator itself what they say.
-        settle_s: for so long the first command is held before the motion begins [s].
+        settle_s: for so long the first command is held before the motion begins [s]; torques are not held, and motions
+            begin with the measured velocity.
 
     Raises:
         DataError: the simulation diverged.
@@ -74,13 +75,16 @@ def _together(
     settle_s: float,
 ) -> list[Run]:
     """Motions of one payload; short ones hold their last command until the longest has ended."""
-    settling = round(settle_s / transitions.control_s)
+    torques = transitions.signal == "torque"
+    settling = 0 if torques else round(settle_s / transitions.control_s)
     longest = max(len(track) for track in tracks)
     rows = np.clip(np.arange(-settling, longest), 0, None)
     command = np.stack([track.command[np.minimum(rows, len(track) - 1)] for track in tracks], axis=1).astype(float)
     joints = command.shape[2]
     gravity = _gravity(tracks, rows)
-    state = np.stack([np.concatenate([track.state[0, :joints], np.zeros(joints)]) for track in tracks])
+    state = np.stack([track.state[0].astype(float) for track in tracks])
+    if not torques:  # they begin at rest
+        state[:, joints:] = 0.0
     payload = np.full((len(tracks), 1), tracks[0].payload_kg)
     own, other = _Eyes(corrector, payload), _Eyes(twin, payload)
     states, deltas, before = [], [], command[0]

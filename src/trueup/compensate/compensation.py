@@ -30,15 +30,19 @@ PAYLOAD = "payload"
 _MARGIN = 0.25
 
 
-def channels(joints: Sequence[str], units: Sequence[str]) -> tuple[Input, ...]:
-    """What a compensation reads: position, velocity and commanded position of J joints, then the payload.
+def channels(
+    joints: Sequence[str], units: Sequence[str], signal: str = "position", commanded: Sequence[str] | None = None
+) -> tuple[Input, ...]:
+    """What a compensation reads: position, velocity and command of J joints, then the payload.
+
+    `commanded` are the commands' units, those of the positions if None.
 
     In a network for the robot's own loop, what is called simulated is what the robot's sensors say.
     """
     return (
         *(Input("position", joint, unit) for joint, unit in zip(joints, units, strict=True)),
         *(Input("velocity", joint, f"{unit}/s") for joint, unit in zip(joints, units, strict=True)),
-        *(Input("position", joint, unit, "command") for joint, unit in zip(joints, units, strict=True)),
+        *(Input(signal, joint, unit, "command") for joint, unit in zip(joints, commanded or units, strict=True)),
         Input(PAYLOAD, "", "kg", "condition"),
     )
 
@@ -75,6 +79,8 @@ class Compensation:
         run: str,
         rate_hz: float,
         direction: Direction,
+        signal: str = "position",
+        commanded: Sequence[str] | None = None,
         provenance_of: Mapping[str, Any],
         description: str = "",
     ) -> Compensation:
@@ -93,11 +99,13 @@ class Compensation:
                 high=float(high),
                 relative=config.relative and channel.series == "command",
             )
-            for channel, low, high in zip(channels(joints, units), rows.min(axis=0), rows.max(axis=0), strict=True)
+            for channel, low, high in zip(
+                channels(joints, units, signal, commanded), rows.min(axis=0), rows.max(axis=0), strict=True
+            )
         )
         outputs = tuple(
-            Output("position", joint, unit, "command", base=2 * count + number)
-            for number, (joint, unit) in enumerate(zip(joints, units, strict=True))
+            Output(signal, joint, unit, "command", base=2 * count + number)
+            for number, (joint, unit) in enumerate(zip(joints, commanded or units, strict=True))
         )
         made = {**provenance_of, "direction": direction, "config": asdict(config)}
         card = ModelCard(

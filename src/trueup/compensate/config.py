@@ -30,6 +30,7 @@ class LossConfig:
     Attributes:
         position_rad: an error of position that costs as much as
         velocity_rad_s: one of velocity [rad/s].
+        torque_nm: of robots that take torques, a delta action that costs as much as `position_rad` does of others.
         linear_from: errors of so many times these sizes and more cost in proportion, not by their squares.
         smoothness: cost of changes of the delta action from step to step, as a share of what the same change of the
             error costs (GapONet, A.7: 0.01).
@@ -39,10 +40,15 @@ class LossConfig:
 
     position_rad: float = 0.01
     velocity_rad_s: float = 2.0
+    torque_nm: float = 0.5
     linear_from: float = 4.0
     smoothness: float = 0.01
     size: float = 1e-3
     sensors: float = 0.1
+
+    def action(self, signal: str) -> float:
+        """What a delta action is measured by: of positions `position_rad`, of torques `torque_nm`."""
+        return self.torque_nm if signal == "torque" else self.position_rad
 
     def cost(self, squares: _Numbers) -> _Numbers:
         """Of errors whose squares, in units of `linear_from` times their sizes, are these.
@@ -54,7 +60,7 @@ class LossConfig:
 
     def __post_init__(self) -> None:
         """Refuse costs that are none."""
-        for name in ("position_rad", "velocity_rad_s", "linear_from"):
+        for name in ("position_rad", "velocity_rad_s", "torque_nm", "linear_from"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ConfigError(f"loss: {name}", got=getattr(self, name), expected="a positive number")
         for name in ("smoothness", "size", "sensors"):
@@ -107,7 +113,8 @@ class CompensateConfig:
         loss: what counts.
         training: how it learns.
         ppo: and by reinforcement, where that is its way.
-        relative: whether commands are read as how far they are from the position; else as they are.
+        relative: whether commanded positions are read as how far they are from the position; else as they are. Torques
+            are always read as they are.
     """
 
     method: str = "operator"
@@ -145,6 +152,10 @@ METHODS: Mapping[str, CompensateConfig] = {
         relative=False,
         training=TrainConfig("ppo"),
         ppo=PAPER,
+    ),
+    # For robots that take torques; sensors need commands that a simulator can be asked about, which torques are not.
+    "torques": CompensateConfig(
+        "mlp", NetworkConfig("mlp", (128, 128), history=4), training=TrainConfig(horizon=20), relative=False
     ),
     # What the paper compares with: an MLP of the present state and action (ASAP), and a transformer with a history.
     "mlp": CompensateConfig("mlp", NetworkConfig("mlp", (256, 256), history=1)),

@@ -12,7 +12,7 @@ from trueup.compensate.config import CompensateConfig
 from trueup.compensate.windows import Windows
 
 # Of delta actions, before any training [rad or m].
-_SIZE = 0.02
+SIZE = 0.02
 # An input that never changes in training must not be blown up when it does.
 _STILL = 1e-6
 
@@ -35,7 +35,7 @@ def blank(config: CompensateConfig, joints: int, rate_hz: float, seed: int = 0, 
     return Corrector(network, scaling, base, target="residual", relative=relative)
 
 
-def scale(corrector: Corrector, config: CompensateConfig, windows: Windows, size: float = _SIZE) -> None:
+def scale(corrector: Corrector, config: CompensateConfig, windows: Windows, size: float = SIZE) -> None:
     """Put a network on the scales of the train motions, and of delta actions of this size [rad or m]."""
     state, command, payload = windows.samples()
     ahead = command - state[:, : command.shape[1]] if config.relative else command

@@ -14,7 +14,8 @@ from trueup.compensate.tracks import Track
 
 # So many motions of each payload suffice to choose a round.
 _JUDGED = 12
-_Aim = Float64[np.ndarray, "T S"]
+# Motions are of any length.
+_Aim = Float64[np.ndarray, "_ S"]
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ class Track:
         id: of the episode.
         payload_kg: what the robot carries.
         state: measured positions, then velocities, when each command was given, (T, 2J) [rad or m, and per second].
-        command: commanded positions, (T, J).
+        command: commanded positions or torques, (T, J).
         time_s: of each row, (T,).
         gravity: what pulls on the robot from each command to the next, in the axes of its base, (T, 3) [m/s2]; None for
             a base at rest.
@@ -39,30 +39,47 @@ class Track:
     time_s: Float64[np.ndarray, "T"]
     gravity: Float32[np.ndarray, "T 3"] | None = None
 
+    def pieces(self, rows: int) -> list[Track]:
+        """The same in pieces of so many control steps, each to where the next begins; the last is what is left."""
+        return [
+            Track(
+                self.id,
+                self.payload_kg,
+                self.state[first : first + rows + 1],
+                self.command[first : first + rows + 1],
+                self.time_s[first : first + rows + 1],
+                None if self.gravity is None else self.gravity[first : first + rows + 1],
+            )
+            for first in range(0, len(self) - 1, rows)
+        ]
+
     def __len__(self) -> int:
         """The number of commands."""
         return len(self.command)
 
 
-def track_of(episode: Episode, joints: Sequence[str], control_s: float, *, base_sensor: str = "") -> Track:
+def track_of(
+    episode: Episode, joints: Sequence[str], control_s: float, *, signal: str = "position", base_sensor: str = ""
+) -> Track:
     """A motion at the rate of control.
 
     Args:
         episode: in the robot's joint names.
         joints: J joints.
         control_s: control step [s].
+        signal: of the commands, `position` or `torque`.
         base_sensor: the body that the robot stands on, if a sensor says how it moved.
 
     Raises:
-        MissingSignal: no commanded positions, no measured positions, or nothing of the base's sensor.
+        MissingSignal: no such commands, no measured positions, or nothing of the base's sensor.
         DataError: another control rate, values that are not finite, or hardly a command.
     """
     command = episode.commanded().select(joints)
     measured = episode.measured.select(joints)
-    for series, what in ((command, "command"), (measured, "measured")):
-        if "position" not in series:
+    for series, what, name in ((command, "command", signal), (measured, "measured", "position")):
+        if name not in series:
             raise MissingSignal(
-                f"episode {episode.id!r} has no {what} position, so that nothing says what its commands lack",
+                f"episode {episode.id!r} has no {what} {name}, so that nothing says what its commands lack",
                 available=list(series.signals),
             )
     gap_s = 1.0 / command.rate_hz if len(command) > 1 else np.inf
@@ -85,7 +102,7 @@ def track_of(episode: Episode, joints: Sequence[str], control_s: float, *, base_
     else:
         velocity = np.gradient(position, measured.time_s, axis=0)
     state = np.concatenate([columns_at(time_s, measured.time_s, signal) for signal in (position, velocity)], axis=1)
-    wanted = command["position"][inside]
+    wanted = command[signal][inside]
     for values, what in ((state, "state"), (wanted, "command")):
         if not np.isfinite(values).all():
             row = int(np.argwhere(~np.isfinite(values))[0, 0])

@@ -118,14 +118,15 @@ def unrolled(
     return torch.stack(errors), torch.stack(deltas)
 
 
-def loss_of(errors: Tensor, deltas: Tensor, config: LossConfig) -> Tensor:
-    """The mean over a window."""
+def loss_of(errors: Tensor, deltas: Tensor, config: LossConfig, signal: str = "position") -> Tensor:
+    """The mean over a window; delta actions are of commanded positions or torques."""
+    action = config.action(signal)
     joints = deltas.shape[-1]
     sizes = errors.new_tensor([config.position_rad] * joints + [config.velocity_rad_s] * joints)
     total = config.cost((errors / sizes / config.linear_from) ** 2).mean()
     if len(deltas) > 1:
-        total = total + config.smoothness * ((deltas[1:] - deltas[:-1]) / config.position_rad).pow(2).mean()
-    return total + config.size * (deltas / config.position_rad).pow(2).mean()
+        total = total + config.smoothness * ((deltas[1:] - deltas[:-1]) / action).pow(2).mean()
+    return total + config.size * (deltas / action).pow(2).mean()
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +141,7 @@ class Teacher:
         sensors: what an operator's sensor predictor learns.
         told: what an operator that has none is told, window by window.
         wanted: delta actions of all samples of the windows, (M, J); for the way `delta`.
+        signal: of the commands, `position` or `torque`.
     """
 
     windows: Windows
@@ -149,6 +151,7 @@ class Teacher:
     sensors: Sensors | None = None
     told: Sensors | None = None
     wanted: Tensor | None = None
+    signal: str = "position"
 
     def train(
         self, corrector: Corrector, optimizer: torch.optim.Optimizer, *, done: int, count: int, seed: Sequence[int]
@@ -215,7 +218,7 @@ class Teacher:
         if training.way == "delta":
             assert self.wanted is not None
             seen = _seen(batch)[: corrector.network.past + 1]
-            off = (delta_of(corrector, seen) - self.wanted[starts]) / loss.position_rad
+            off = (delta_of(corrector, seen) - self.wanted[starts]) / loss.action(self.signal)
             cost = nn.functional.huber_loss(off, torch.zeros_like(off), delta=loss.linear_from)
         else:
             sizes = torch.tensor([loss.position_rad] * joints + [_JOLT * loss.velocity_rad_s] * joints)
@@ -232,7 +235,7 @@ class Teacher:
                 twin=self.twin,
                 sensors=self.told,
             )
-            cost = loss_of(errors, deltas, loss)
+            cost = loss_of(errors, deltas, loss, self.signal)
         return cost + self._sensor_cost(corrector, batch)
 
 

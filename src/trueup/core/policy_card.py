@@ -20,6 +20,8 @@ from trueup.errors import ConfigError, DataError
 POLICY_SCHEMA = "trueup.policy/1"
 POLICY_CARD = "policy.json"
 POLICY_GRAPH = "policy.onnx"
+# What a training that begins with the policy needs besides, and a robot does not.
+POLICY_LEARNER = "learner.safetensors"
 
 
 @dataclass(frozen=True)
@@ -111,6 +113,12 @@ class PolicyCard:
             FormatError: of another version.
         """
         where = folder / POLICY_CARD
+        if not where.exists():
+            raise DataError(
+                f"{folder} holds no policy",
+                expected=POLICY_CARD,
+                hint="Give a folder that `trueup policy train` has written, or zoo:panda-reach.",
+            )
         content = unsealed(read_json(where), str(where), schema=POLICY_SCHEMA, what="policy")
         try:
             return build(PolicyCard, content, str(where))

@@ -1,16 +1,19 @@
-"""Work on many items in processes, in order and with bounded memory; the one place that starts any."""
+"""Work on many items in processes, in order or as it ends, with bounded memory; the one place that starts any."""
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import signal
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context, parent_process
+from multiprocessing.connection import Connection
+from multiprocessing.connection import wait as hear
 from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -55,14 +58,65 @@ def in_processes(
         while waiting:
             yield waiting.popleft().result()
     except BrokenProcessPool as error:
-        raise ConfigError(
-            "a worker process ended",
-            got=str(error),
-            hint='In a script, call this below `if __name__ == "__main__":`, or give jobs=1. '
-            "If a process was killed, perhaps for want of memory, repeat with fewer jobs.",
-        ) from error
+        raise _ended(error) from error
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def as_they_end(
+    work: Callable[[Item], Result],
+    items: Iterable[Item],
+    *,
+    jobs: int,
+    begin: Callable[..., None],
+    with_args: tuple[Any, ...] = (),
+) -> Iterator[tuple[Item, Result]]:
+    """Each item with what `work` makes of it, in the order in which work ends: for items that take minutes or hours.
+
+    No item is taken before a process is free for it. Where the caller stops, by an error, Ctrl-C or because it has seen
+    enough, processes end at once, in the middle of what they do.
+
+    Args:
+        work: a function of a module; what goes in and comes out can be pickled.
+        items: taken one by one.
+        jobs: processes.
+        begin: called in each process before its first item.
+        with_args: its arguments.
+
+    Raises:
+        ConfigError: the processes could not start, or one of them was killed.
+    """
+    context = get_context("spawn")
+    heard, held = context.Pipe(duplex=False)
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin_while, initargs=(heard, begin, with_args))
+    under_way: dict[Future[Result], Item] = {}
+    source = iter(items)
+    try:
+        while True:
+            for item in itertools.islice(source, jobs - len(under_way)):
+                with _deaf():
+                    under_way[pool.submit(work, item)] = item
+            if not under_way:
+                break
+            ended, _ = wait(under_way, return_when=FIRST_COMPLETED)
+            for future in [future for future in under_way if future in ended]:
+                yield under_way.pop(future), future.result()
+        pool.shutdown()
+    except BrokenProcessPool as error:
+        raise _ended(error) from error
+    finally:
+        held.close()
+        pool.shutdown(cancel_futures=True)
+        heard.close()
+
+
+def _ended(error: BrokenProcessPool) -> ConfigError:
+    return ConfigError(
+        "a worker process ended",
+        got=str(error),
+        hint='In a script, call this below `if __name__ == "__main__":`, or give jobs=1. '
+        "If a process was killed, perhaps for want of memory, repeat with fewer jobs.",
+    )
 
 
 @contextlib.contextmanager
@@ -76,19 +130,32 @@ def _deaf() -> Iterator[None]:
 
 
 def _begin(begin: Callable[..., None], arguments: tuple[Any, ...]) -> None:
+    _begin_while(None, begin, arguments)
+
+
+def _begin_while(held: Connection | None, begin: Callable[..., None], arguments: tuple[Any, ...]) -> None:
     # Ctrl-C reaches all processes; the one that was asked says so, and the others end with it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    # Matrices are small here, and the other processes want their cores: libraries that are loaded already are told so,
-    # and those that are not yet read it when they are.
-    threadpool_limits(1)
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    threading.Thread(target=_end_with_parent, args=(held,), daemon=True).start()
+    one_thread()
     begin(*arguments)
 
 
-def _end_with_parent() -> None:
-    """A parent that is killed says nothing; its processes would wait for more work as long as the machine runs."""
+def one_thread() -> None:
+    """Matrices are small here, and other processes want their cores.
+
+    Libraries that are loaded already are told so, and those that are not yet read it when they are.
+    """
+    threadpool_limits(1)
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+
+
+def _end_with_parent(held: Connection | None) -> None:
+    """A parent that is killed says nothing; its processes would wait for more work as long as the machine runs.
+
+    So would those of one that has stopped: it lets go of the other end of `held`.
+    """
     parent = parent_process()
     if parent is not None:
-        parent.join()
+        hear([parent.sentinel] if held is None else [parent.sentinel, held])
         os._exit(1)

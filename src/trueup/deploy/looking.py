@@ -5,27 +5,18 @@ Everything here is ES thesis, 2.1.3.
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 import numpy as np
 
+from trueup.deploy.machine_code import machine_code
+
 
 @cache
-def compiled() -> tuple[Any, Any]:
-    """`places` and `look`, compiled; see there."""
-    import numba  # takes a while to load
-
-    def machine(function: Callable[..., Any], **rules: Any) -> Any:
-        plain = inspect.unwrap(function)  # where a type checker of the tests has wrapped it
-        try:
-            return numba.njit(cache=True, **rules)(plain)
-        except RuntimeError:  # there is no folder that can be written: each process then compiles anew
-            return numba.njit(**rules)(plain)
-
-    return machine(_places), machine(_look)
+def compiled() -> tuple[Any, Any, Any, Any]:
+    """`places`, `look`, `sound` and `within`, compiled; see there."""
+    return machine_code(_places), machine_code(_look), machine_code(_sound), machine_code(_within)
 
 
 def _places(position, columns, axes, hinges, turns, shifts, out):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
@@ -109,3 +100,49 @@ def _look(position, velocity, before, place, goal, start_m, control_s, costs, se
         reward[row] = (
             -costs[0] * d - costs[1] * jolt / (0.15 + d) - costs[2] * jolt / abs(1.15 - min(1.0, d)) - costs[3] * pace
         )
+
+
+def _sound(position, velocity, fastest, lost):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Whether what is read of N arms can be true.
+
+    Args:
+        position: (N, J).
+        velocity: (N, J).
+        fastest: what no joint of a sound simulation exceeds [rad/s].
+        lost: whether a position or velocity is no number, or a velocity beyond that, written, (N,).
+
+    Returns:
+        Whether none is lost.
+    """
+    well = True
+    for row in range(position.shape[0]):
+        lost[row] = False
+        for j in range(position.shape[1]):
+            if not (np.isfinite(position[row, j]) and abs(velocity[row, j]) <= fastest):
+                lost[row], well = True, False
+    return well
+
+
+def _within(action, most, torque, mad):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Torques within the largest; those of an arm with one that is no number move nothing.
+
+    Args:
+        action: (N, J) [Nm].
+        most: (J,) [Nm].
+        torque: written, (N, J) [Nm].
+        mad: whether one is no number, written, (N,).
+
+    Returns:
+        Whether none is.
+    """
+    well = True
+    for row in range(action.shape[0]):
+        mad[row] = False
+        for j in range(action.shape[1]):
+            value = action[row, j]
+            if not np.isfinite(value):
+                mad[row], well = True, False
+            torque[row, j] = min(max(value, -most[j]), most[j])
+        if mad[row]:
+            torque[row] = 0.0
+    return well

@@ -48,7 +48,7 @@ class Policy:
         joints = len(card.joints)
         self._most = np.array(card.torque_nm)
         self._chain = arrays_of(card.kinematics)
-        self._places, self._look = compiled()
+        self._places, self._look, *_ = compiled()
         self._place, self._seen = np.zeros((1, 3)), np.zeros((1, 3 * joints + 3))
         self._nothing = np.zeros((1, joints)), np.ones(1), np.zeros(4), np.zeros(1)
         self._distance_m = np.zeros(1)
@@ -94,6 +94,15 @@ class Policy:
         said = self._session.run(None, {self._input: np.asarray(seen, np.float32)})[0]
         return np.clip(np.asarray(said, np.float64), -self._most, self._most)
 
+    def place(self, position: Float64[np.ndarray, "J"]) -> Float64[np.ndarray, "3"]:
+        """Where the end of the arm is [m]; the array is written anew by the next call.
+
+        Args:
+            position: (J,) [rad or m].
+        """
+        self._places(position[None], *self._chain, self._place)
+        return np.asarray(self._place[0])
+
     def step(
         self, position: Float[np.ndarray, "J"], velocity: Float[np.ndarray, "J"], goal: Float[np.ndarray, "3"]
     ) -> PolicyStep:
@@ -115,7 +124,7 @@ class Policy:
             return PolicyStep(np.zeros(joints), float("nan"), sound=False)
         q, dq, place = (values[None] for values in given)
         before, start_m, costs, reward = self._nothing
-        self._places(q, *self._chain, self._place)
+        self.place(given[0])
         self._look(q, dq, before, self._place, place, start_m, 1.0, costs, self._seen, reward, self._distance_m)
         said = self.act(self._seen)[0]
         sound = bool(np.isfinite(said).all())

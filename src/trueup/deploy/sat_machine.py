@@ -8,16 +8,16 @@ all of them.
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
 from typing import Any
 
-import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
+
+from trueup.deploy.machine_code import machine_code
 
 _f = np.float32
 _EPSILON = _f(1e-5)  # of torch's normalization of layers
@@ -30,16 +30,8 @@ _FUSED = ("contract",)  # a product and a sum may be one operation
 
 
 def _machine(function: Callable[..., Any]) -> Any:
-    """Compiled; the function itself, where a type checker of the tests has wrapped it."""
-    return _compiled(function, **_RULES)
-
-
-def _compiled(function: Callable[..., Any], **rules: Any) -> Any:
-    plain = inspect.unwrap(function)
-    try:
-        return numba.njit(cache=True, **rules)(plain)
-    except RuntimeError:  # there is no folder that can be written: each process then compiles anew
-        return numba.njit(**rules)(plain)
+    """With the rules of sums."""
+    return machine_code(function, **_RULES)
 
 
 def _tile(rows: int, registers: int) -> Any:
@@ -101,7 +93,7 @@ _tile_6x16, _tile_2x32, _tile_1x64, _tile_1x16 = _tile(6, 2), _tile(2, 4), _tile
 
 def _ordered(function: Callable[..., Any]) -> Any:
     """Compiled for numbers none of which is NaN, so that the largest of many is found eight at a time."""
-    return _compiled(function, fastmath=True, nogil=True)
+    return machine_code(function, fastmath=True, nogil=True)
 
 
 @_ordered

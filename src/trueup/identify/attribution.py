@@ -11,6 +11,7 @@ from trueup.core.attribution import Attribution, AttributionStep
 from trueup.core.episode import Episode
 from trueup.core.parameters import ParameterSet
 from trueup.core.provenance import provenance
+from trueup.core.time_limit import TimeLimit
 from trueup.errors import NotIdentifiable
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import IdentifyConfig, make_parameters
@@ -43,6 +44,7 @@ def explain(
     seed: int = 0,
     data_hash: str | None = None,
     on_progress: OnModel | None = None,
+    limit: TimeLimit | None = None,
 ) -> Attribution:
     """How much of the gap each cause takes away, in the order delay, gains, friction, gravity, inertia.
 
@@ -60,6 +62,7 @@ def explain(
         seed: of all draws.
         data_hash: of the dataset, for the provenance.
         on_progress: called after every iteration of every step.
+        limit: when searches have to end, each with a fair share of what is left; which ones it ended is said.
 
     Raises:
         NotIdentifiable: there is nothing to learn from these motions.
@@ -76,16 +79,22 @@ def explain(
     sorted_out = {split: usable(own, keep_flagged=settled.data.keep_flagged) for split, own in episodes.items()}
     nested = _NestedFits(soft, hard, {split: own for split, (own, _) in sorted_out.items()}, settled, jobs, seed)
     steps = [nested.nominal_step()]
-    for cause, label in _LABELS.items():
-        own = {name: choice for name, choice in fit.items() if quantity(name).cause == cause}
-        if own:
-            report = None if on_progress is None else _named(on_progress, label)
-            steps.append(nested.step(cause, label, own, report))
+    causes = {
+        cause: own
+        for cause in _LABELS
+        if (own := {name: choice for name, choice in fit.items() if quantity(name).cause == cause})
+    }
+    for number, (cause, own) in enumerate(causes.items()):
+        report = None if on_progress is None else _named(on_progress, _LABELS[cause])
+        share = None if limit is None else limit.share(1.0 / (len(causes) - number))
+        steps.append(nested.step(cause, _LABELS[cause], own, report, share))
     statements = [
         *left_out(nested.unused({split: why for split, (_, why) in sorted_out.items()})),
         *nested.seen.statements,
         "each cause is taken away after those to its left; another order would share the gap differently",
     ]
+    if nested.unfinished:
+        statements.append(f"the time limit ended the search for {', '.join(nested.unfinished)}")
     if nested.split == "train":
         statements.insert(0, "scored on the motions that it was fitted to: there are no others")
     return Attribution.of(
@@ -130,6 +139,7 @@ class _NestedFits:
         self._settings = replace(config.solver.settings(seed), solver="gauss-newton", starts=1)
         self._chosen: dict[str, object] = {}
         self._values: dict[str, float] = {}
+        self.unfinished: list[str] = []
 
     def nominal_step(self) -> AttributionStep:
         """The model as it came."""
@@ -137,7 +147,12 @@ class _NestedFits:
         return AttributionStep("", "the model as it came", (), 0, scores.pooled, scores.estimate(self.unit))
 
     def step(
-        self, cause: Cause, label: str, own: Mapping[str, object], on_progress: OnProgress | None
+        self,
+        cause: Cause,
+        label: str,
+        own: Mapping[str, object],
+        on_progress: OnProgress | None,
+        limit: TimeLimit | None,
     ) -> AttributionStep:
         """Fit the quantities of one more cause and all those before."""
         began = time.perf_counter()
@@ -156,7 +171,10 @@ class _NestedFits:
                 parameters.at({item.name: item.value for item in swept if not item.frozen})
             )
         if parameters.free:
-            self._values = solve(problem, self._settings, on_progress=on_progress).values
+            found = solve(problem, self._settings, on_progress=on_progress, limit=limit)
+            self._values = found.values
+            if found.solver["stop"] == "time":
+                self.unfinished.append(label)
         scores = self._scorers[id(nominal)].score(problem.parameters, self._values, self.split)
         seconds = time.perf_counter() - began
         count = len(parameters.free)

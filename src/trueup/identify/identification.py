@@ -10,6 +10,7 @@ from trueup.core.episode import Episode
 from trueup.core.fit_result import FitResult
 from trueup.core.parameters import ParameterSet
 from trueup.core.provenance import provenance
+from trueup.core.time_limit import TimeLimit
 from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.config import IdentifyConfig
 from trueup.identify.model_search import ModelSearch
@@ -54,6 +55,7 @@ def identify(
     checkpoints: Path | None = None,
     data_hash: str | None = None,
     on_progress: OnModel | None = None,
+    limit: TimeLimit | None = None,
 ) -> Identification:
     """Estimate what the simulator has wrong.
 
@@ -71,6 +73,7 @@ def identify(
         checkpoints: folder for the state of the searches; a search that was interrupted goes on from it.
         data_hash: of the dataset, for the provenance.
         on_progress: called after every iteration of every model.
+        limit: when searches have to end; richer models that would begin too late are not tried, which is said.
 
     Raises:
         NotIdentifiable: there is nothing to learn from these motions.
@@ -80,7 +83,7 @@ def identify(
     robot = judged(robot, config)
     nominal = Nominal(robot, model)
     search = ModelSearch(
-        nominal, episodes, config, jobs=jobs, seed=seed, checkpoints=checkpoints, on_progress=on_progress
+        nominal, episodes, config, jobs=jobs, seed=seed, checkpoints=checkpoints, on_progress=on_progress, limit=limit
     )
     best, tried = search.climb()
     solution, problem, posterior = best.solution, search.problem_of(best), search.posterior_of(best).of_model()
@@ -95,7 +98,7 @@ def identify(
         solution,
         parameters,
         errors,
-        (*search.seen.statements, *search.notes),
+        (*search.seen.statements, *search.notes, *_untried(search.untried)),
         chosen_by_user=search.chosen_by_user,
         torque_seen=search.torque_seen,
     )
@@ -117,3 +120,7 @@ def identify(
         ),
     )
     return Identification(result, nominal, posterior.parameters, posterior)
+
+
+def _untried(models: Sequence[str]) -> tuple[str, ...]:
+    return (f"no time was left to try richer models: {', '.join(models)}",) if models else ()

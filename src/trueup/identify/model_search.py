@@ -11,6 +11,7 @@ from typing import Any
 from trueup.core.episode import Episode
 from trueup.core.fit_result import ModelRow
 from trueup.core.parameters import ParameterSet
+from trueup.core.time_limit import TimeLimit
 from trueup.errors import NotIdentifiable
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import IdentifyConfig, make_parameters
@@ -28,6 +29,8 @@ from trueup.identify.uncertainty import Posterior, absent_names, noise_of, open_
 _WORTH = 0.01
 # A search of a model that is only compared ends when an iteration lowers the cost by less than this share.
 _ROUGH = 0.005
+# Shares of a time limit at which the base model ends, no richer one is begun, these end, and the best one ends.
+_BASE, _LAST_BEGIN, _RICHER, _BEST = 0.5, 0.65, 0.75, 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +55,11 @@ class ModelSearch:
         seed: int,
         checkpoints: Path | None,
         on_progress: OnModel | None,
+        limit: TimeLimit | None = None,
     ) -> None:
         self.nominal, self._jobs = nominal, jobs
+        self._limit = limit
+        self.untried: list[str] = []
         self.chosen_by_user = config is not None and bool(config.fit)
         self.config = (config or IdentifyConfig()).resolved(nominal)
         self._checkpoints, self._on_progress = checkpoints, on_progress
@@ -85,14 +91,18 @@ class ModelSearch:
     def climb(self) -> tuple[TriedModel, list[TriedModel]]:
         """Fit the base model, then richer ones, then without what the motions do not show; the best, and all."""
         models = self.config.models or {}
-        best = self._try("base", self.config.fit, rough=bool(models))
+        best = self._try("base", self.config.fit, rough=bool(models), limit=self._until(_BASE))
         tried, fit = [best], dict(self.config.fit)
         # What changes nothing near the solution is left out from here on; far from it, nothing can be told.
         idle = self._idle(best)
         for name, extra in models.items():
             richer = {**fit, **dict.fromkeys(extra, "all")}
             joined = name if best.row.name == "base" else f"{best.row.name}+{name}"
-            tried.append(self._try(joined, richer, best.solution, left_out=idle, rough=True))
+            if self._limit is not None and self._limit.spent > _LAST_BEGIN:
+                self.untried.append(name)
+                continue
+            limit = self._until(_RICHER)
+            tried.append(self._try(joined, richer, best.solution, left_out=idle, rough=True, limit=limit))
             if _better(tried[-1], best):
                 best, fit = tried[-1], richer
         if models:
@@ -105,7 +115,12 @@ class ModelSearch:
         surplus = [] if self.chosen_by_user else open_names(known)
         if surplus and len(surplus) + len(absent) < len(known.parameters.free):
             leaner = self._try(
-                f"{best.row.name}, known only", fit, best.solution, left_out=[*idle, *surplus], absent=absent
+                f"{best.row.name}, known only",
+                fit,
+                best.solution,
+                left_out=[*idle, *surplus],
+                absent=absent,
+                limit=self._limit,
             )
             tried.append(leaner)
             if _as_good(leaner, best):
@@ -195,6 +210,7 @@ class ModelSearch:
         absent: Sequence[str] = (),
         rough: bool = False,
         starts: int | None = None,
+        limit: TimeLimit | None = None,
     ) -> TriedModel:
         """Fit one model; `left_out` stays as the nominal model has it, `absent` at zero; `rough` to compare with."""
         began = time.perf_counter()
@@ -221,6 +237,7 @@ class ModelSearch:
             settings,
             checkpoint=self._checkpoints / f"{name}.json" if self._checkpoints else None,
             on_progress=None if report is None else lambda progress: report(name, progress),
+            limit=limit,
         )
         splits = self._scorer.splits
         if start is not None and "remark" in start.solver:
@@ -238,6 +255,9 @@ class ModelSearch:
             self._scorer.score(solution.parameters, solution.values, "val") if "val" in splits else None,
         )
 
+    def _until(self, spent: float) -> TimeLimit | None:
+        return None if self._limit is None else self._limit.until(spent)
+
     def _started(self, problem: Problem) -> Problem:
         """The problem with a start from afar."""
         begin = regressed_start(problem, self._train) if self._signal == "torque" else swept_start(problem)
@@ -246,7 +266,8 @@ class ModelSearch:
     def _to_the_end(self, rough: TriedModel, fit: Mapping[str, Any], left_out: Sequence[str]) -> TriedModel:
         """The same model from where a rough search ended; what is told of both is told as of one."""
         name = rough.row.name
-        end = self._try(f"{name}, to the end", fit, rough.solution, left_out=left_out, starts=1)
+        limit = self._until(_BEST)
+        end = self._try(f"{name}, to the end", fit, rough.solution, left_out=left_out, starts=1, limit=limit)
         first, last = rough.solution, end.solution
         spent = {key: first.solver[key] + last.solver[key] for key in ("iterations", "evaluations", "seconds")}
         begun = {item.name: item.value for item in first.parameters.free}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from trueup.core.config import build
+from trueup.core.time_limit import TimeLimit
 from trueup.errors import DataError
 from trueup.identify.costs import PenalizedSquares, joint_errors, roles_of
 from trueup.identify.problem import Problem
@@ -84,6 +86,7 @@ class Search:
         clock: shared by searches that follow each other.
         checkpoint: path that the name of the phase is put into; None keeps nothing.
         on_progress: called after every iteration.
+        limit: when to end with the best so far.
     """
 
     def __init__(
@@ -94,13 +97,21 @@ class Search:
         *,
         checkpoint: Path | None,
         on_progress: OnProgress | None,
+        limit: TimeLimit | None = None,
     ) -> None:
         self.problem, self.settings, self.clock = problem, settings, clock
-        self._checkpoint, self._on_progress = checkpoint, on_progress
+        self._checkpoint, self._on_progress, self._limit = checkpoint, on_progress, limit
 
     def moved_to(self, problem: Problem) -> Search:
         """The same for the problem with another start; time and checkpoints are shared."""
-        return Search(problem, self.settings, self.clock, checkpoint=self._checkpoint, on_progress=self._on_progress)
+        return Search(
+            problem,
+            self.settings,
+            self.clock,
+            checkpoint=self._checkpoint,
+            on_progress=self._on_progress,
+            limit=self._limit,
+        )
 
     def gauss_newton(self, phase: str = "gauss-newton") -> Descent:
         """By derivatives.
@@ -116,8 +127,7 @@ class Search:
         search = self._derivatives(state)
         while not search.done:
             search.step()
-            limit_s = self.settings.max_seconds
-            if limit_s is not None and self.clock.seconds > limit_s and not search.done:
+            if self._left_s() <= 0 and not search.done:
                 state.reason = "time"
             store.save({"solver": state.to_json(), **self._spent()})
             self._say(phase, state.iteration, float(np.sqrt(state.square)))
@@ -195,7 +205,7 @@ class Search:
             evaluate,
             on_step=on_step,
             max_evaluations=settings.max_evaluations,
-            max_seconds=None if settings.max_seconds is None else settings.max_seconds - earlier_s,
+            max_seconds=None if self._left_s() == math.inf else self._left_s() + self.clock.seconds - earlier_s,
             history=tuple(steps),
         )
         if not np.isfinite(result.cost):
@@ -204,6 +214,12 @@ class Search:
         jacobian = search.final_jacobian()
         stop = "converged" if result.stop.kind in ("converged", "stalled") else result.stop.kind
         return self._solution(name, stop, len(steps), search, jacobian)
+
+    def _left_s(self) -> float:
+        """Until the search has to end, for one reason or another [s]."""
+        own_s, limit = self.settings.max_seconds, self._limit
+        own_left = math.inf if own_s is None else own_s - self.clock.seconds
+        return min(own_left, math.inf if limit is None else limit.left_s)
 
     def _open(self, phase: str) -> tuple[Checkpoint, dict[str, Any]]:
         """The checkpoint of a phase and what it holds; clock and count of evaluations go on from there."""

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from trueup.core.time_limit import TimeLimit
 from trueup.errors import DataError
 from trueup.identify.problem import Problem
 from trueup.identify.search import HARDLY, Search, Stopwatch, space_of
@@ -27,6 +28,7 @@ def solve(
     *,
     checkpoint: Path | None = None,
     on_progress: OnProgress | None = None,
+    limit: TimeLimit | None = None,
 ) -> Solution:
     """Drive a solver to its end.
 
@@ -40,6 +42,7 @@ def solve(
         checkpoint: JSON file beside which every phase of the search writes its own after every iteration (`fit.json`:
             `fit.gauss-newton.json`), and from which it goes on if that belongs to the same problem.
         on_progress: called after every iteration.
+        limit: when to end with the best so far, all starts together.
 
     Raises:
         DataError: the start cannot be simulated.
@@ -47,7 +50,7 @@ def solve(
 
     def from_start(own: Problem, name: str) -> Solution:
         path = checkpoint.with_name(f"{checkpoint.stem}{name}.json") if checkpoint else None
-        search = Search(own, settings, Stopwatch(), checkpoint=path, on_progress=on_progress)
+        search = Search(own, settings, Stopwatch(), checkpoint=path, on_progress=on_progress, limit=limit)
         match settings.solver:
             case "cma-es" | "evolution":
                 return search.derivative_free(settings.solver)

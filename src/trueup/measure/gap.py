@@ -48,7 +48,8 @@ def measure_gap(
 
     Args:
         comparisons: one item per episode, e.g. a generator.
-        runs: labels, in order, the first is the baseline of the paired comparisons; `command` takes the command
+        runs: labels, in order, the first is the baseline of the paired comparisons (and `RUN` that of `RUN+NETWORK`);
+            `command` takes the command
             as the motion. None for all that occur.
         scored_joints: joints that enter `value`; None for all.
         signals: None for what measured and run both have.
@@ -179,11 +180,15 @@ def _summarize(table: Table, rows: Bool[np.ndarray, "E"], draws: int, seed: int)
 def _compare(
     tables: Sequence[Table], splits: Mapping[str, Bool[np.ndarray, "E"]], draws: int, seed: int
 ) -> Iterable[PairedDifference]:
-    """Every run with the first run and with the command, each pair once."""
+    """Every run with the first run, with the command, and with the run that it corrects, each pair once."""
     command = [table for table in tables if table.label == COMMAND_RUN]
     others = [table for table in tables if table.label != COMMAND_RUN]
     pairs = [(table, base) for table in others for base in command]
     pairs += [(table, others[0]) for table in others[1:]]
+    by_label = {table.label: table for table in others[1:]}
+    # The label of a corrected run is that of the other one with a plus and a name.
+    corrected = {table.label: table.label.rpartition("+")[0] for table in others}
+    pairs += [(table, by_label[base]) for table in others if (base := corrected[table.label]) in by_label]
     for run, baseline in pairs:
         both = run.covered & baseline.covered
         for split, rows in splits.items():

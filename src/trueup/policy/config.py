@@ -22,6 +22,7 @@ class LearnerConfig:
 
     Attributes:
         rate: learning rate of all networks; above 0.005 hardly anything converges (ES thesis, 2.3.1).
+        last_rate: that of the last round, to which it falls from round to round; stays if None.
         gamma: discount of what is worth something a control step later.
         tau: how far target networks follow at each update; 1 copies.
         batch: control steps of an update.
@@ -29,13 +30,17 @@ class LearnerConfig:
         starts: control steps with random torques before the first update.
         every: control steps of each arm between updates.
         updates: how many follow each other then.
+        n_steps: rewards of a replay that are counted before the critic's own estimate takes over; 1 in the papers.
         noise: of actions, while learning: `none`, `normal` (each control step by itself), `ou` (Ornstein-Uhlenbeck,
             which lasts).
         sigma: its standard deviation, in shares of the largest torque.
         layers: widths of the hidden layers of all networks.
+        goal_scale: of the way from the goal to the end of the arm, as networks are given it: 5 cm are little beside
+            sines and cosines, and what is little is learned late; 1 in the thesis.
     """
 
     rate: float = 1e-3
+    last_rate: float | None = None
     gamma: float = 0.97
     tau: float = 0.01
     batch: int = 256
@@ -43,9 +48,11 @@ class LearnerConfig:
     starts: int = 5_000
     every: int = 1
     updates: int = 8
+    n_steps: int = 1
     noise: Literal["none", "normal", "ou"] = "none"
     sigma: float = 0.1
     layers: tuple[int, ...] = (256, 256)
+    goal_scale: float = 1.0
 
     def __post_init__(self) -> None:
         """Refuse what learns nothing."""
@@ -69,6 +76,10 @@ class PolicyConfig:
         friction: `simulator`: as the robot's description has it; `thesis`: none there, and that of `ThesisFriction` in
             what becomes of actions.
         randomization: what is drawn anew for each episode.
+        network: folder of a network that corrects what is read of the simulator (`trueup augment train`); none if
+            empty.
+        start: folder of a policy whose networks, those of the critics too, the training begins with; fresh ones if
+            empty. It acts for the first `learner.starts` control steps, which nothing is learned from before.
         arms: simulated side by side.
         steps: control steps of all arms together.
         rounds: parts of the training; after each, it is judged and can be resumed.
@@ -79,6 +90,8 @@ class PolicyConfig:
     reach: ReachConfig = field(default_factory=ReachConfig)
     friction: Literal["simulator", "thesis"] = "simulator"
     randomization: RandomizationConfig = field(default_factory=RandomizationConfig)
+    network: str = ""
+    start: str = ""
     arms: int = 16
     steps: int = 400_000
     rounds: int = 20
@@ -105,3 +118,23 @@ PAPER: Mapping[Algorithm, LearnerConfig] = {
     "td3": replace(_THESIS, rate=0.002, gamma=0.99, tau=0.01, sigma=0.2),
     "tqc": replace(_THESIS, rate=0.001, gamma=0.95, tau=0.9, noise="none"),
 }
+
+# Two cores without a GPU: small networks, a low control rate, and rewards counted over three control steps.
+LAPTOP = PolicyConfig(
+    algorithm="sac",
+    learner=LearnerConfig(
+        rate=2e-3,
+        last_rate=1e-4,
+        gamma=0.95,
+        tau=0.02,
+        buffer=200_000,
+        updates=8,
+        n_steps=3,
+        layers=(128, 128),
+        goal_scale=20.0,
+    ),
+    reach=ReachConfig(control_hz=25.0),
+    arms=32,
+    steps=400_000,
+    rounds=20,
+)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 
-from trueup.core.results import Estimate, PairedDifference
+from trueup.core.results import Estimate, PairedDifference, Verdict
 from trueup.errors import DataError
 from trueup.measure import bootstrap_interval, paired_difference
 from trueup.policy.reaching import Reaching
@@ -26,6 +26,7 @@ UNITS: Mapping[str, str] = {
     "velocity_violation": "1",
     "reward": "1",
 }
+HIGHER_IS_BETTER = ("success", "reward")
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +70,7 @@ class Episodes:
         """
         if not np.array_equal(self.goals, other.goals):
             raise DataError("policies are compared on the same goals")
-        return paired_difference(
+        found = paired_difference(
             self.values[metric],
             other.values[metric],
             run="this",
@@ -79,6 +80,14 @@ class Episodes:
             metric=metric,
             unit=UNITS[metric],
         )
+        return replace(found, verdict=verdict_of(found.difference, metric))
+
+
+def verdict_of(difference: Estimate, metric: str) -> Verdict:
+    """`better` or `worse` where the interval of a difference excludes zero, whichever way is up for the metric."""
+    if difference.low is None or difference.high is None or difference.low <= 0.0 <= difference.high:
+        return "undecided"
+    return "better" if (difference.low > 0.0) == (metric in HIGHER_IS_BETTER) else "worse"
 
 
 def evaluate(

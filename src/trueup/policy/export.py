@@ -70,6 +70,7 @@ def graph_of(learner: OffPolicyAlgorithm, most: np.ndarray) -> bytes:
     graph = Graph()
     width = next(layer.in_features for layer in layers if isinstance(layer, nn.Linear))
     value = graph.input("seen", ("N", width))
+    value = graph.add("Mul", value, graph.floats(actor.features_extractor.scale.detach().cpu().numpy()))
     for layer in layers:
         match layer:
             case nn.Linear():

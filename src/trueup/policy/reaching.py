@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import mujoco
@@ -15,6 +14,7 @@ from trueup.policy.arms import Arms
 from trueup.policy.reach import ReachConfig
 from trueup.policy.thesis_friction import ThesisFriction
 from trueup.policy.workspace import Chain, Workspace
+from trueup.sim.compiled_robot import ABSURD
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +46,8 @@ class Reaching:
         home: where episodes begin, (J,) [rad or m]; the model's keyframe `home` if None.
         friction: what becomes of actions in a simulation without friction, as the ES thesis has it; None for what the
             arms themselves do.
+        friction_share: its numbers are those of the arm times 1 - this to 1 + this, each by itself, drawn anew for each
+            episode.
         offset_nm: added to every action, (J,) [Nm]: what the robot's own compensation of gravity gets wrong (ES thesis,
             Table 3.1).
         noise: standard deviations of what is seen of positions and velocities [rad, rad/s]; none if None.
@@ -62,6 +64,7 @@ class Reaching:
         *,
         home: Float[np.ndarray, "J"] | None = None,
         friction: ThesisFriction | None = None,
+        friction_share: float = 0.0,
         offset_nm: Float[np.ndarray, "J"] | None = None,
         noise: tuple[float, float] | None = None,
     ) -> None:
@@ -81,6 +84,10 @@ class Reaching:
         )
         self.most = np.array(config.torque_nm, np.float64)
         self._friction, self._noise = friction, noise
+        self._friction_share = friction_share
+        self._friction_scale: Float64[np.ndarray, "N J 5"] | None = (
+            np.ones((arms.count, len(joints), 5)) if friction is not None and friction_share else None
+        )
         self._offset = None if offset_nm is None else np.asarray(offset_nm, np.float64)
         count = arms.count
         self.goal: Float64[np.ndarray, "N 3"] = np.tile(self.workspace.start, (count, 1))
@@ -92,7 +99,9 @@ class Reaching:
         self._distance_m: Float64[np.ndarray, "N"] = np.zeros(count)
         self._place: Float64[np.ndarray, "N 3"] = np.zeros((count, 3))
         self._costs = config.reward.costs
-        _, self._compiled = compiled()
+        _, self._compiled, self._sound, self._within = compiled()
+        self._torque: Float64[np.ndarray, "N J"] = np.zeros((count, len(joints)))
+        self._mad: Bool[np.ndarray, "N"] = np.zeros(count, bool)
         self.lost_episodes = 0
 
     @property
@@ -123,6 +132,9 @@ class Reaching:
         if (self._start_m[rows] < 1e-6).any():
             raise ConfigError("the goal is where the arm begins", got=self.goal[rows].round(3).tolist())
         self.arms.begin(rows, np.tile(self.home, (rows.size, 1)), rng)
+        if self._friction_scale is not None:
+            share = self._friction_share
+            self._friction_scale[rows] = rng.uniform(1 - share, 1 + share, (rows.size, *self._friction_scale.shape[1:]))
         self._age[rows], self._velocity[rows] = 0, self.arms.velocity[rows]
         self._look(rng)
         return self._seen.copy()
@@ -135,19 +147,15 @@ class Reaching:
                 is lost.
             rng: of the noise of what is seen.
         """
-        torque = np.asarray(action, np.float64)
-        mad: Bool[np.ndarray, "N"] | None = None
-        if not _sound(torque):
-            mad = np.asarray(~np.isfinite(torque).all(axis=1))
-            torque = np.where(mad[:, None], 0.0, torque)
-        torque = np.minimum(np.maximum(torque, -self.most), self.most)
+        torque = self._torque
+        sane = self._within(np.asarray(action, np.float64), self.most, torque, self._mad)
         if self._friction is not None:
-            torque = self._friction.applied(torque, self.arms.velocity)
+            torque = self._friction.applied(torque, self.arms.velocity, self._friction_scale)
         self.arms.step(torque if self._offset is None else torque + self._offset)
         self._age += 1
         lost = self._look(rng)
-        if mad is not None:
-            lost = lost | mad
+        if not sane:
+            lost = lost | self._mad
         self.lost_episodes += int(np.count_nonzero(lost))
         return Outcome(
             self._seen.copy(), self._reward.copy(), lost, self._age >= self.config.steps, self._distance_m.copy()
@@ -157,8 +165,7 @@ class Reaching:
         """See all arms, and say which are lost: those are seen at home, at rest."""
         position, velocity = self.arms.position, self.arms.velocity
         lost: Bool[np.ndarray, "N"] = np.zeros(len(position), bool)
-        if not (_sound(position) and _sound(velocity)):
-            lost = np.asarray(~(np.isfinite(position).all(axis=1) & np.isfinite(velocity).all(axis=1)))
+        if not self._sound(position, velocity, ABSURD, lost):
             position, velocity = position.copy(), velocity.copy()
             position[lost], velocity[lost] = self.home, 0.0
         self._compare(position, velocity, self._reward)
@@ -185,12 +192,6 @@ class Reaching:
             *(position, velocity, self._velocity, self._place, self.goal, self._start_m),
             *(self.config.control_s, self._costs, self._seen, reward, self._distance_m),
         )
-
-
-def _sound(values: Float64[np.ndarray, "N J"]) -> bool:
-    """Whether all are numbers; quicker than to ask each."""
-    with np.errstate(all="ignore"):
-        return math.isfinite(values.sum())
 
 
 def home_of(model: mujoco.MjModel, joints: tuple[str, ...]) -> Float64[np.ndarray, "J"]:

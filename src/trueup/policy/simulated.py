@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from trueup.deploy.network import Network
 from trueup.identify.candidate import Candidate, Nominal
-from trueup.policy.arms import MujocoArms
+from trueup.policy.arms import Arms, MujocoArms
+from trueup.policy.augmented_arms import AugmentedArms
 from trueup.policy.config import PolicyConfig
 from trueup.policy.randomization import Individuals
 from trueup.policy.reaching import Reaching
@@ -26,7 +28,7 @@ def simulated(
     randomized: bool = True,
     force: bool = False,
 ) -> Reaching:
-    """Episodes in the simulator of a robot.
+    """Episodes in the simulator of a robot, read through a network if the configuration has one.
 
     Args:
         config: task, friction and randomization.
@@ -39,7 +41,8 @@ def simulated(
 
     Raises:
         ConfigError: the robot follows no torques, or the configuration does not fit it.
-        DataError: the identification has no samples.
+        DataError: the identification has no samples, or a file of the network is broken.
+        NameMismatch: the network is of a robot with other joints.
     """
     nominal = Nominal(robot, model)
     draws = config.randomization.draws(force=force) if randomized else ()
@@ -47,15 +50,24 @@ def simulated(
     if config.friction == "thesis":
         draws, friction = (*draws, _without_friction), ThesisFriction()
     noise = (config.randomization.noise_rad, config.randomization.noise_rad_s)
-    arms = MujocoArms(
-        nominal.simulator,
-        count or config.arms,
-        config.reach.control_s,
-        threads=threads,
-        draw=Individuals(nominal, draws) if draws or any(robot.delay_s) else None,
-    )
+    drawn = Individuals(nominal, draws) if draws or any(robot.delay_s) else None
+
+    def made(step_s: float) -> MujocoArms:
+        return MujocoArms(nominal.simulator, count or config.arms, step_s, threads=threads, draw=drawn)
+
+    arms: Arms
+    if config.network:
+        network = Network.load(config.network)
+        arms = AugmentedArms(made(1.0 / network.card.rate_hz), network, config.reach.control_s)
+    else:
+        arms = made(config.reach.control_s)
     return Reaching(
-        arms, nominal.model, config.reach, friction=friction, noise=noise if randomized and any(noise) else None
+        arms,
+        nominal.model,
+        config.reach,
+        friction=friction,
+        friction_share=config.randomization.friction if randomized else 0.0,
+        noise=noise if randomized and any(noise) else None,
     )
 
 

@@ -41,20 +41,30 @@ class ThesisFriction:
     stands: float = STANDS
 
     def applied(
-        self, action: Float[np.ndarray, "N J"], velocity: Float[np.ndarray, "N J"]
+        self,
+        action: Float[np.ndarray, "N J"],
+        velocity: Float[np.ndarray, "N J"],
+        scale: Float[np.ndarray, "N J 5"] | None = None,
     ) -> Float64[np.ndarray, "N J"]:
         """The torque that is left of an action [Nm]: none where it does not break a standing joint away.
 
         Args:
             action: torques of the policy [Nm].
             velocity: of the joints [rad/s].
+            scale: factors of each arm's own phi_1, phi_2, phi_3 and thresholds, the positive one first; 1 if None.
         """
-        held = (np.abs(velocity) < self.stands) & (action > self.negative) & (action < self.positive)
-        return np.where(held, 0.0, action - self.dynamic(velocity))
+        negative, positive = np.array(self.negative), np.array(self.positive)
+        if scale is not None:
+            positive, negative = positive * scale[..., 3], negative * scale[..., 4]
+        held = (np.abs(velocity) < self.stands) & (action > negative) & (action < positive)
+        return np.where(held, 0.0, action - self.dynamic(velocity, scale))
 
-    def dynamic(self, velocity: Float[np.ndarray, "N J"]) -> Float64[np.ndarray, "N J"]:
+    def dynamic(
+        self, velocity: Float[np.ndarray, "N J"], scale: Float[np.ndarray, "N J 5"] | None = None
+    ) -> Float64[np.ndarray, "N J"]:
         """Sigmoid friction (eq. 2.1) [Nm]."""
-        level, slope, shift = np.array(self.numbers, np.float64).T
+        numbers = np.array(self.numbers, np.float64)
+        level, slope, shift = np.moveaxis(numbers if scale is None else numbers * scale[..., :3], -1, 0)
         # Of a logistic curve, half a tanh of half its argument, which cannot overflow.
         rise = np.tanh(0.5 * slope * (velocity + shift)) - np.tanh(0.5 * slope * shift)
         return np.asarray(0.5 * level * rise, np.float64)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -15,14 +15,16 @@ from torch import Tensor
 from trueup.augment.checkpoint import of_this_version, part_of, read_tensors, restore, slots_of, write_tensors
 from trueup.augment.draws import draw_from, own_draws
 from trueup.core.config import build
-from trueup.errors import DataError, needing
+from trueup.errors import Diverged, needing
 from trueup.policy.config import PolicyConfig
 from trueup.policy.environment import ReachVector
+from trueup.policy.learned import begin_with
 from trueup.policy.learners import make_learner, optimizers_of
 from trueup.policy.reaching import Reaching
 
 with needing("training a policy", "rl"):
     from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+    from stable_baselines3.common.utils import ConstantSchedule
 
 # What of the replay buffer is remembered.
 _BUFFER = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
@@ -72,6 +74,7 @@ def train(
     seed: int = 0,
     device: str = "cpu",
     resume: bool = False,
+    start: Mapping[str, Tensor] | None = None,
     on_round: Callable[[Round, int], None] = lambda *_: None,
     stop: Callable[[Round], bool] = lambda _: False,
 ) -> tuple[OffPolicyAlgorithm, tuple[Round, ...]]:
@@ -89,12 +92,14 @@ def train(
         seed: of all draws.
         device: of the networks, `cpu` or `cuda`.
         resume: go on from the checkpoint, if there is one.
+        start: networks to begin with, as `learned.read_learned` has them; fresh ones if None.
         on_round: called after each round with what it did and the number of rounds.
         stop: asked after each round whether that was enough.
 
     Raises:
         OutputExists: the checkpoint is of another training.
-        DataError: it is broken, or the training has diverged.
+        Diverged: the training came to numbers that are not finite.
+        DataError: the checkpoint is broken, or cannot be written.
     """
     vector, trial = ReachVector(arms), ReachVector(judging)
     history: list[Round] = []
@@ -106,6 +111,10 @@ def train(
         if resume and checkpoint.is_file():
             history, best_number, best = _read(checkpoint, inputs, learner)
             arms.lost_episodes = history[-1].lost
+        elif start is not None:
+            begin_with(learner, start)
+        if start is not None:
+            learner.learning_starts = 0  # no random torques: it acts by what it has learned
         began, cpu_began = time.perf_counter(), time.process_time()
         earlier, cpu_earlier = (history[-1].seconds, history[-1].cpu_seconds) if history else (0.0, 0.0)
         while len(history) < config.rounds and not (history and stop(history[-1])):
@@ -113,13 +122,17 @@ def train(
             vector.seed(draw_from(seed, number))
             end = config.steps * number // config.rounds
             learner._last_obs = None  # noqa: SLF001 - arms begin anew with each round
-            diverged = DataError("training diverged", got=f"round {number}", hint="Lower learner: {rate: ...}.")
+            learner.lr_schedule = ConstantSchedule(_rate(config, number))
+            diverged = Diverged("training diverged", got=f"round {number}", hint="Lower learner: {rate: ...}.")
             try:
-                learner.learn(end - learner.num_timesteps, reset_num_timesteps=not history)
+                if start is not None and not history:
+                    _look_around(learner, min(config.learner.starts, end))
+                learner.learn(end - learner.num_timesteps, reset_num_timesteps=learner.num_timesteps == 0)
             except ValueError as error:  # torch's, of a distribution without numbers
                 raise diverged from error
             if not all(bool(value.isfinite().all()) for value in learner.policy.state_dict().values()):
                 raise diverged
+            _end_episodes(learner)
             reward, median, worst = judged(learner, trial, seed)
             history.append(
                 Round(
@@ -142,6 +155,27 @@ def train(
     return learner, tuple(history)
 
 
+def _look_around(learner: OffPolicyAlgorithm, steps: int) -> None:
+    """Act without learning: updates from the first few control steps alone would spoil what was learned."""
+    updates, learner.gradient_steps = learner.gradient_steps, 0
+    learner.learn(steps)
+    learner.gradient_steps = updates
+
+
+def _rate(config: PolicyConfig, number: int) -> float:
+    """Learning rate of a round: a straight line to that of the last one."""
+    first, last = config.learner.rate, config.learner.last_rate
+    return first if last is None else first + (last - first) * (number - 1) / max(config.rounds - 1, 1)
+
+
+def _end_episodes(learner: OffPolicyAlgorithm) -> None:
+    """What is remembered last is followed by the start of another episode: rewards are not counted across."""
+    buffer = learner.replay_buffer
+    assert buffer is not None
+    row = (buffer.pos - 1) % buffer.buffer_size
+    buffer.timeouts[row] = np.maximum(buffer.timeouts[row], 1.0 - buffer.dones[row])
+
+
 def judged(learner: OffPolicyAlgorithm, trial: ReachVector, seed: int) -> tuple[float, float, float]:
     """Mean reward of a control step, median distance at the end, and what nine of ten stay below [m]."""
     trial.seed(seed)
@@ -158,6 +192,19 @@ def judged(learner: OffPolicyAlgorithm, trial: ReachVector, seed: int) -> tuple[
             away = np.array([info["distance_m"] for info in infos])
     median, worst = np.quantile(away, (0.5, 0.9))
     return total / steps, float(median), float(worst)
+
+
+def rounds_of(checkpoint: Path, inputs: str) -> tuple[Round, ...]:
+    """The rounds that a checkpoint of a training comes after; none if there is no checkpoint.
+
+    Raises:
+        OutputExists: the checkpoint is of another training.
+        DataError: it is broken.
+    """
+    if not checkpoint.is_file():
+        return ()
+    with of_this_version(checkpoint):
+        return build(_Stand, read_tensors(checkpoint, inputs)[1], str(checkpoint)).history
 
 
 def _write(path: Path, stand: _Stand, learner: OffPolicyAlgorithm, best: dict[str, Tensor]) -> None:

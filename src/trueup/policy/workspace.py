@@ -75,7 +75,7 @@ class Chain:
             tuple(tuple(map(float, frame[:3, 3])) for frame in fixed),
         )
         self._arrays = arrays_of(self.kinematics)
-        self._places, _ = compiled()
+        self._places, *_ = compiled()
 
     def place(
         self, position: Float64[np.ndarray, "N J"], out: Float64[np.ndarray, "N 3"] | None = None

@@ -18,11 +18,13 @@ from trueup.record.profile import ClockSettings
 from trueup.record.recorder import Recorder, Recording, RecordSettings, whole_ratio
 from trueup.record.references import ReferenceSettings, function_reference, random_reference
 from trueup.record.scene import Scene
+from trueup.record.servoing import SERVO_HZ, Springs, TorqueServo
 from trueup.record.splines import random_spline, spline_reference
 from trueup.record.workspace import Box, Workspace, load_workspace
 
 __all__ = [
     "PLANS_NAME",
+    "SERVO_HZ",
     "Box",
     "ClockSettings",
     "Design",
@@ -41,6 +43,8 @@ __all__ = [
     "Recording",
     "ReferenceSettings",
     "Scene",
+    "Springs",
+    "TorqueServo",
     "Violation",
     "Workspace",
     "cartesian_line",

@@ -15,6 +15,7 @@ from trueup.core.protocols import Hardware, TrajectoryIO
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.core.units import SI_UNIT
 from trueup.errors import ConfigError, DataError, RobotStopped, TrueupError
+from trueup.record.servoing import TorqueServo
 
 # A robot whose command went this far and whose readings did not change at all says nothing any more [rad or m].
 _UNANSWERED = 0.01
@@ -133,6 +134,7 @@ def _drive(
     start, now = robot.now_s(), 0.0
     stamps: list[float] = []
     sent: list[tuple[float, int]] = []
+    torques: list[np.ndarray] = []
     readings: list[Mapping[str, np.ndarray]] = []
     trouble, late, latest_s = None, 0, 0.0
     for tick in range(len(first) * hold + 1):
@@ -156,6 +158,8 @@ def _drive(
                 robot.write({name: values[row] for name, values in command.items()})
                 if kept:
                     sent.append((now, row))
+                    if isinstance(robot, TorqueServo):
+                        torques.append(robot.sent)
         except RobotStopped as error:
             trouble = Trouble("stopped", now, error.what)
             break
@@ -169,6 +173,8 @@ def _drive(
         _hold(robot, command, math.ceil(tick / hold))
     measured = {name: np.array([reading[name] for reading in readings]) for name in (readings[0] if readings else {})}
     asked = {name: values[[row for _, row in sent]] for name, values in command.items()}
+    if torques:
+        asked["torque"] = np.array(torques)
     return Followed(
         _series(robot, stamps, measured),
         _series(robot, [stamp for stamp, _ in sent], asked),

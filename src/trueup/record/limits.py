@@ -151,13 +151,15 @@ def limits_of(
     )
 
 
-def stated_rates(model: Any, names: Sequence[str], kind: Literal["velocity", "acceleration"]) -> dict[str, float]:
-    """Joint -> largest speed or acceleration that a model states in its custom numerics; empty if it does not.
+def stated_rates(
+    model: Any, names: Sequence[str], kind: Literal["velocity", "acceleration", "torque_rate"]
+) -> dict[str, float]:
+    """Joint -> largest speed, acceleration, or change of torque that a model states in its custom numerics, if it does.
 
     Args:
         model: a compiled `mujoco.MjModel`.
         names: all its joints, in its order.
-        kind: which of the two.
+        kind: which of them.
     """
     numerics = {model.numeric(row).name: model.numeric(row).data for row in range(model.nnumeric)}
     values = numerics.get(f"{kind}_limit", np.empty(0))

@@ -132,7 +132,7 @@ class Recorder:
             raise ConfigError(
                 "a recorder commands positions, which this robot does not follow",
                 available=robot.command_signals,
-                hint="A lab's robot follows positions with `controller: {kind: impedance}`.",
+                hint="A lab's robot follows them with `controller: {kind: impedance}`; a TorqueServo leads others.",
             )
         self.robot, self.scene = robot, scene
         self.settings = settings or RecordSettings()

@@ -13,12 +13,15 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from trueup.core.atomic import write_text
-from trueup.report.folder import GAP_NAME, RunFolder, robustness_of
+from trueup.report.folder import GAP_NAME, RunFolder, evaluation_of, robustness_of
 from trueup.report.sections import SECTIONS, Section
+from trueup.report.sections.judged import judged_sections
 from trueup.report.sections.provenance import provenance_of
 from trueup.report.sections.robustness import section_of
 
 REPORT_NAME = "report.html"
+_MOTIONS = "residual = measured − simulated · RMSE: root mean square error · intervals: 95 %, bootstrap over motions"
+_GOALS = "intervals: 95 %, bootstrap over goals, and over seeds where there are several"
 
 
 def build_report(folder: Path | str) -> str:
@@ -26,25 +29,46 @@ def build_report(folder: Path | str) -> str:
 
     The folder holds gap.json and, if they were made, ladder.json, traces.json with traces.npz, quality.json and
     analysis.json, and what an identification leaves: fit.json, explain.json, graybox.json; or robustness.json, alone or
-    beside them. A section without its file is left out. Equal inputs give equal bytes.
+    beside them. Or it holds evaluation.json and episodes.npz, of policies. A section without its file is left out.
+    Equal inputs give equal bytes.
 
     Raises:
-        DataError: there is neither gap.json nor robustness.json, or a file is broken.
+        DataError: there is no gap.json, robustness.json or evaluation.json, or a file is broken.
         FormatError: a file holds something else, or was written by another version.
     """
     folder = Path(folder)
     alone = None if (folder / GAP_NAME).is_file() else robustness_of(folder)
     if alone is not None:
         title = f"Robustness of {alone.network} on {alone.robot}"
-        return _page(title, _facts(alone.provenance), [section_of(alone), provenance_of(alone)])
+        return render_page(title, _facts(alone.provenance), [section_of(alone), provenance_of(alone)])
+    judged = None if (folder / GAP_NAME).is_file() else evaluation_of(folder)
+    if judged is not None:
+        sections = [*judged_sections(*judged), provenance_of(judged[0])]
+        title = f"Reaching by torques, {judged[0].settings.get('robot', 'robot')}"
+        return render_page(title, _facts(judged[0].provenance), sections, footer=_GOALS)
     run = RunFolder.load(folder)
     sections = [section for make in SECTIONS if (section := make(run)) is not None]
-    return _page(_title(run), _subtitle(run), sections, identified=run.identified, fitted=run.fit is not None)
+    footer = f"{_MOTIONS}; of fitted parameters: from how the residual bends at the fit" if run.fit else _MOTIONS
+    return render_page(_title(run), _subtitle(run), sections, identified=run.identified, footer=footer)
 
 
-def _page(
-    title: str, subtitle: Sequence[str], sections: Sequence[Section], *, identified: bool = False, fitted: bool = False
+def render_page(
+    title: str,
+    subtitle: Sequence[str],
+    sections: Sequence[Section],
+    *,
+    identified: bool = False,
+    footer: str = _MOTIONS,
 ) -> str:
+    """Sections as one self-contained page.
+
+    Args:
+        title: of the page.
+        subtitle: facts below it.
+        sections: at least one.
+        identified: whether one of them is about an identification, which has a style sheet of its own.
+        footer: how the numbers are to be read.
+    """
     return (
         _environment()
         .get_template("page.html.j2")
@@ -53,7 +77,7 @@ def _page(
             subtitle=subtitle,
             sections=sections,
             style=_asset("style.css") + (_asset("identification.css") if identified else ""),
-            fitted=fitted,
+            footer=footer,
             scripts=[_plotly(), _asset("report.js"), _asset("traces.js")],
         )
     )

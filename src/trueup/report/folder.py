@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
 from trueup.core.analysis import Analysis
+from trueup.core.atomic import is_inside
 from trueup.core.attribution import Attribution
 from trueup.core.augment_result import AUGMENT_NAME, AugmentResult
+from trueup.core.close_result import CLOSE_NAME, CloseResult
 from trueup.core.engines import EngineComparison
 from trueup.core.fit_result import FitResult
 from trueup.core.graybox_result import GrayboxResult
+from trueup.core.model_card import CARD_NAME, ModelCard
+from trueup.core.policy_evaluation import (
+    EPISODES_NAME,
+    EVALUATION_NAME,
+    Curves,
+    PolicyEvaluation,
+    load_curves,
+)
 from trueup.core.quality import Quality
 from trueup.core.results import GapResult, Ladder
 from trueup.core.robustness_result import ROBUSTNESS_NAME, RobustnessResult
@@ -48,6 +58,8 @@ class RunFolder:
         fit: fit.json.
         attribution: explain.json.
         graybox: graybox.json.
+        close: close.json.
+        networks: label of a corrected run -> the card of its network, as close.json says.
         fitted_files: those of `FITTED_FILES` that are there.
         friction_laws: whether the fitted model carries friction laws that MuJoCo does not know.
     """
@@ -63,6 +75,8 @@ class RunFolder:
     fit: FitResult | None = None
     attribution: Attribution | None = None
     graybox: GrayboxResult | None = None
+    close: CloseResult | None = None
+    networks: Mapping[str, ModelCard] = field(default_factory=dict)
     fitted_files: tuple[str, ...] = ()
     friction_laws: bool = False
 
@@ -115,12 +129,15 @@ class RunFolder:
             check_augment(augment, gap, folder / AUGMENT_NAME)
         ladder = _optional(folder / "ladder.json", Ladder.load)
         model = folder / "model.fitted.xml"
+        close = _optional(folder / CLOSE_NAME, CloseResult.load)
         return RunFolder(
             gap=gap_for_people(gap),
             ladder=None if ladder is None else ladder_for_people(ladder),
             fit=fit,
             attribution=_optional(folder / "explain.json", Attribution.load),
             graybox=_optional(folder / "graybox.json", GrayboxResult.load),
+            close=close,
+            networks=_cards(folder, close),
             fitted_files=tuple(name for name in FITTED_FILES if (folder / name).is_file()),
             friction_laws=model.is_file() and _FRICTION_LAW.search(model.read_bytes()) is not None,
             traces=_optional(folder / "traces.json", lambda path: TraceSet.load(path.parent)),
@@ -130,6 +147,15 @@ class RunFolder:
             augment=None if augment is None else evaluation_for_people(augment),
             robustness=robustness_of(folder),
         )
+
+
+def _cards(folder: Path, close: CloseResult | None) -> dict[str, ModelCard]:
+    """Of the networks that are still there."""
+    found = {}
+    for label, name in (close.networks if close else {}).items():
+        if is_inside(folder, folder / name) and (folder / name / CARD_NAME).is_file():
+            found[label] = _loaded(folder / name / CARD_NAME, lambda path: ModelCard.load(path.parent))
+    return found
 
 
 def robustness_of(folder: Path) -> RobustnessResult | None:
@@ -144,6 +170,17 @@ def robustness_of(folder: Path) -> RobustnessResult | None:
     if result is not None:
         check_robustness(result, path)
     return result
+
+
+def evaluation_of(folder: Path) -> tuple[PolicyEvaluation, Curves] | None:
+    """evaluation.json and episodes.npz, which stand alone; None if there are none.
+
+    Raises:
+        DataError: one is broken.
+        FormatError: evaluation.json is something else, or of another version.
+    """
+    found = _optional(folder / EVALUATION_NAME, PolicyEvaluation.load)
+    return None if found is None else (found, load_curves(folder / EPISODES_NAME, found))
 
 
 def _optional(path: Path, load: Callable[[Path], Loaded]) -> Loaded | None:

@@ -93,7 +93,7 @@ def _choose(
     if len(candidates) == 1:
         return candidates[0], ""
     chosen = next((rung.name for rung in ladder.rungs if rung.chosen), None) if ladder else None
-    rung_run = next((label for label in candidates if chosen in (label, label.split("/")[-1])), None)
+    rung_run = next((label for label in candidates if chosen in (label, *rung_names(label))), None)
     if rung_run is not None:
         return rung_run, f"Of {len(candidates)} runs it is the one chosen on validation motions."
     on = "val" if split != "val" and all("val" in scored[label] for label in candidates) else split
@@ -107,6 +107,12 @@ def _choose(
         f"It is the lowest of {len(candidates)} runs on the very motions that it is judged on, "
         "so the number is a little too kind."
     )
+
+
+def rung_names(label: str) -> tuple[str, ...]:
+    """What a run may be called in the ladder; what corrects the model as it came is called after its network alone."""
+    name = label.split("/")[-1]
+    return (name, name.removeprefix("stock+"))
 
 
 def _sortable(metrics: object) -> float:

@@ -16,6 +16,8 @@ from trueup.core.protocols import RolloutRequest, Simulator
 from trueup.errors import ConfigError
 from trueup.sim.mujoco_engine import MujocoSimulator
 
+# What commands may be.
+SIGNALS = ("position", "torque")
 # Motions that are simulated at once: their sensors and states in every physics step must fit into memory.
 _AT_ONCE = 4096
 _PART_OF_STEP = 1e-6
@@ -37,10 +39,10 @@ class Slopes:
 
 
 class Transitions:
-    """A robot under position commands, from one control step to the next.
+    """A robot under commands of positions or torques, from one control step to the next.
 
     Args:
-        simulator: with the robot in it, whose controller follows positions and keeps no state of its own.
+        simulator: with the robot in it, whose controller follows these and keeps no state of its own.
         control_s: control step [s]; a command is held as long.
         delay_s: how much later commands act, one per joint or one for all, at most a control step [s].
 
@@ -50,13 +52,14 @@ class Transitions:
 
     def __init__(self, simulator: MujocoSimulator, control_s: float, delay_s: float | Sequence[float] = 0.0) -> None:
         self.steps = physics_steps(simulator, control_s)
-        if simulator.command_signals[0] != "position" or simulator.model.na:
+        if simulator.command_signals[0] not in SIGNALS or simulator.model.na:
             raise ConfigError(
-                f"robot {simulator.robot.name!r} follows no positions, or its controller remembers",
+                f"robot {simulator.robot.name!r} follows no positions or torques, or its controller remembers",
                 got=simulator.robot.controller.kind,
-                available=("position", "pd"),
+                available=("position", "pd", "torque"),
             )
         self.simulator = simulator
+        self.signal = simulator.command_signals[0]
         self.control_s = control_s
         self._late = late_shares(simulator, control_s, delay_s)
 
@@ -109,7 +112,7 @@ class Transitions:
             position, velocity = np.split(np.asarray(state[part], np.float64), 2, axis=1)
             held = self.held(before[part], command[part])
             pull = None if gravity is None else np.repeat(gravity[part][:, None], self.steps, axis=1)
-            result = self.simulator.rollout(RolloutRequest(position, velocity, {"position": held}, pull))
+            result = self.simulator.rollout(RolloutRequest(position, velocity, {self.signal: held}, pull))
             out[part] = np.concatenate([result.position[:, -1], result.velocity[:, -1]], axis=1)
         return out
 

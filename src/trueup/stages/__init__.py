@@ -1,7 +1,8 @@
 """One module per command: dataset in, results out. The Python API is these functions."""
 
 from trueup.stages.augmenting import Augmented, augment
-from trueup.stages.closing import Closed, close
+from trueup.stages.close_steps import Closed, Watch
+from trueup.stages.closing import close
 from trueup.stages.compensated_replaying import compensated_replay
 from trueup.stages.compensating import Compensated, Prepared, compensate, prepare
 from trueup.stages.demonstrating import demo, demo_dataset
@@ -36,6 +37,7 @@ __all__ = [
     "Prepared",
     "RecordSummary",
     "ReplaySummary",
+    "Watch",
     "augment",
     "close",
     "compensate",

@@ -14,6 +14,7 @@ from trueup.augment.config import FEWEST_FOR_CHANCE, SIGNALS, AugmentConfig
 from trueup.core.atomic import json_hash, make_folder
 from trueup.core.episode import Episode
 from trueup.core.model_card import ANY_JOINT, CARD_NAME, Channel
+from trueup.core.time_limit import TimeLimit
 from trueup.dataset import Dataset
 from trueup.dataset.writer import is_label_part
 from trueup.errors import ConfigError, NameMismatch, needing
@@ -66,6 +67,7 @@ def augment(
     resume: bool = False,
     track: Track = silent,
     on_progress: Callable[[Progress], None] | None = None,
+    limit: TimeLimit | None = None,
 ) -> Augmented:
     """Train a network that turns a simulated run into what the robot would have measured.
 
@@ -89,6 +91,7 @@ def augment(
         resume: go on where an earlier call was interrupted; a finished model of the same inputs is loaded.
         track: shows progress of reading.
         on_progress: called after every batch and epoch.
+        limit: when training has to end, with the best weights so far.
 
     Raises:
         OutputExists: `out` holds a model, or the training of another one.
@@ -196,6 +199,7 @@ def augment(
             device=device,
             threads=jobs,
             on_progress=on_progress,
+            limit=limit,
         )
         augmentation.save(out)
     # Only here is nothing left that an interruption could cost.

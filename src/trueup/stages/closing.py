@@ -1,42 +1,29 @@
-"""Close: all rungs that there are, on one dataset."""
+"""Close: from logs to a corrected simulator, rung by rung, on one dataset."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from trueup.augment.networks import METHODS as KNOWN_METHODS
 from trueup.core.atomic import make_folder
-from trueup.core.results import Ladder
+from trueup.core.close_result import STEPS, StepName
+from trueup.core.provenance import provenance
 from trueup.dataset import Dataset, is_dataset
 from trueup.dataset.importers.base import ImportOptions
-from trueup.errors import OutputExists
+from trueup.errors import ConfigError, OutputExists
 from trueup.robots import RobotSpec, find_model
-from trueup.stages.folder import forget_explanation, forget_fit, refuse_other_fit
-from trueup.stages.importing import ImportSummary, import_logs, refuse_nesting
-from trueup.stages.ladder import ladder_of
-from trueup.stages.measuring import Measurement, gap
+from trueup.stages.close_budget import Budget
+from trueup.stages.close_folder import CloseFolder
+from trueup.stages.close_networks import METHODS
+from trueup.stages.close_steps import Closed, CloseSteps, Watch
+from trueup.stages.importing import import_logs, refuse_nesting
 from trueup.stages.progress import Track, silent
-from trueup.stages.replaying import STOCK, ReplaySummary, replay_unless_same
 
-
-@dataclass(frozen=True)
-class Closed:
-    """What `close` made.
-
-    Attributes:
-        dataset: the dataset, imported if need be.
-        imported: the import, None if the dataset was there.
-        replayed: the replay of the stock model.
-        measurement: gap, analysis, traces, quality.
-        ladder: the rungs.
-    """
-
-    dataset: Dataset
-    imported: ImportSummary | None
-    replayed: ReplaySummary
-    measurement: Measurement
-    ladder: Ladder
+if TYPE_CHECKING:
+    from trueup.identify import IdentifyConfig
 
 
 def close(
@@ -50,17 +37,23 @@ def close(
     splits: Path | Mapping[str, float] | None = None,
     drop_flagged: bool = False,
     metrics: Sequence[str] | None = None,
+    until: StepName = STEPS[-1],
+    budget_s: float | None = None,
+    config: IdentifyConfig | None = None,
+    methods: Sequence[str] = METHODS,
     seed: int = 0,
     jobs: int | None = None,
     overwrite: bool = False,
     resume: bool = False,
     track: Track = silent,
-    on_import: Callable[[ImportSummary], None] = lambda _: None,
+    watch: Watch | None = None,
 ) -> Closed:
-    """From logs to a ladder: import if needed, check, replay, measure.
+    """From logs to a corrected simulator: import, replay, gap, explain, identify, augment.
 
-    Writes gap.json, ladder.json, analysis.json, quality.json and traces into `out`; logs are imported into
-    `out/dataset`. The stock run of a dataset is made anew only if data, robot or model changed.
+    Every step is the command of its name, with the same results, and its files lie in `out`: those of `gap`, `explain`
+    and `fit`, `networks/`, ladder.json with all rungs, close.json with the steps. Logs are imported into `out/dataset`.
+    Everything is fitted on train and chosen on val. A step that fails (nothing can be learned from these motions, no
+    torch) is noted, and the others go on without it. What was done by an earlier call from the same inputs is kept.
 
     Args:
         source: a dataset, or logs of any known format.
@@ -72,18 +65,32 @@ def close(
         splits: split.json or fractions, for the import.
         drop_flagged: leave out episodes with warnings.
         metrics: names; a sensible set per signal if None.
+        until: the last step.
+        budget_s: time for this call [s]. Steps that search and train end with the best so far; with little time, less
+            motion is fitted. What takes as long as it takes (reading, replays, measuring) is not cut.
+        config: what is fitted; the default for the robot's controller if None.
+        methods: of the networks that are trained on what is left.
         seed: of all draws.
         jobs: threads; the number of cores if None.
         overwrite: replace the results that are in `out`.
         resume: go on where an earlier call was interrupted.
         track: shows progress.
-        on_import: called when logs were imported, before the rest, which takes longer.
+        watch: who is told more.
 
     Raises:
-        OutputExists: `out` holds results, and neither `overwrite` nor `resume` is given.
-        TrueupError: what any step raises.
+        OutputExists: `out` holds results, and neither `overwrite` nor `resume` is given; or those of other inputs.
+        ConfigError: there is no such step or method, or the time is not positive.
+        TrueupError: what import, replay and gap raise.
     """
-    source, out = Path(source), Path(out)
+    if until not in STEPS:
+        raise ConfigError("there is no such step", got=until, available=STEPS)
+    if budget_s is not None and not budget_s > 0:
+        raise ConfigError("the budget must be positive", got=f"{budget_s:g} s")
+    methods = tuple(dict.fromkeys(methods))
+    for method in methods:
+        if method not in KNOWN_METHODS:
+            raise ConfigError("there is no such method", got=method, available=KNOWN_METHODS)
+    source, out, watch = Path(source), Path(out), watch or Watch()
     if not is_dataset(source):
         refuse_nesting(source, out / "dataset")
     if model is not None:
@@ -91,32 +98,42 @@ def close(
     make_folder(out)
     if any(out.iterdir()) and not (overwrite or resume):
         raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
-    imported = None
-    dataset_path = source
+    asked = {"until": until, "budget_s": budget_s, "methods": list(methods), "drop_flagged": drop_flagged}
+    folder = CloseFolder(out, until=until, budget_s=budget_s, provenance=provenance(config=asked, seed=seed))
+    budget = Budget(budget_s, [step for step in STEPS if folder.asked(step)])
+    imported, path = None, source
     if not is_dataset(source):
-        dataset_path = out / "dataset"
-        imported = import_logs(
-            source,
-            dataset_path,
-            format=format,
-            options=options,
-            robot=robot,
-            splits=splits,
-            seed=seed,
-            overwrite=overwrite,
-            resume=resume,
-            track=track,
-        )
-        on_import(imported)
-    dataset = Dataset(dataset_path)
-    if not overwrite:
-        refuse_other_fit(out, dataset.hash)
-    replayed = replay_unless_same(dataset, robot, model=model, label=STOCK, jobs=jobs, track=track)
-    measurement = gap(dataset, runs=[STOCK], drop_flagged=drop_flagged, metrics=metrics, seed=seed, track=track)
-    ladder = ladder_of(measurement, {"stock": (STOCK, replayed.seconds)})
-    forget_explanation(out, unless_of=None if overwrite else dataset.hash)
-    if overwrite:
-        forget_fit(out)
-    measurement.save(out)
-    ladder.save(out / "ladder.json")
-    return Closed(dataset, imported, replayed, measurement, ladder)
+        path = out / "dataset"
+        watch.on_step("import")
+        with folder.step("import") as step:
+            imported = import_logs(
+                source,
+                path,
+                format=format,
+                options=options,
+                robot=robot,
+                splits=splits,
+                seed=seed,
+                overwrite=overwrite,
+                resume=resume,
+                track=track,
+            )
+            step.what = f"{len(Dataset(path))} motions"
+        watch.on_import(imported)
+    steps = CloseSteps(
+        dataset=Dataset(path),
+        robot=robot,
+        model=model,
+        config=config,
+        methods=methods,
+        metrics=metrics,
+        drop_flagged=drop_flagged,
+        seed=seed,
+        jobs=jobs,
+        overwrite=overwrite,
+        track=track,
+        watch=watch,
+        folder=folder,
+        budget=budget,
+    )
+    return replace(steps.climb(), imported=imported)

@@ -97,12 +97,15 @@ def compensated_replay(
         "torque_limits": plants(0.0).simulator.torque_limits,
         "provenance": provenance(config={"network": card.to_json()["sha256"]}, data_hash=dataset.hash),
     }
+    # Under torques alone, simulations go their own way: they are gone back as a plain replay does.
+    window_s = robot.replay.window_s if robot.controller.signal == "torque" else None
+    rows = None if window_s is None else round(window_s * card.rate_hz)
     done = 0
     units = units_of(dataset, robot)
     with contextlib.ExitStack() as stack:
         writer = None
         for chunk in track(_chunks(list(motions)), "compensate", -(-len(motions) // _AT_ONCE)):
-            runs = _simulated({name: motions[name] for name in chunk}, plants, compensation.corrector, failed)
+            runs = _simulated({name: motions[name] for name in chunk}, plants, compensation.corrector, failed, rows)
             if writer is None and runs:
                 writer = stack.enter_context(RunWriter(dataset.path, label, run_info=info, overwrite=overwrite))
             for name, own in runs.items():
@@ -120,19 +123,34 @@ def compensated_replay(
 
 
 def _simulated(
-    motions: Mapping[str, Motion], plants: Plants, corrector: Corrector, failed: dict[str, TrueupError]
+    motions: Mapping[str, Motion],
+    plants: Plants,
+    corrector: Corrector,
+    failed: dict[str, TrueupError],
+    rows: int | None,
 ) -> dict[str, Run]:
-    """Motions side by side; where one of them cannot be simulated, each by itself."""
-    from trueup.compensate.closed_loop import closed_loop
+    """Motions side by side, in pieces of so many control steps, if not whole; each by itself where one goes wrong."""
+    from trueup.compensate.closed_loop import Run, closed_loop
 
+    pieces = {name: [motion] if rows is None else motion.pieces(rows) for name, motion in motions.items()}
     try:
-        return dict(zip(motions, closed_loop(list(motions.values()), plants, corrector), strict=True))
+        done = iter(closed_loop([piece for own in pieces.values() for piece in own], plants, corrector))
+        runs = {name: [next(done) for _ in own] for name, own in pieces.items()}
+        return {
+            name: Run(
+                np.concatenate([*(run.state[:-1] for run in own), own[-1].state[-1:]]),
+                np.concatenate([*(run.delta[:-1] for run in own), own[-1].delta[-1:]]),
+            )
+            for name, own in runs.items()
+        }
     except TrueupError as error:
         if len(motions) == 1:
             failed |= dict.fromkeys(motions, error)
             return {}
     return {
-        name: run for key in motions for name, run in _simulated({key: motions[key]}, plants, corrector, failed).items()
+        name: run
+        for key in motions
+        for name, run in _simulated({key: motions[key]}, plants, corrector, failed, rows).items()
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ from jaxtyping import Float64
 
 from trueup.align import JointMap
 from trueup.core.atomic import as_read_back, json_hash, make_folder
+from trueup.core.units import joint_unit
 from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, TrueupError, needing
 from trueup.robots import RobotSpec
@@ -31,9 +32,12 @@ if TYPE_CHECKING:
     from trueup.compensate.rounds import Learned
     from trueup.compensate.tracks import Track as Motion
     from trueup.compensate.training import Teacher
+    from trueup.compensate.windows import Windows
 
 # What a network costs that blows the simulation up: more than any other, and a number that JSON has.
 _BLOWN_UP = 1e9
+# Torques alone soon lead away from the measured motion; where robot.yaml says nothing, one goes back this often [s].
+_WINDOW_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -189,42 +193,24 @@ def compensate(
     with needing("training", "learn"):
         import torch
 
-        from trueup.augment.networks.operator import OperatorConfig
         from trueup.compensate.closed_loop import closed_loop
         from trueup.compensate.compensation import Compensation, made
         from trueup.compensate.config import METHODS
-        from trueup.compensate.correctors import blank, scale
-        from trueup.compensate.judging import PayloadErrors, cost, judged, payload_errors
+        from trueup.compensate.correctors import SIZE, blank, scale
+        from trueup.compensate.judging import PayloadErrors, cost, payload_errors
         from trueup.compensate.plants import Plants
         from trueup.compensate.rounds import learn
-        from trueup.compensate.sensors import Sensors
-        from trueup.compensate.training import Teacher
         from trueup.compensate.windows import Windows
 
-    config, out = config or METHODS["operator" if twin is None else "operator-robot"], Path(out)
+    if config is None:
+        config = METHODS["operator-robot" if twin else "torques" if robot.controller.signal == "torque" else "operator"]
+    out = Path(out)
     name = name or config.method
     make_folder(out)
     if not (overwrite or resume):
         ModelFolder.refuse_full(out)
-    if isinstance(config.network, OperatorConfig) and config.network.senses == "true":
-        raise ConfigError(
-            "a compensation has no simulator to ask in each control step",
-            got="network: {senses: true}",
-            expected="predicted, or none",
-        )
-    if config.training.way == "ppo" and twin is not None:
-        raise ConfigError(
-            "reinforcement corrects simulators",
-            got="--twin-robot",
-            expected="training: {way: direct}",
-            hint="Leave it out.",
-        )
-    if config.training.way == "ppo" and robot.simulation.base_sensor:
-        raise ConfigError(
-            "reinforcement knows no base that moves",
-            got=f"simulation: base_sensor: {robot.simulation.base_sensor}",
-            expected="training: {way: direct}",
-        )
+    config = _fitting(config, robot, twin=twin is not None)
+    signal = robot.controller.signal
     known = None if twin is None or twin[0] is None else network_for_simulator(Path(twin[0]), robot)
     asked = json_hash(
         as_read_back(
@@ -277,16 +263,9 @@ def compensate(
         twin_net = None if known is None else known.corrector
         past = max(net.network.past for net in (corrector, twin_net) if net is not None)
         windows = Windows(prepared.train, past, references=references)
-        scale(corrector, config, windows)
-        sensors = None
-        if isinstance(config.network, OperatorConfig) and config.network.senses == "predicted":
-            sensors = Sensors.of(windows, config.network.sensors, len(robot.joint_names))
-        wanted = None
-        if config.training.way == "delta":
-            deltas = [part.delta(config.training.damping) for part in prepared.train]
-            wanted = torch.from_numpy(np.concatenate([np.concatenate([part, part[-1:]]) for part in deltas]))
-        teacher = Teacher(windows, config, plants.simulate, twin_net, sensors, wanted=wanted)
-        motions = judged([part.track for part in prepared.val])
+        scale(corrector, config, windows, 2 * config.loss.torque_nm if signal == "torque" else SIZE)
+        teacher = _teacher(windows, prepared, config, robot, twin_net)
+        motions = _to_judge(prepared, robot)
         if follow is None:
             aims: list[Float64[np.ndarray, "T S"]] = [motion.state.astype(np.float64) for motion in motions]
         else:
@@ -330,6 +309,8 @@ def compensate(
             run=run or "mujoco/stock",
             rate_hz=1.0 / control_s,
             direction="simulator" if twin is None else "robot",
+            signal=signal,
+            commanded=[joint_unit("Nm", unit) for unit in units_of(dataset, robot)] if signal == "torque" else None,
             provenance_of={
                 **made(seed, prepared.data_hash, config),
                 "asked": asked,
@@ -348,6 +329,76 @@ def compensate(
         torch.set_num_threads(before)
     folder.clean()
     return Compensated(compensation, out, errors, learned.seconds, prepared.notes)
+
+
+def _fitting(config: CompensateConfig, robot: RobotSpec, *, twin: bool) -> CompensateConfig:
+    """The configuration as it is for this robot.
+
+    Raises:
+        ConfigError: it is none for this robot, or for what is to be corrected.
+    """
+    from trueup.augment.networks.operator import OperatorConfig
+
+    if isinstance(config.network, OperatorConfig) and config.network.senses == "true":
+        raise ConfigError(
+            "a compensation has no simulator to ask in each control step",
+            got="network: {senses: true}",
+            expected="predicted, or none",
+        )
+    if config.training.way == "ppo" and twin:
+        raise ConfigError(
+            "reinforcement corrects simulators",
+            got="--twin-robot",
+            expected="training: {way: direct}",
+            hint="Leave it out.",
+        )
+    if config.training.way == "ppo" and robot.simulation.base_sensor:
+        raise ConfigError(
+            "reinforcement knows no base that moves",
+            got=f"simulation: base_sensor: {robot.simulation.base_sensor}",
+            expected="training: {way: direct}",
+        )
+    if robot.controller.signal == "torque":
+        config = replace(config, relative=False)
+        if twin or config.training.way == "ppo" or isinstance(config.network, OperatorConfig):
+            raise ConfigError(
+                f"robot {robot.name!r} takes torques: its simulator can be corrected, by a network without sensors",
+                got=f"method {config.method}, way {config.training.way}{', a twin' if twin else ''}",
+                hint="Give --method torques, and leave --twin-robot out.",
+            )
+    return config
+
+
+def _to_judge(prepared: Prepared, robot: RobotSpec) -> Sequence[Motion]:
+    """The motions of val, in pieces where torques are all that the simulator is told."""
+    from trueup.compensate.judging import judged
+
+    motions = judged([part.track for part in prepared.val])
+    if robot.controller.signal != "torque":
+        return motions
+    # It drifts away from the motion within a second or two.
+    rows = round((robot.replay.window_s or _WINDOW_S) / prepared.control_s)
+    return [piece for motion in motions for piece in motion.pieces(rows)]
+
+
+def _teacher(
+    windows: Windows, prepared: Prepared, config: CompensateConfig, robot: RobotSpec, twin: Corrector | None
+) -> Teacher:
+    """What a training asks for costs, with what the method needs besides the windows."""
+    import torch
+
+    from trueup.augment.networks.operator import OperatorConfig
+    from trueup.compensate.sensors import Sensors
+    from trueup.compensate.training import Teacher
+
+    sensors = wanted = None
+    if isinstance(config.network, OperatorConfig) and config.network.senses == "predicted":
+        sensors = Sensors.of(windows, config.network.sensors, len(robot.joint_names))
+    if config.training.way == "delta":
+        deltas = [part.delta(config.training.damping) for part in prepared.train]
+        wanted = torch.from_numpy(np.concatenate([np.concatenate([part, part[-1:]]) for part in deltas]))
+    signal = robot.controller.signal
+    return Teacher(windows, config, prepared.plants.simulate, twin, sensors, wanted=wanted, signal=signal)
 
 
 def _by_reinforcement(
@@ -409,7 +460,13 @@ def motion_of(dataset: Dataset, joint_map: JointMap, name: str, robot: RobotSpec
     from trueup.compensate.tracks import track_of
 
     episode = joint_map.of_episode(dataset.episode(name))
-    return track_of(episode, robot.joint_names, control_s, base_sensor=robot.simulation.base_sensor)
+    return track_of(
+        episode,
+        robot.joint_names,
+        control_s,
+        signal=robot.controller.signal,
+        base_sensor=robot.simulation.base_sensor,
+    )
 
 
 def units_of(dataset: Dataset, robot: RobotSpec) -> tuple[str, ...]:

@@ -6,15 +6,20 @@ import os
 from pathlib import Path
 from typing import Literal
 
+from trueup.core.close_result import STEPS, StepName
 from trueup.core.provenance import provenance
+from trueup.core.time_limit import TimeLimit
 from trueup.dataset import DatasetInfo, DatasetWriter
 from trueup.errors import ConfigError, OutputExists
 from trueup.robots import load_robot
-from trueup.stages.closing import Closed, close
+from trueup.stages.close_steps import Closed, Watch
+from trueup.stages.closing import close
 from trueup.stages.importing import checked
 from trueup.stages.progress import Track, silent
 
 DEMO_ROBOTS = ("panda", "demo_arm")
+# On two cores; a quarter of it is recording.
+BUDGET_S = 300.0
 
 # A sixtieth of the papers' motions, each without and with a payload.
 _MOTIONS = {"multi-joint": 12, "single-joint": 14, "cartesian": 4}
@@ -44,7 +49,10 @@ def demo(
     seed: int = 0,
     jobs: int | None = None,
     overwrite: bool = False,
+    until: StepName = STEPS[-1],
+    budget_s: float | None = BUDGET_S,
     track: Track = silent,
+    watch: Watch | None = None,
 ) -> Closed:
     """Record virtual hardware into `out/dataset` and close on it.
 
@@ -55,7 +63,10 @@ def demo(
         seed: of motions and noise.
         jobs: processes and threads; the number of cores if None.
         overwrite: replace what is in `out`.
+        until: the last step, see `close`.
+        budget_s: time for all, the recording included [s]; None without a limit.
         track: shows progress.
+        watch: who is told more.
 
     Raises:
         OutputExists: `out` is not empty, and `overwrite` is not given.
@@ -67,11 +78,24 @@ def demo(
         raise ConfigError(f"there is no demo of {robot!r}", available=DEMO_ROBOTS)
     if out.is_dir() and any(out.iterdir()) and not overwrite:
         raise OutputExists(f"{out} is not empty", hint="Give --overwrite, or choose another --out.")
+    limit = None if budget_s is None else TimeLimit.after(budget_s)
     if robot == "demo_arm":
         data = demo_dataset(out / "dataset", seed=seed, overwrite=overwrite, track=track)
     else:
         data = _panda(out / "dataset", seed=seed, jobs=jobs or os.cpu_count() or 1, overwrite=overwrite, track=track)
-    return close(data, load_robot(robot), out, seed=seed, jobs=jobs, overwrite=True, track=track)
+    left_s = None if limit is None else max(1.0, limit.left_s)
+    return close(
+        data,
+        load_robot(robot),
+        out,
+        until=until,
+        budget_s=left_s,
+        seed=seed,
+        jobs=jobs,
+        overwrite=True,
+        track=track,
+        watch=watch,
+    )
 
 
 def _panda(out: Path, *, seed: int, jobs: int, overwrite: bool, track: Track) -> Path:

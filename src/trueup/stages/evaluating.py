@@ -53,6 +53,16 @@ class Evaluated:
     notes: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class Judged:
+    """What `judge` found: `result`, `corrected`, `warnings` and `notes` as in `Evaluated`."""
+
+    result: AugmentResult
+    corrected: tuple[CorrectionSummary, ...]
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
 def evaluate(
     dataset: Dataset,
     models: Sequence[Path | str],
@@ -93,13 +103,57 @@ def evaluate(
         DataError: the run has too few samples per second for a network, or no motion is left.
         MissingDependency: onnxruntime is not installed.
     """
-    from trueup.deploy import Predictor
-
     out = Path(out)
     make_folder(out)
     if not overwrite and any((out / name).exists() for name in ("gap.json", AUGMENT_NAME)):
         raise OutputExists(f"{out} holds results", hint="Give --overwrite to replace them, or choose another --out.")
     refuse_other_fit(out, dataset.hash)
+    judged = judge(
+        dataset,
+        models,
+        run=run,
+        split=split,
+        drop_flagged=drop_flagged,
+        project=project,
+        draws=draws,
+        seed=seed,
+        track=track,
+    )
+    run = judged.result.run
+    measurement = gap(
+        dataset,
+        runs=[run, *(item.label for item in judged.corrected)],
+        split=None if split == EVERY_SPLIT else split,
+        drop_flagged=drop_flagged,
+        draws=draws,
+        seed=seed,
+        blocks=False,
+        track=track,
+    )
+    ladder = _ladder(dataset, measurement, run, judged.corrected)
+    forget_explanation(out, unless_of=None if overwrite else dataset.hash)
+    measurement.save(out)
+    ladder.save(out / "ladder.json")
+    judged.result.save(out / AUGMENT_NAME)
+    notes = (*judged.notes, *measurement.gap.settings["warnings"])
+    return Evaluated(judged.result, judged.corrected, measurement, ladder, judged.warnings, notes)
+
+
+def judge(
+    dataset: Dataset,
+    models: Sequence[Path | str],
+    *,
+    run: str | None = None,
+    split: str = _TEST,
+    drop_flagged: bool = False,
+    project: bool = False,
+    draws: int = 2000,
+    seed: int = 0,
+    track: Track = silent,
+) -> Judged:
+    """The tables of `evaluate`, without its measurement; arguments and errors as there. Nothing but runs is written."""
+    from trueup.deploy import Predictor
+
     predictors = [Predictor.load(Path(folder)) for folder in models]
     cards = [predictor.card for predictor in predictors]
     timed = [_timed(Path(folder), card) for folder, card in zip(models, cards, strict=True)]
@@ -127,17 +181,6 @@ def evaluate(
     else:
         judged = cards
     labels = [run, *(item.label for item in corrections)]
-    chosen = None if split == EVERY_SPLIT else split
-    measurement = gap(
-        dataset,
-        runs=labels,
-        split=chosen,
-        drop_flagged=drop_flagged,
-        draws=draws,
-        seed=seed,
-        blocks=False,
-        track=track,
-    )
     warnings = _foreign(dataset, run, split, cards)
     notes = [line for item in corrections for line in _failed(item)]
     notes += [line for card in cards for line in _resampled(dataset, run, ids, card)]
@@ -165,13 +208,7 @@ def evaluate(
     folders = {card.name: Path(folder) for card, folder in zip(cards, models, strict=True)}
     result, unknown = with_attention(result, dataset, folders, measured, draws=draws, seed=seed, track=track)
     notes += unknown
-    ladder = _ladder(dataset, measurement, run, corrections)
-    forget_explanation(out, unless_of=None if overwrite else dataset.hash)
-    measurement.save(out)
-    ladder.save(out / "ladder.json")
-    result.save(out / AUGMENT_NAME)
-    notes += measurement.gap.settings["warnings"]
-    return Evaluated(result, corrections, measurement, ladder, tuple(warnings), tuple(notes))
+    return Judged(result, corrections, tuple(warnings), tuple(notes))
 
 
 def _refuse_same_names(cards: Sequence[ModelCard], folders: Sequence[Path | str]) -> None:

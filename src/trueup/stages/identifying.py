@@ -15,6 +15,7 @@ from trueup.core.atomic import json_hash, make_folder, remove
 from trueup.core.attribution import Attribution
 from trueup.core.fit_result import FitResult
 from trueup.core.results import Ladder
+from trueup.core.time_limit import TimeLimit
 from trueup.dataset import Dataset
 from trueup.errors import OutputExists, TrueupError
 from trueup.robots import RobotSpec, load_robot
@@ -66,6 +67,7 @@ def fit(
     resume: bool = False,
     track: Track = silent,
     on_progress: OnModel | None = None,
+    limit: TimeLimit | None = None,
 ) -> Identified:
     """Estimate what the simulator has wrong, and say how sure that is.
 
@@ -86,6 +88,7 @@ def fit(
         resume: go on where an earlier call was interrupted; what is finished is not done again.
         track: shows progress of the replays.
         on_progress: called after every iteration of every model.
+        limit: when the searches have to end; see `identify.identify`.
 
     Raises:
         OutputExists: `out` holds results, and neither `overwrite` nor `resume` is given; or it holds a finished fit
@@ -121,6 +124,7 @@ def fit(
             checkpoints=checkpoints,
             data_hash=dataset.hash,
             on_progress=on_progress,
+            limit=limit,
         )
         data = {
             **found.result.data,
@@ -143,6 +147,17 @@ def fit(
     shutil.rmtree(checkpoints, ignore_errors=True)
     notes = (*_left_out_notes(result), *_window_note(given, robot), *graybox, *measurement.gap.settings["warnings"])
     return Identified(result, (stock, fitted), measurement, ladder, notes)
+
+
+def explain_inputs(
+    dataset: Dataset, robot: RobotSpec, *, model: Path | None, config: IdentifyConfig | None, seed: int
+) -> str:
+    """Hash of everything that decides about what `explain` finds.
+
+    Raises:
+        ConfigError: there is no model.
+    """
+    return _digest(dataset, robot, model_file(robot, dataset, given=model), config, seed)
 
 
 def _digest(dataset: Dataset, robot: RobotSpec, model: Path, config: IdentifyConfig | None, seed: int) -> str:
@@ -239,6 +254,7 @@ def explain(
     seed: int = 0,
     jobs: int | None = None,
     on_progress: OnModel | None = None,
+    limit: TimeLimit | None = None,
 ) -> Attribution:
     """How much of the gap is delay, gains, friction, gravity or payload, inertia, and unexplained.
 
@@ -262,6 +278,7 @@ def explain(
         seed=seed,
         data_hash=dataset.hash,
         on_progress=on_progress,
+        limit=limit,
     )
     unused = {split: why for split, why in motions.refused.items() if split in ("train", found.split)}
     return replace(found, statements=(*left_out(unused), *found.statements))

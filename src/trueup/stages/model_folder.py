@@ -12,7 +12,7 @@ from typing import Any
 from trueup.augment.config import CHECKPOINT_NAME
 from trueup.core.atomic import file_hash, make_folder, read_json, remove, write_json
 from trueup.core.model_card import CARD_NAME, ONNX_NAME, STEP_NAME, WEIGHTS_NAME, ModelCard
-from trueup.core.policy_card import POLICY_CARD, POLICY_GRAPH, PolicyCard
+from trueup.core.policy_card import POLICY_CARD, POLICY_GRAPH, POLICY_LEARNER, PolicyCard
 from trueup.errors import DataError, OutputExists, TrueupError
 
 # Names that nobody else gives: what is called so is deleted.
@@ -45,7 +45,7 @@ NETWORK = Kind(
 )
 POLICY = Kind(
     POLICY_CARD,
-    (POLICY_GRAPH,),
+    (POLICY_GRAPH, POLICY_LEARNER),
     lambda path: PolicyCard.load(path).provenance,
     "a policy of another robot, configuration or seed",
 )

@@ -1,32 +1,25 @@
-"""Train a policy for a robot into a folder, and judge one on simulators and virtual hardware."""
+"""Train a policy for a robot into a folder."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from trueup.core.atomic import as_read_back, file_hash, json_hash, make_folder, write_json
+from trueup.core.atomic import as_read_back, file_hash, json_hash, make_folder
+from trueup.core.model_card import ModelCard
 from trueup.core.policy_card import PolicyCard
 from trueup.core.provenance import provenance
-from trueup.core.results import Estimate
-from trueup.errors import ConfigError, needing
+from trueup.errors import needing
 from trueup.robots import RobotSpec, find_model
 from trueup.stages.model_folder import POLICY, ModelFolder
 
 if TYPE_CHECKING:
     from trueup.policy.config import PolicyConfig
-    from trueup.policy.evaluation import Episodes
-    from trueup.policy.reaching import Reaching
     from trueup.policy.training import Round
 
-EVALUATION_SCHEMA = "trueup.policy-evaluation/1"
-
-PLACES = ("mujoco", "dart", "lab")
 # Judged after each round, with the same goals each time.
 _JUDGED = 64
 
@@ -79,38 +72,27 @@ def train_policy(
 
     Raises:
         OutputExists: `out` is not empty, or holds another policy or the training of one.
-        ConfigError: the robot follows no torques, or the configuration does not fit it.
-        DataError: training diverged, or a file is broken.
+        ConfigError: the robot follows no torques, or the configuration, or the policy that it begins with, does not
+            fit it.
+        NameMismatch: the policy that it begins with, or its network, is of a robot with other joints.
+        Diverged: the training came to numbers that are not finite.
+        DataError: a file is broken, or cannot be written.
         MissingDependency: Stable-Baselines3 is not installed.
     """
     with needing("training a policy", "rl"):
         import torch
 
-        from trueup.identify.export import SAMPLES_FILE
         from trueup.policy.config import PolicyConfig
         from trueup.policy.export import export
+        from trueup.policy.learned import read_learned, write_learned
         from trueup.policy.simulated import simulated
         from trueup.policy.training import Round, train
-        from trueup.sim import MujocoSimulator
 
     config, out = config or PolicyConfig(), Path(out)
     path = find_model(robot, given=model)
     threads = jobs or os.cpu_count() or 1
-    same = MujocoSimulator.from_robot(robot, path).fingerprint
-    # The folder of an identification may hold another one by the time that a training goes on.
-    samples = Path(config.randomization.posterior) / SAMPLES_FILE
-    asked = json_hash(
-        as_read_back(
-            {
-                "robot": robot.to_dict(),
-                "model": same,
-                "config": asdict(config),
-                "posterior": file_hash(samples) if config.randomization.posterior and samples.is_file() else "",
-                "name": name,
-                "seed": seed,
-            }
-        )
-    )
+    made_from = _made_from(robot, path, config)
+    asked = json_hash({**made_from, "name": name, "seed": seed})
     make_folder(out)
     if not (overwrite or resume):
         ModelFolder.refuse_full(out)
@@ -122,6 +104,7 @@ def train_policy(
         return TrainedPolicy(card, out, tuple(Round(**item) for item in card.provenance["history"]))
     arms = simulated(config, robot, path, threads=threads, force=force)
     judging = simulated(config, robot, path, count=_JUDGED, threads=threads, randomized=False)
+    start = read_learned(config, robot.joint_names)
     if overwrite:
         folder.begin_anew()
     before = torch.get_num_threads()
@@ -136,8 +119,10 @@ def train_policy(
             seed=seed,
             device=device,
             resume=resume,
+            start=start,
             on_round=on_round,
         )
+        write_learned(learner, out, config, asked)
         card = export(
             learner,
             judging,
@@ -147,6 +132,7 @@ def train_policy(
             provenance={
                 **provenance(config=as_read_back(asdict(config)), seed=seed),
                 "asked": asked,
+                "alike": json_hash(_but_for_seed(made_from, config)),
                 "history": [asdict(item) for item in history],
             },
         )
@@ -156,133 +142,45 @@ def train_policy(
     return TrainedPolicy(card, out, history)
 
 
-def evaluate_policy(
-    folder: Path | str,
-    robot: RobotSpec,
-    *,
-    places: Sequence[str] = ("mujoco",),
-    goals: int = 100,
-    units: Sequence[int] = (1,),
-    model: Path | None = None,
-    seed: int = 0,
-    jobs: int | None = None,
-    out: Path | None = None,
-    on_episodes: Callable[[str, int, int], None] = lambda *_: None,
-) -> dict[str, Episodes]:
-    """Let a policy reach for goals in simulators and on virtual hardware, with what it sees and may do the same in all.
+def policy_question(robot: RobotSpec, model: Path, config: PolicyConfig, *, name: str, seed: int) -> str:
+    """Hash of everything that decides about a training.
 
     Args:
-        folder: of the policy.
-        robot: its description; it follows torques.
-        places: `mujoco`, `dart`, or `lab`: virtual hardware.
-        goals: how many; the same in all places.
-        units: individuals of the virtual hardware.
+        robot: its description.
         model: MJCF or URDF.
-        seed: of goals and noise.
-        jobs: threads; the number of cores if None.
-        out: a JSON file for what was found.
-        on_episodes: told where, and how many of how many goals are done.
-
-    Returns:
-        place, `lab-2` for individual 2, -> its episodes.
+        config: algorithm, task, friction, randomization.
+        name: of the policy.
+        seed: of all draws.
 
     Raises:
-        ConfigError: no such place, or a robot that does not fit the policy.
-        NameMismatch: the policy is of a robot with other joints.
-        DataError: a file of it is broken.
+        DataError: the network of the configuration, or the policy that it begins with, is broken.
     """
-    from trueup.deploy.policy import Policy
-    from trueup.policy.evaluation import evaluate
-    from trueup.policy.reach import ReachConfig
-
-    if strangers := [place for place in places if place not in PLACES]:
-        raise ConfigError("--on", got=", ".join(strangers), available=PLACES)
-    if goals < 2:
-        raise ConfigError("--goals", got=goals, expected="2 or more, for intervals")
-    card = PolicyCard.load(Path(folder))
-    policy = Policy.load(folder, joints=robot.joint_names, rate_hz=card.rate_hz)
-    path = find_model(robot, given=model)
-    said = card.provenance.get("config", {}).get("reach", {})
-    task = ReachConfig(card.torque_nm, card.rate_hz, float(said.get("episode_s", ReachConfig.episode_s)), card.site)
-    found: dict[str, Episodes] = {}
-    for label, reaching in _worlds(robot, path, task, places, units, goals, jobs or os.cpu_count() or 1):
-        drawn = reaching.workspace.draw(np.random.default_rng([seed, 21]), goals)
-        found[label] = evaluate(
-            policy.act,
-            reaching,
-            drawn,
-            velocity_limit=_velocity_limit(path, robot),
-            seed=seed,
-            on_episodes=lambda done, count, label=label: on_episodes(label, done, count),  # type: ignore[misc]
-        )
-    if out is not None:
-        write_json(out, _saved(card, found, seed))
-    return found
+    return json_hash({**_made_from(robot, model, config), "name": name, "seed": seed})
 
 
-def _worlds(
-    robot: RobotSpec,
-    path: Path,
-    task: Any,
-    places: Sequence[str],
-    units: Sequence[int],
-    goals: int,
-    threads: int,
-) -> list[tuple[str, Reaching]]:
-    from trueup.lab import LabSpec, VirtualRobot, draw_truth
-    from trueup.lab.spec import Controller
-    from trueup.policy.arms import EngineArm, HardwareArm, MujocoArms
-    from trueup.policy.reaching import Reaching
-    from trueup.sim import MujocoSimulator, make_simulator
+def _made_from(robot: RobotSpec, model: Path, config: PolicyConfig) -> dict[str, Any]:
+    """The same but for name and seed."""
+    from trueup.identify.export import SAMPLES_FILE
+    from trueup.sim import MujocoSimulator
 
-    simulator = MujocoSimulator.from_robot(robot, path)
-    found: list[tuple[str, Reaching]] = []
-    for place in places:
-        if place == "mujoco":
-            arms = MujocoArms(simulator, min(goals, _JUDGED), task.control_s, threads=threads)
-            found.append((place, Reaching(arms, simulator.model, task)))
-        elif place == "dart":
-            arm = EngineArm(make_simulator("dart", robot, path), task.control_s)
-            found.append((place, Reaching(arm, simulator.model, task)))
-        else:
-            spec = replace(LabSpec(), controller=Controller(kind="torque"))
-            for unit in units:
-                lab = VirtualRobot(draw_truth(spec, unit=unit))
-
-                def put(pose: Any, rng: np.random.Generator, lab: VirtualRobot = lab) -> None:
-                    lab.restart(position=pose, seed=int(rng.integers(2**31)))
-
-                found.append(
-                    (f"lab-{unit}", Reaching(HardwareArm(lab, task.control_s, place=put), simulator.model, task))
-                )
-    return found
+    # The folder of an identification may hold another one by the time that a training goes on.
+    samples = Path(config.randomization.posterior) / SAMPLES_FILE
+    made_from: dict[str, Any] = as_read_back(
+        {
+            "robot": robot.to_dict(),
+            "model": MujocoSimulator.from_robot(robot, model).fingerprint,
+            "config": asdict(config),
+            "posterior": file_hash(samples) if config.randomization.posterior and samples.is_file() else "",
+            "network": ModelCard.load(Path(config.network)).to_json()["sha256"] if config.network else "",
+            "start": PolicyCard.load(Path(config.start)).provenance.get("asked") if config.start else "",
+        }
+    )
+    return made_from
 
 
-def _velocity_limit(path: Path, robot: RobotSpec) -> np.ndarray | None:
-    """What the model says of it, where it does."""
-    from trueup.robots.model import load_spec
-
-    for numeric in load_spec(path).numerics:
-        if numeric.name == "velocity_limit" and len(numeric.data) == len(robot.joints):
-            return np.array(numeric.data, np.float64)
-    return None
-
-
-def _saved(card: PolicyCard, found: Mapping[str, Episodes], seed: int) -> dict[str, Any]:
-    def numbers(values: Mapping[str, Estimate]) -> dict[str, Any]:
-        return {name: value.to_json() for name, value in values.items()}
-
-    return {
-        "schema": EVALUATION_SCHEMA,
-        "policy": card.name,
-        "places": {
-            label: {
-                "goals": episodes.goals.tolist(),
-                "lost": int(episodes.lost.sum()),
-                "values": {name: values.tolist() for name, values in episodes.values.items()},
-                "estimates": numbers(episodes.estimates()),
-            }
-            for label, episodes in found.items()
-        },
-        "provenance": provenance(config={"policy": card.provenance.get("asked", "")}, seed=seed),
-    }
+def _but_for_seed(made_from: Mapping[str, Any], config: PolicyConfig) -> dict[str, Any]:
+    """What trainings that differ in their seed share: seeds that begin with policies of several seeds, too."""
+    if not config.start:
+        return dict(made_from)
+    start = PolicyCard.load(Path(config.start)).provenance.get("alike")
+    return {**made_from, "config": {**made_from["config"], "start": ""}, "start": start}

@@ -21,7 +21,7 @@ from trueup.errors import ConfigError, DataError, NameMismatch, OutputExists, Tr
 from trueup.robots import RobotSpec, find_model
 from trueup.stages.importing import checked
 from trueup.stages.progress import Track, silent
-from trueup.stages.rigs import LabRig, Rig
+from trueup.stages.rigs import LabRig, Rig, ServoedRig
 
 if TYPE_CHECKING:
     from trueup.lab import Truth
@@ -207,7 +207,7 @@ def _truth(path: Path, rigs: Sequence[Rig], out: Path, *, there: bool) -> Truth:
             got=list(dict.fromkeys(one.unit for one in rigs)),
             hint="Record one unit at a time, or leave --truth out.",
         )
-    if not isinstance(rig, LabRig):
+    if not isinstance(rig, LabRig | ServoedRig):
         raise ConfigError("only the lab's robots have a truth to write down", got=rig.unit, hint="Leave --truth out.")
     if path.resolve().is_relative_to(out.resolve()):
         raise ConfigError("the truth is kept apart from the data", got=path, hint="Choose another folder for it.")

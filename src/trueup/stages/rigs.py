@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -209,6 +210,77 @@ class CompensatedRig:
 
 
 @dataclass
+class ServoedRig:
+    """A robot that takes torques, led along positions by springs and dampers at its joints.
+
+    Attributes:
+        inner: where the robot comes from.
+        robot: its description, with the largest torques.
+        model: its MJCF or URDF, for the inertias.
+        frequency_hz: of the springs [Hz].
+        control_hz: rate of the torques [Hz].
+
+    Raises:
+        ConfigError: a joint without a largest torque.
+    """
+
+    inner: LabRig | EngineRig
+    robot: RobotSpec
+    model: Path
+    frequency_hz: float
+    control_hz: float
+    _springs: Any = field(default=None, repr=False, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What another process needs; it makes springs of its own."""
+        return {**self.__dict__, "_springs": None}
+
+    def __post_init__(self) -> None:
+        """Refuse robots whose torques would know no limit."""
+        if missing := [joint.name for joint in self.robot.joints if not joint.torque_limit]:
+            raise ConfigError(
+                f"robot {self.robot.name!r} has joints whose torques would know no limit",
+                got=missing,
+                hint="Give them torque_limit in robot.yaml.",
+            )
+
+    @property
+    def unit(self) -> str:
+        """Which individual it is."""
+        return self.inner.unit
+
+    @property
+    def condition(self) -> str:
+        """What the robot stands on."""
+        return self.inner.condition
+
+    def truth(self) -> Truth:
+        """What is true of the lab's robot.
+
+        Raises:
+            ConfigError: it is none of the lab's.
+        """
+        if not isinstance(self.inner, LabRig):
+            raise ConfigError("only the lab's robots have a truth to write down", got=self.inner.unit)
+        return self.inner.truth()
+
+    def describe(self) -> dict[str, Any]:
+        """What decides about what it does."""
+        return {**self.inner.describe(), "servo_hz": self.frequency_hz, "servo_rate_hz": self.control_hz}
+
+    def session(self, number: int, payload_kg: float) -> Hardware:
+        """The robot at home, held there."""
+        from trueup.record import Springs, TorqueServo
+        from trueup.sim import MujocoSimulator
+
+        if self._springs is None:
+            most = np.array([joint.torque_limit for joint in self.robot.joints], np.float64)
+            compiled = MujocoSimulator.from_robot(self.robot, self.model).model
+            self._springs = Springs(compiled, self.robot.joint_names, most, frequency_hz=self.frequency_hz)
+        return TorqueServo(self.inner.session(number, payload_kg), self._springs, step_s=1.0 / self.control_hz)
+
+
+@dataclass
 class EngineRig:
     """An engine that plays the robot (LSTM thesis, Algorithm 4: a saved plan, executed in simulation).
 
@@ -260,10 +332,15 @@ class EngineRig:
         # Where the control step is no whole number of physics steps, commands and readings come at the next of these.
         ratio = 1.0 / (self.control_hz * self._simulator.timestep_s)
         steps = round(ratio) if ratio >= 1 and abs(ratio - round(ratio)) < 1e-6 else 1
-        homes = {model.key(row).name: model.key_qpos[row] for row in range(model.nkey)}
-        pose = homes.get("home", model.qpos0)
-        home = np.array([pose[model.joint(name).qposadr[0]] for name in self.robot.joint_names], np.float64)
+        home = _home(model, self.robot.joint_names)
         return SimulatedRobot(self._simulator, position=home, steps_per_control=steps)
+
+
+def _home(model: Any, joints: Sequence[str]) -> np.ndarray:
+    """The keyframe `home`, or the pose of zeros of a model that has none."""
+    homes = {model.key(row).name: model.key_qpos[row] for row in range(model.nkey)}
+    pose = homes.get("home", model.qpos0)
+    return np.array([pose[model.joint(name).qposadr[0]] for name in joints], np.float64)
 
 
 def make_rig(
@@ -277,8 +354,9 @@ def make_rig(
     fault_share: float = 0.0,
     control_hz: float = 1000.0,
     base: str | None = None,
-) -> LabRig | EngineRig:
-    """A rig by the name of its hardware.
+    servo_hz: float | None = None,
+) -> LabRig | EngineRig | ServoedRig:
+    """A rig by the name of its hardware; a robot that takes torques is led along positions by springs and dampers.
 
     Args:
         hardware: `lab`, or an engine: `mujoco`, `dart`.
@@ -290,30 +368,49 @@ def make_rig(
         fault_share: share of the motions in which something goes wrong.
         control_hz: rate of the commands, or of the readings if it is higher [Hz]; of engines.
         base: condition of the base, over what the lab says.
+        servo_hz: natural frequency of the springs for a robot that takes torques [Hz]; `record.SERVO_HZ` if None.
 
     Raises:
-        ConfigError: there is no such hardware or condition, or only the lab has units, faults, bases or a lab file.
+        ConfigError: there is no such hardware or condition, only the lab has units, faults, bases or a lab file, or
+            `servo_hz` is given for a robot that takes no torques.
         NameMismatch: the lab is of another robot; both lists are printed.
     """
+    torques = robot.controller.kind == "torque"
+    if servo_hz is not None and not torques:
+        raise ConfigError(
+            f"robot {robot.name!r} follows positions by itself", got=f"servo_hz {servo_hz:g}", hint="Leave it out."
+        )
+    rig: LabRig | EngineRig
     if hardware == "lab":
-        from trueup.core.config import build
-        from trueup.lab import LabSpec
-        from trueup.lab.spec import Base
-
-        spec = lab or LabSpec()
-        if base is not None:
-            spec = replace(spec, base=build(Base, {**asdict(spec.base), "condition": base}, "base"))
-        own = load_robot(spec.robot)
-        if own.joint_names != robot.joint_names:
-            raise NameMismatch(
-                f"the lab's {own.name!r} is no {robot.name!r}",
-                left=own.joint_names,
-                right=robot.joint_names,
-                hint="Give --lab: xm430 for servos, or a YAML file with this robot and the sizes of its effects.",
-            )
-        return LabRig(spec, unit, seed, fault_share)
-    if hardware not in ("mujoco", "dart"):
+        rig = LabRig(_lab_of(robot, lab, base, torques=torques), unit, seed, fault_share)
+    elif hardware not in ("mujoco", "dart"):
         raise ConfigError(f"there is no hardware {hardware!r}", available=("lab", "mujoco", "dart"))
-    if lab is not None or fault_share or base is not None:
+    elif lab is not None or fault_share or base is not None:
         raise ConfigError(f"{hardware} has no faults, no base and no lab file", hint="Give --hardware lab.")
-    return EngineRig(robot, hardware, model, control_hz)
+    else:
+        rig = EngineRig(robot, hardware, model, control_hz)
+    if not torques:
+        return rig
+    from trueup.record import SERVO_HZ
+
+    return ServoedRig(rig, robot, model, SERVO_HZ if servo_hz is None else servo_hz, control_hz)
+
+
+def _lab_of(robot: RobotSpec, lab: LabSpec | None, base: str | None, *, torques: bool) -> LabSpec:
+    """Sizes of the lab's effects, for this robot on this base."""
+    from trueup.core.config import build
+    from trueup.lab import LabSpec
+    from trueup.lab.spec import Base, Controller
+
+    spec = lab or LabSpec()
+    if base is not None:
+        spec = replace(spec, base=build(Base, {**asdict(spec.base), "condition": base}, "base"))
+    own = load_robot(spec.robot)
+    if own.joint_names != robot.joint_names:
+        raise NameMismatch(
+            f"the lab's {own.name!r} is no {robot.name!r}",
+            left=own.joint_names,
+            right=robot.joint_names,
+            hint="Give --lab: xm430 for servos, or a YAML file with this robot and the sizes of its effects.",
+        )
+    return replace(spec, controller=Controller(kind="torque")) if torques else spec

@@ -1,14 +1,15 @@
-"""Trained networks that come with the package.
+"""Trained networks and policies that come with the package.
 
     import trueup.zoo
 
     model = trueup.zoo.load("panda-realeasy-rt")
     stream = model.stream(rate_hz=100, joints=model.card.joints)
 
-Where a command takes the folder of a model, it takes `zoo:panda-realeasy-rt`, too.
+Where a command takes the folder of a model, it takes `zoo:panda-realeasy-rt`, too; where it takes that of a policy,
+`zoo:panda-reach`.
 
 Each is a model folder with a card for people, `CARD.md`, beside it: what it was trained on, what it is good for and
-what not. `python -m benchmarks.zoo` makes them again.
+what not. `python -m benchmarks.zoo` makes the networks again, `python -m benchmarks.policy_zoo` the policies.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pathlib import Path
 
 from trueup.augment.trained import Trained
 from trueup.core.model_card import CARD_NAME
+from trueup.core.policy_card import POLICY_CARD
 from trueup.errors import MissingSignal
 
 _HERE = Path(__file__).parent
@@ -28,22 +30,27 @@ def names() -> tuple[str, ...]:
     return tuple(sorted(path.parent.name for path in _HERE.glob(f"*/{CARD_NAME}")))
 
 
+def policies() -> tuple[str, ...]:
+    """The policies that are there."""
+    return tuple(sorted(path.parent.name for path in _HERE.glob(f"*/{POLICY_CARD}")))
+
+
 def folder(name: str) -> Path:
-    """The model folder of a network.
+    """The folder of a network or policy.
 
     Raises:
         MissingSignal: there is none of this name.
     """
-    if name not in names():
-        raise MissingSignal(f"the zoo has no network {name!r}", available=names())
+    if name not in (there := (*names(), *policies())):
+        raise MissingSignal(f"the zoo has no {name!r}", available=there)
     return _HERE / name
 
 
 def folder_of(text: str | Path) -> Path:
-    """The model folder that a user means: `zoo:NAME` is one of the zoo, all else is a path.
+    """The folder that a user means: `zoo:NAME` is one of the zoo, all else is a path.
 
     Raises:
-        MissingSignal: the zoo has no network of this name.
+        MissingSignal: the zoo has nothing of this name.
     """
     name = str(text)
     return folder(name.removeprefix(_PREFIX)) if name.startswith(_PREFIX) else Path(text)

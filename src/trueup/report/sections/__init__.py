@@ -19,6 +19,7 @@ from trueup.report.sections.open_questions import open_section
 from trueup.report.sections.parameters import parameters_section
 from trueup.report.sections.provenance import provenance_section
 from trueup.report.sections.robustness import robustness_section
+from trueup.report.sections.steps import steps_section
 from trueup.report.sections.traces import traces_section
 from trueup.report.sections.usage import usage_section
 from trueup.report.sections.verdict import verdict_section
@@ -42,6 +43,7 @@ SECTIONS: tuple[Callable[[RunFolder], Section | None], ...] = (
     causes_section,
     flags_section,
     episodes_section,
+    steps_section,
     provenance_section,
 )
 

@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from trueup.core.policy_evaluation import PolicyEvaluation
 from trueup.core.robustness_result import RobustnessResult
 from trueup.report.folder import RunFolder
 from trueup.report.sections.base import Section
@@ -26,8 +27,8 @@ def provenance_section(run: RunFolder) -> Section:
     )
 
 
-def provenance_of(result: RobustnessResult) -> Section:
-    """The same where nothing but the robustness of a correction was looked at."""
+def provenance_of(result: RobustnessResult | PolicyEvaluation) -> Section:
+    """The same where nothing but the robustness of a correction was looked at, or what policies do."""
     stored = dict(result.provenance)
     config = stored.pop("config", {})
     return _section(stored, ("Settings", as_json(result.settings)), ("Configuration", as_json(config)))

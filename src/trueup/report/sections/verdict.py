@@ -53,6 +53,8 @@ def verdict_section(run: RunFolder) -> Section:
         return Section("verdict", "Verdict", context)
     comparisons = [compare(headline, label, run.gap) for label in run.runs]
     found = [item for item in comparisons if item is not None]
+    tested = [item for item in found if item.tone != "untested"]
+    found = tested or found  # two means beside paired comparisons would only be many words
     extremes = extreme_joints(headline, run.gap)
     sentences = [item.sentence for item in found]
     sentences += [headline.reason] if headline.reason else []

@@ -1,0 +1,96 @@
+"""The section "What their numbers do" of docs/policy-transfer.md, from `python -m benchmarks policy_grid`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from benchmarks.pages import curves_figure
+from benchmarks.pages.markdown import table
+
+NAME = "policy-grid.svg"
+ABOUT = "Reward while learning, by noise, discount and learning rate"
+TITLES = {
+    "ddpg-noise": "DDPG, noise of actions",
+    "sac-gamma": "SAC, discount",
+    "td3-gamma": "TD3, discount",
+    "tqc-rate": "TQC, learning rate",
+    "tqc-gamma": "TQC, discount",
+}
+# What the thesis says of its figures.
+THESIS = {
+    "ddpg-noise": "normal and Ornstein-Uhlenbeck noise alike; noise is essential",
+    "sac-gamma": "0.95 inferior to 0.99",
+    "td3-gamma": "hardly learns; worse below 0.99",
+    "tqc-rate": "0.0001 and 0.001 alike; 0.01 worse",
+    "tqc-gamma": "0.95 no worse than 0.99, 0.9 a little better",
+}
+TEXT = """## What their numbers do
+
+One number at a time, as in Fig. 2.1 to 2.5 and 2.7 of the thesis: {steps:,} control steps, {seeds} seeds, the laptop's
+other numbers, one reward at a time and a learning rate that stays. Lines are means over seeds, bands go from the least
+to the largest.
+
+```sh
+python -m benchmarks policy_grid
+```
+
+![{about}]({name})
+
+Reward of a control step in the best round, mean over seeds (least and largest), and median distance there:
+
+{rows}
+
+Seeds are few and trainings short: differences smaller than the ranges say nothing. [`trueup policy
+grid`](policies.md#grid-search) searches the thesis's whole grid, and [`trueup policy
+curves`](policies.md#curves-of-trainings) draws such figures of it.
+"""
+
+
+def part(result: Mapping[str, Any]) -> str:
+    """The section as Markdown."""
+    rows = []
+    for question in result["questions"]:
+        key = _key(question)
+        for number, group in enumerate(question["groups"]):
+            rows.append(
+                [
+                    f"{TITLES[key]} ({question['figure']})" if number == 0 else "",
+                    "" if number else THESIS[key],
+                    _value(group["value"]),
+                    *_ends(group["curves"]),
+                ]
+            )
+    heads = ["varied (figure)", "the thesis says", "", "reward", "distance [cm]"]
+    return TEXT.format(
+        steps=result["steps"], seeds=result["seeds"], about=ABOUT, name=NAME, rows=table(heads, rows, left=3)
+    )
+
+
+def figures(result: Mapping[str, Any]) -> dict[str, str]:
+    """The curves."""
+    panels = {
+        f"{question['figure']}: {TITLES[_key(question)]}": {
+            _value(group["value"]): [[(point[0], point[1]) for point in curve] for curve in group["curves"]]
+            for group in question["groups"]
+        }
+        for question in result["questions"]
+    }
+    return {NAME: curves_figure.figure(ABOUT, panels)}
+
+
+def _key(question: Mapping[str, Any]) -> str:
+    return f"{question['algorithm']}-{question['name']}"
+
+
+def _value(value: Any) -> str:
+    return {"ou": "Ornstein-Uhlenbeck"}.get(value, value) if isinstance(value, str) else f"{value:g}"
+
+
+def _ends(curves: Sequence[Sequence[Sequence[float]]]) -> tuple[str, str]:
+    best = np.array([max(curve, key=lambda point: point[1]) for curve in curves])
+    reward = best[:, 1]
+    said = f"{reward.mean():.3f} ({reward.min():.3f}, {reward.max():.3f})".replace("-", "\N{MINUS SIGN}")
+    return said, f"{100 * best[:, 2].mean():.1f}"

@@ -1,0 +1,266 @@
+"""Policies trained in three simulators with three randomizations, on robots: how near they come to goals.
+
+Columns are what is randomized (ES thesis, 4.1.1, or the posterior of the identification); rows are the simulators: as
+it comes, identified, identified and with a network that was trained on the same logs. The thesis's own way, friction in
+actions, is a fourth. All are judged on the same 100 goals: in the simulators, in DART, on the three robots that were
+recorded and on three that were not.
+
+`python -m benchmarks policy_transfer` records, identifies and trains what is not there, under runs/policies (two to
+three hours on two cores). Its figures are kept in benchmarks/results/policy_transfer.json.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import product
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from benchmarks.policy_data import FOLDER, STOCK, UNITS, fitted, network
+from benchmarks.table import Row, at_most, rounded, shown
+from trueup.core.atomic import read_json, write_json
+from trueup.core.provenance import provenance
+from trueup.deploy.policy import Policy
+from trueup.lab import LabSpec, VirtualRobot, draw_truth
+from trueup.lab.spec import Controller
+from trueup.measure import paired_difference
+from trueup.measure.seeds import seeds_interval
+from trueup.policy.arms import EngineArm, HardwareArm, MujocoArms
+from trueup.policy.config import LAPTOP, PolicyConfig
+from trueup.policy.evaluation import UNITS as METRICS
+from trueup.policy.evaluation import Episodes, evaluate
+from trueup.policy.randomization import THESIS, RandomizationConfig
+from trueup.policy.reaching import Reaching
+from trueup.policy.thesis_friction import OFFSET
+from trueup.robots import RobotSpec, find_model, load_robot
+from trueup.sim import MujocoSimulator, make_simulator
+from trueup.stages.policy_training import TrainedPolicy, train_policy
+
+RESULT = Path(__file__).parent / "results" / "policy_transfer.json"
+# A training takes six minutes of a core: three of each where it matters, one elsewhere.
+SEEDS = {"stock": (0, 1, 2), "identified": (0, 1, 2), "augmented": (0,), "thesis": (0,)}
+# Half of the laptop's; `policy_going_on` has what comes after.
+STEPS = LAPTOP.steps // 2
+GOALS = 100
+# DART takes its physics steps one by one: as long for these as for all on six robots.
+DART_GOALS = 40
+STRANGERS = (4, 5, 6)
+DRAWS = ("none", "thesis", "posterior")
+TASK = LAPTOP.reach
+BAR_M = 0.05
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One training.
+
+    Attributes:
+        simulator: where.
+        draws: what differs from episode to episode.
+        seed: of everything that is drawn.
+    """
+
+    simulator: str
+    draws: str
+    seed: int
+
+    @property
+    def folder(self) -> Path:
+        """Of the policy."""
+        return FOLDER / "policies" / f"{self.simulator}-{self.draws}-{self.seed}"
+
+    @property
+    def robot(self) -> RobotSpec:
+        """Whose simulator it is trained in."""
+        return robot_of(self.simulator)
+
+    @property
+    def config(self) -> PolicyConfig:
+        """The laptop's but for its length, in this simulator with these draws."""
+        drawn = {
+            "none": RandomizationConfig(),
+            "thesis": THESIS,
+            "posterior": RandomizationConfig(posterior=str(fitted())),
+        }
+        return replace(
+            LAPTOP,
+            steps=STEPS,
+            randomization=drawn[self.draws],
+            friction="thesis" if self.simulator == "thesis" else "simulator",
+            network=str(network()) if self.simulator == "augmented" else "",
+        )
+
+
+def cells() -> Iterator[Cell]:
+    """All trainings: a posterior is that of the identified simulator."""
+    for simulator, seeds in SEEDS.items():
+        for seed, draws in product(seeds, DRAWS):
+            if draws != "posterior" or simulator in ("identified", "augmented"):
+                yield Cell(simulator, draws, seed)
+
+
+def robot_of(simulator: str) -> RobotSpec:
+    """The description of a simulator's robot."""
+    return load_robot(fitted() / "robot.fitted.yaml" if simulator in ("identified", "augmented") else STOCK)
+
+
+def trained(cell: Cell) -> dict[str, Any]:
+    """Train the policy of a cell, if it is not there: its curve."""
+    torch.set_num_threads(1)
+    return of_training(train_policy(cell.robot, cell.folder, config=cell.config, seed=cell.seed, jobs=1, resume=True))
+
+
+def of_training(made: TrainedPolicy) -> dict[str, Any]:
+    """What is kept of a training: its best round, what it took, its curve."""
+    best = max(made.history, key=lambda item: item.reward)
+    return {
+        "round": best.number,
+        "distance": best.distance_m,
+        "minutes": made.history[-1].seconds / 60,
+        "cpu_minutes": made.history[-1].cpu_seconds / 60,
+        "curve": [[item.steps, item.cpu_seconds, item.reward, item.distance_m] for item in made.history],
+    }
+
+
+def judged(cell: Cell) -> dict[str, Any]:
+    """Place -> metric -> mean over goals; and the distances, goal by goal."""
+    policy = Policy.load(cell.folder, joints=load_robot(STOCK).joint_names, rate_hz=TASK.control_hz)
+    found = {}
+    robots = {name: robot_of(name) for name in ("stock", "identified")}
+    offset = np.array(OFFSET) if cell.simulator == "thesis" else None
+    for place, reaching in places(robots, (*UNITS, *STRANGERS), offset).items():
+        goals = reaching.workspace.draw(np.random.default_rng(21), GOALS)
+        found[place] = said(evaluate(policy.act, reaching, goals[:DART_GOALS] if place == "dart" else goals))
+    return found
+
+
+def places(
+    robots: Mapping[str, RobotSpec], units: Sequence[int], offset: np.ndarray | None = None
+) -> dict[str, Reaching]:
+    """Where a policy is judged.
+
+    Args:
+        robots: simulators by name; the one that is called `identified` is there in DART, too.
+        units: of the virtual hardware.
+        offset: what the thesis adds to actions on hardware, for its way alone (Table 3.1) [Nm].
+    """
+    model = MujocoSimulator.from_robot(load_robot(STOCK), find_model(load_robot(STOCK))).model
+    found = {}
+    for name, robot in robots.items():
+        arms = MujocoArms(MujocoSimulator.from_robot(robot, find_model(robot)), 50, TASK.control_s)
+        found[name] = Reaching(arms, model, TASK)
+    robot = robots["identified"]
+    found["dart"] = Reaching(EngineArm(make_simulator("dart", robot, find_model(robot)), TASK.control_s), model, TASK)
+    spec = replace(LabSpec(), controller=Controller(kind="torque"))
+    for unit in units:
+        lab = VirtualRobot(draw_truth(spec, unit=unit))
+
+        def put(pose: np.ndarray, rng: np.random.Generator, lab: VirtualRobot = lab) -> None:
+            lab.restart(position=pose, seed=int(rng.integers(2**31)))
+
+        found[f"lab-{unit}"] = Reaching(HardwareArm(lab, TASK.control_s, place=put), model, TASK, offset_nm=offset)
+    return found
+
+
+def said(episodes: Episodes) -> dict[str, Any]:
+    """What is kept of a policy in a place."""
+    return {
+        **{name: float(episodes.values[name].mean()) for name in METRICS},
+        "lost": int(episodes.lost.sum()),
+        "distances": episodes.values["distance"].tolist(),
+        "rewards": episodes.values["reward"].tolist(),
+    }
+
+
+def run() -> list[Row]:
+    """Train what is not there, judge all, and hold the cells against the stock simulator's."""
+    fitted()
+    network()
+    every = list(cells())
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        trainings = list(pool.map(trained, every))
+        found = list(pool.map(judged, every))
+    results: dict[str, Any] = {}
+    for cell, training, own in zip(every, trainings, found, strict=True):
+        by_seed = results.setdefault(cell.simulator, {}).setdefault(cell.draws, {})
+        by_seed[str(cell.seed)] = {"training": training, "places": own}
+    about = {"units": UNITS, "strangers": STRANGERS, "goals": GOALS, "steps": STEPS}
+    result = {"policies": results, "table": table(results), "provenance": provenance(config=about, seed=0)}
+    write_json(RESULT, rounded(result))
+    return rows(read_json(RESULT))
+
+
+def table(results: Mapping[str, Any]) -> dict[str, Any]:
+    """Simulator -> draws -> place -> median distance over goals and seeds, and the difference to the stock simulator.
+
+    A goal counts once: with the mean over seeds, and over the robots where there are several.
+    """
+    lab = {
+        "recorded robots": [f"lab-{unit}" for unit in UNITS],
+        "other robots": [f"lab-{unit}" for unit in STRANGERS],
+    }
+    spots = {"stock": ["stock"], "identified": ["identified"], "dart": ["dart"], **lab}
+    found: dict[str, Any] = {}
+    for simulator, by_draws in results.items():
+        for draws, by_seed in by_draws.items():
+            own = {}
+            for spot, names in spots.items():
+                distances = _distances(by_seed, names)
+                base = _distances(results["stock"]["none"], names).mean(axis=1)
+                difference = paired_difference(
+                    distances.mean(axis=(0, 1)),
+                    base.mean(axis=0),
+                    run=f"{simulator}, {draws}",
+                    baseline="stock, none",
+                    split="goals",
+                    signal="reach",
+                    metric="distance",
+                    unit="m",
+                ).difference
+                own[spot] = {
+                    "median": float(np.median(distances)),
+                    "interval": _interval(distances),
+                    "by_seed": np.median(distances, axis=(1, 2)).tolist(),
+                    "success": float((distances <= BAR_M).mean()),
+                    "minus_stock": [difference.value, difference.low, difference.high],
+                    "minus_stock_seeds": list(seeds_interval(distances.mean(axis=1), base)),
+                    **{
+                        name: float(np.mean([s["places"][n][name] for s in by_seed.values() for n in names]))
+                        for name in ("overshoot", "smoothness", "torque_at_limit", "reward")
+                    },
+                }
+            found.setdefault(simulator, {})[draws] = own
+    return found
+
+
+def _distances(by_seed: Mapping[str, Any], names: list[str]) -> np.ndarray:
+    """(seeds, robots, goals) [m]."""
+    return np.array([[own["places"][name]["distances"] for name in names] for own in by_seed.values()])
+
+
+def _interval(distances: np.ndarray, draws: int = 2000) -> list[float]:
+    """Of the median, 95 %, over goals drawn again, with all robots and seeds of each."""
+    rng = np.random.default_rng(0)
+    goals = distances.shape[-1]
+    medians = [np.median(distances[..., rng.integers(goals, size=goals)]) for _ in range(draws)]
+    low, high = np.quantile(medians, (0.025, 0.975))
+    return [float(low), float(high)]
+
+
+def rows(result: Mapping[str, Any]) -> list[Row]:
+    """The cells, and the bars."""
+    found = []
+    for simulator, by_draws in result["table"].items():
+        for draws, own in by_draws.items():
+            for spot, said in own.items():
+                found.append(shown(f"{simulator}, {draws}: on {spot}, median", 100 * said["median"], "cm"))
+    best = result["table"]["identified"]["posterior"]["recorded robots"]
+    found.append(at_most("identified, posterior, on the recorded robots: median", 100 * best["median"], 5.0, "cm"))
+    found.append(at_most("its difference to stock, upper end", 100 * best["minus_stock"][2], 0.0, "cm"))
+    return found

@@ -1,0 +1,125 @@
+"""Work on many items on the machines of a Ray cluster, as it ends."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import logging
+import os
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, TypeVar
+
+from trueup.core.workers import one_thread
+from trueup.errors import ConfigError, needing
+
+# Times that an item is taken up again after its worker was killed.
+_RETRIES = 3
+# What goes between processes here is small; Ray would take a third of the memory for it [bytes].
+_STORE = 100_000_000
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_begun: list[bool] = []
+
+
+def on_ray(
+    work: Callable[[Item], Result],
+    items: Iterable[Item],
+    *,
+    address: str,
+    jobs: int | None = None,
+    gpus: int = 0,
+    begin: Callable[..., None],
+    with_args: tuple[Any, ...] = (),
+) -> Iterator[tuple[Item, Result]]:
+    """Each item with what `work` makes of it, in the order in which work ends, as `workers.as_they_end` does it.
+
+    An item has one processor of the cluster. If its worker is killed, or the machine of it goes away, it begins anew
+    elsewhere, up to three times; `work` has to bear that. An error of `work` ends all.
+
+    Args:
+        work: a function of a module that the cluster has, too; what goes in and comes out can be pickled.
+        items: taken one by one.
+        address: of the cluster; `local` starts one here, of `jobs` processors, and ends it afterwards.
+        jobs: items that are under way at a time; as many as the cluster has processors if None.
+        gpus: what each item needs besides its processor; Ray hides them from an item that asks for none.
+        begin: called in each process before its first item.
+        with_args: its arguments.
+
+    Raises:
+        ConfigError: there is no such cluster, it has too few GPUs, or the worker of an item was killed again and again.
+        MissingDependency: Ray is not installed.
+    """
+    with needing("work on a Ray cluster", "ray"):
+        import ray
+        from ray.exceptions import RayError, RayTaskError
+
+    with _cluster(address, jobs):
+        has = int(ray.cluster_resources().get("GPU", 0))
+        if has < gpus:  # an item would wait for one as long as the command runs
+            raise ConfigError("the Ray cluster has too few GPUs", got=has, expected=f"at least {gpus}")
+        task = ray.remote(_done).options(num_cpus=1, num_gpus=gpus, max_retries=_RETRIES)
+        under_way: dict[Any, Item] = {}
+        source = iter(items)
+        try:
+            while True:
+                room = jobs or max(int(ray.cluster_resources().get("CPU", 1)), 1)
+                for item in itertools.islice(source, max(room - len(under_way), 0)):
+                    under_way[task.remote(work, item, begin, with_args)] = item
+                if not under_way:
+                    break
+                ended, _ = ray.wait([*under_way])
+                for reference in ended:
+                    result: Result = ray.get(reference)
+                    yield under_way.pop(reference), result
+        except RayTaskError as error:
+            if not isinstance(error.cause, RayError):
+                raise error.cause from error
+            raise ConfigError(
+                "a worker of the Ray cluster cannot read what it is to do",
+                got=str(error.cause).split("\n")[0],
+                hint="Install the same trueup on all machines of the cluster.",
+            ) from error
+        except RayError as error:
+            raise ConfigError(
+                "a worker of the Ray cluster ended",
+                got=f"{type(error).__name__} after {_RETRIES} more attempts",
+                hint="If it was killed for want of memory, repeat with fewer --jobs.",
+            ) from error
+        finally:
+            for reference in under_way:
+                ray.cancel(reference, force=True)
+
+
+@contextlib.contextmanager
+def _cluster(address: str, jobs: int | None) -> Iterator[None]:
+    """Connected to a cluster, unless this process is connected to one already."""
+    import ray
+
+    if ray.is_initialized():
+        yield
+        return
+    own: dict[str, Any] = {}
+    if address == "local":
+        own = {"num_cpus": jobs, "object_store_memory": _STORE, "include_dashboard": False}
+        own["_node_ip_address"] = "127.0.0.1"
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # what it tells its makers is for those who asked for it
+    try:
+        ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, **own)
+    except (OSError, RuntimeError, ValueError) as error:
+        raise ConfigError(
+            "no Ray cluster answers", got=f"{address}: {error}", expected="local, or HOST:PORT"
+        ) from error
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+def _done(work: Callable[[Item], Result], item: Item, begin: Callable[..., None], with_args: tuple[Any, ...]) -> Result:
+    if not _begun:
+        one_thread()
+        begin(*with_args)
+        _begun.append(True)
+    return work(item)

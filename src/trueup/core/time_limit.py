@@ -1,0 +1,51 @@
+"""When long work has to end."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class TimeLimit:
+    """An end that work looks at between its steps: it ends with what it has then, a step late at most.
+
+    What work is asked to do does not depend on it, so that work that was cut short is gone on with under another limit.
+
+    Attributes:
+        began_at: on the clock of `time.monotonic` [s].
+        ends_at: likewise.
+    """
+
+    began_at: float
+    ends_at: float
+
+    @staticmethod
+    def after(seconds: float) -> TimeLimit:
+        """So long from now."""
+        now = time.monotonic()
+        return TimeLimit(now, now + seconds)
+
+    @property
+    def left_s(self) -> float:
+        """Seconds that are left; 0 afterwards."""
+        return max(0.0, self.ends_at - time.monotonic())
+
+    @property
+    def spent(self) -> float:
+        """Share that has passed, 0 to 1."""
+        whole_s = self.ends_at - self.began_at
+        return 1.0 if whole_s <= 0 else min(1.0, 1.0 - self.left_s / whole_s)
+
+    @property
+    def over(self) -> bool:
+        """Whether it has passed."""
+        return self.left_s <= 0
+
+    def share(self, fraction: float) -> TimeLimit:
+        """The end of so much of what is left."""
+        return TimeLimit.after(fraction * self.left_s)
+
+    def until(self, spent: float) -> TimeLimit:
+        """The time at which this share of the whole will have passed."""
+        return TimeLimit(self.began_at, self.began_at + spent * (self.ends_at - self.began_at))

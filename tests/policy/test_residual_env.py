@@ -1,0 +1,195 @@
+"""An environment read through a network: observations are corrected, physics and rewards are not."""
+
+from dataclasses import replace
+from typing import ClassVar
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+from gymnasium.envs.mujoco import MujocoEnv
+from gymnasium.spaces import Box
+from gymnasium.utils.env_checker import check_env
+
+from augment.evaluation_cases import card_of, shift_folder
+from trueup.core.model_card import Input, Output
+from trueup.errors import ConfigError, NameMismatch
+from trueup.policy import ResidualEnv
+
+XML = """
+<mujoco>
+  <option timestep="0.002"/>
+  <worldbody>
+    <body name="upper"><joint name="a" axis="0 1 0" damping="0.5"/><geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/>
+      <body pos="0.3 0 0"><joint name="b" axis="0 1 0" damping="0.5"/><geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02"/>
+        <site name="tip" pos="0.2 0 0"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="ma" joint="a" ctrlrange="-1 1"/><motor name="mb" joint="b" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+
+
+class Arm(MujocoEnv):
+    """Two links; it sees its joints and where its tip is."""
+
+    metadata: ClassVar = {"render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"], "render_fps": 100}
+
+    def __init__(self, xml, frame_skip=5, **options):
+        space = Box(-np.inf, np.inf, (7,), np.float64)
+        super().__init__(str(xml), frame_skip, observation_space=space, **options)
+
+    def _get_obs(self):
+        return np.concatenate([self.data.qpos, self.data.qvel, self.data.site("tip").xpos])
+
+    def reset_model(self):
+        self.set_state(np.array([0.3, -0.2]), np.zeros(2))
+        return self._get_obs()
+
+    def step(self, action):
+        self.do_simulation(action, self.frame_skip)
+        return self._get_obs(), -float(np.abs(self.data.qpos).sum()), False, False, {}
+
+
+@pytest.fixture
+def xml(tmp_path):
+    (tmp_path / "arm.xml").write_text(XML)
+    return tmp_path / "arm.xml"
+
+
+SHIFT = np.array([0.02, -0.03, 0.1, -0.2])  # of positions and velocities of a and b
+
+
+@pytest.fixture
+def network(tmp_path):
+    return shifting(tmp_path / "network", SHIFT)
+
+
+def shifting(folder, shift, joints=("a", "b"), signals=("position", "velocity"), series="simulated", **about):
+    """A network that adds a constant to positions and velocities."""
+    units = {"position": "rad", "velocity": "rad/s", "torque": "Nm"}
+    channels = [(signal, joint, units[signal]) for signal in signals for joint in joints]
+    card = replace(
+        card_of(joints=joints, signals=("position",), **about),
+        inputs=tuple(Input(*channel, series=series) for channel in channels),
+        outputs=tuple(Output(*channel, base=number) for number, channel in enumerate(channels)),
+    )
+    return shift_folder(folder, card, shift)
+
+
+def test_observations_are_of_the_corrected_state_and_the_physics_is_not_touched(xml, network):
+    plain, env = Arm(xml), ResidualEnv(Arm(xml), network)
+    rng = np.random.default_rng(0)
+    before, _ = plain.reset(seed=0)
+    seen, info = env.reset(seed=0)
+    data = mujoco.MjData(plain.model)
+    for step in range(50):
+        np.testing.assert_allclose(seen[:4], before[:4] + SHIFT, atol=1e-6)
+        assert info["residual"] == "ok"
+        # What follows from the joints is that of the corrected ones.
+        data.qpos[:] = seen[:2]
+        mujoco.mj_kinematics(plain.model, data)
+        moved = np.array(data.site("tip").xpos)
+        data.qpos[:] = before[:2]
+        mujoco.mj_kinematics(plain.model, data)
+        # MujocoEnv itself sees the tip a physics step late: its correction is added to that.
+        np.testing.assert_allclose(seen[4:] - before[4:], moved - data.site("tip").xpos, atol=1e-6)
+        assert np.abs(seen[4:] - before[4:]).max() > 1e-3
+        np.testing.assert_array_equal(env.unwrapped.data.qpos, plain.data.qpos)
+        np.testing.assert_array_equal(env.unwrapped.data.qvel, plain.data.qvel)
+        action = rng.uniform(-1, 1, 2)
+        before, reward, *_ = plain.step(action)
+        seen, own, terminated, truncated, info = env.step(action)
+        assert own == reward, step
+        assert (terminated, truncated) == (False, False)
+
+
+def test_a_network_without_corrections_changes_nothing(xml, tmp_path):
+    plain, env = Arm(xml), ResidualEnv(Arm(xml), shifting(tmp_path / "none", np.zeros(4)))
+    np.testing.assert_allclose(env.reset(seed=0)[0], plain.reset(seed=0)[0], atol=1e-7)
+    for _ in range(20):
+        np.testing.assert_allclose(env.step(np.ones(2))[0], plain.step(np.ones(2))[0], atol=1e-6)
+
+
+def test_observations_in_parts_are_corrected_part_by_part(xml, network):
+    class InParts(Arm):
+        def _get_obs(self):
+            return {"joints": self.data.qpos.copy(), "image": np.zeros(3, np.uint8)}
+
+    env = ResidualEnv(InParts(xml), network)
+    seen, _ = env.reset(seed=0)
+    np.testing.assert_allclose(seen["joints"], [0.32, -0.23], atol=1e-6)
+    assert seen["image"].dtype == np.uint8
+    assert not seen["image"].any()
+
+
+def test_joints_are_found_by_name_and_one_of_them_is_enough(xml, tmp_path):
+    env = ResidualEnv(Arm(xml), shifting(tmp_path / "b", [0.5], joints=("b",), signals=("position",)))
+    seen, _ = env.reset(seed=0)
+    np.testing.assert_allclose(seen[:4], [0.3, -0.2 + 0.5, 0.0, 0.0], atol=1e-6)
+
+
+def test_every_episode_begins_anew(xml, tmp_path):
+    env = ResidualEnv(Arm(xml), shifting(tmp_path / "warm", SHIFT, warmup_steps=3), warmup=True)
+    for _ in range(2):
+        said = [env.reset(seed=0)[1]["residual"], *(env.step(np.zeros(2))[4]["residual"] for _ in range(5))]
+        assert said[:3] == ["warming"] * 3
+        assert set(said[3:]) == {"ok"}
+
+
+def test_warming_observations_are_left_alone_if_asked(xml, tmp_path):
+    env = ResidualEnv(Arm(xml), shifting(tmp_path / "warm", SHIFT, warmup_steps=3), warmup=True)
+    seen, _ = env.reset(seed=0)
+    np.testing.assert_allclose(seen[:2], [0.3, -0.2], atol=1e-6)
+
+
+def test_out_of_the_range_of_training_nothing_is_corrected(xml, tmp_path):
+    channel = ("position", "a", "rad")
+    card = card_of(joints=("a",), signals=("position",))
+    card = replace(card, inputs=(Input(*channel, low=-0.1, high=0.1),))
+    env = ResidualEnv(Arm(xml), shift_folder(tmp_path / "narrow", card, [0.5]))
+    seen, info = env.reset(seed=0)  # a begins at 0.3
+    assert info["residual"] == "fallback"
+    assert seen[0] == pytest.approx(0.3)
+
+
+@pytest.mark.filterwarnings("ignore:.*different from the unwrapped version", "ignore:.*WARN")
+def test_it_passes_gymnasium_s_checker(xml, network):
+    check_env(ResidualEnv(Arm(xml), network), skip_render_check=True)
+
+
+@pytest.mark.parametrize(
+    ("about", "error", "words"),
+    [
+        ({"rate_hz": 50.0}, ConfigError, "50"),
+        ({"causal": False}, ConfigError, "future"),
+        ({"series": "command"}, ConfigError, "does not say"),
+        ({"joints": ("a", "elbow")}, NameMismatch, "elbow"),
+        ({"signals": ("torque", "torque")}, ConfigError, "neither position nor velocity"),
+    ],
+)
+def test_a_network_that_does_not_fit_is_refused(xml, tmp_path, about, error, words):
+    if about.get("signals"):
+        about = {**about, "signals": ("torque",)}
+        shift = np.zeros(2)
+    else:
+        shift = np.zeros(4)
+    folder = shifting(tmp_path / "other", shift, **about)
+    with pytest.raises(error, match=words):
+        ResidualEnv(Arm(xml), folder)
+
+
+def test_an_environment_without_mujoco_is_refused(network):
+    with pytest.raises(ConfigError, match="no environment over MuJoCo"):
+        ResidualEnv(gymnasium.make("CartPole-v1"), network)
+
+
+def test_others_train_on_it_with_one_line(xml, network):
+    """Stable-Baselines3 takes it as any environment."""
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.monitor import Monitor
+
+    env = gymnasium.wrappers.TimeLimit(ResidualEnv(Arm(xml), network), 20)
+    model = PPO("MlpPolicy", Monitor(env), n_steps=64, batch_size=32, n_epochs=1, device="cpu").learn(128)
+    assert model.num_timesteps == 128
