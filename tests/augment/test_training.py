@@ -18,7 +18,7 @@ from trueup.augment.pairs import refuse_overlap, write_pairs
 from trueup.augment.scaling import summarize
 from trueup.augment.trained import Trained
 from trueup.augment.windows import Windows, whole_motions
-from trueup.cli.augment_train import _line
+from trueup.cli.augment_train import progress_line
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.model_card import Channel, ModelCard
 from trueup.core.step_times import LATENCY_NAME
@@ -156,7 +156,7 @@ def test_it_is_said_that_training_is_over_and_val_is_looked_at(data, tmp_path):
     augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=2), on_progress=seen.append)
     assert [progress.judging for progress in seen] == [False] * (len(seen) - 1) + [True]
     assert seen[-1].number == 2
-    assert "val" in _line(seen[-1])
+    assert "val" in progress_line(seen[-1])
 
 
 def test_a_finished_model_is_not_trained_again(data, tmp_path):

@@ -3,15 +3,21 @@
 import re
 import shlex
 from pathlib import Path
+from typing import ClassVar
 
+import gymnasium
+import mujoco
 import numpy as np
 from benchmarks.networks import JOINTS, real_time
+from gymnasium.envs.mujoco import MujocoEnv
+from gymnasium.spaces import Box
 
 import trueup.zoo
 from augment.augment_cases import make_dataset
 from trueup.augment.config import FEWEST_FOR_CHANCE
 from trueup.core.protocols import Simulator
 from trueup.deploy.agreement import RATE_TOLERANCE
+from trueup.robots import find_model, load_robot
 
 TEXT = (Path(__file__).parent.parent.parent / "docs" / "augmentation.md").read_text()
 
@@ -20,7 +26,7 @@ def test_the_python_of_the_page_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     real_time(Path("models/panda-rt"), hidden=(8, 5), rate_hz=100.0)
     make_dataset(Path("data/unit2"), joints=JOINTS)
-    zoo, simulator = re.findall(r"^```python\n(.*?)^```$", TEXT, re.M | re.S)
+    zoo, simulator, environment = re.findall(r"^```python\n(.*?)^```$", TEXT, re.M | re.S)
     names = {}
     exec(compile(zoo, "augmentation.md", "exec"), names)
     assert np.abs(names["corrected"]["torque"] - names["run"]["torque"]).max() > 0.01
@@ -31,6 +37,34 @@ def test_the_python_of_the_page_runs(tmp_path, monkeypatch):
     assert names["reading"]["torque"].shape == (64, 7)
     inside = names["simulator"].step({"position": names["pose"]})  # one step on, at rest
     assert np.abs(names["reading"]["position"] - inside["position"]).max() > 0.01
+    monkeypatch.setitem(
+        gymnasium.registry, "MyArm-v0", gymnasium.envs.registration.EnvSpec("MyArm-v0", entry_point=Arm)
+    )
+    assert "100_000" in environment  # a page's training is long, a test's is not
+    exec(compile(environment.replace("100_000", "130"), "augmentation.md", "exec"), names)
+    assert names["env"].unwrapped.data.time > 0
+
+
+class Arm(MujocoEnv):
+    """A Panda of somebody's own, 100 steps a second."""
+
+    metadata: ClassVar = {"render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"], "render_fps": 100}
+
+    def __init__(self):
+        file = find_model(load_robot("panda"))
+        skip = round(0.01 / mujoco.MjModel.from_xml_path(str(file)).opt.timestep)
+        super().__init__(str(file), skip, observation_space=Box(-np.inf, np.inf, (14,), np.float64))
+
+    def _get_obs(self):
+        return np.concatenate([self.data.qpos[:7], self.data.qvel[:7]])
+
+    def reset_model(self):
+        self.set_state(self.init_qpos, self.init_qvel)
+        return self._get_obs()
+
+    def step(self, action):
+        self.do_simulation(action, self.frame_skip)
+        return self._get_obs(), -float(np.abs(self.data.qvel).sum()), False, self.data.time > 0.5, {}
 
 
 def test_what_a_command_reads_was_made_by_one_above_it():

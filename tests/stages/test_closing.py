@@ -117,12 +117,12 @@ def test_each_step_alone_gives_the_same(closed, recorded, tmp_path):
     assert (made.folder / "weights.safetensors").read_bytes() == (folder / "weights.safetensors").read_bytes()
 
 
-def test_a_second_call_keeps_what_is_there(closed):
-    out = closed.dataset.path.parent / "out"
+def test_a_second_call_keeps_what_is_there(closed, tmp_path):
+    out = shutil.copytree(closed.dataset.path.parent, tmp_path / "copy") / "out"
     before = {name: (out / name).read_bytes() for name in ("fit.json", "explain.json")}
     with pytest.raises(OutputExists, match="not empty"):
-        quick(closed.dataset.path, out)
-    again = quick(closed.dataset.path, out, resume=True)
+        quick(out.parent / "data", out)
+    again = quick(out.parent / "data", out, resume=True)
     assert {step.status for step in again.result.steps if step.name not in ("gap",)} == {"kept"}
     assert {name: (out / name).read_bytes() for name in before} == before
     assert [rung.name for rung in again.ladder.rungs] == [rung.name for rung in closed.ladder.rungs]
