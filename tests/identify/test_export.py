@@ -10,7 +10,7 @@ from trueup.core.fit_result import FitResult
 from trueup.errors import DataError, FormatError
 from trueup.identify import IdentifyConfig, Nominal, identify, save_identification
 from trueup.identify.config import SolverChoice
-from trueup.identify.export import isaac_yaml
+from trueup.identify.export import _leave_room_for_rounding, isaac_yaml
 from trueup.robots import ControllerSpec, JointSpec, RobotSpec, load_robot
 from trueup.sim import MujocoSimulator, ReplaySettings, install_friction, replay_episode
 
@@ -197,3 +197,19 @@ def test_fit_json_comes_back_and_broken_ones_are_refused(tmp_path):
     del tree["parameters"]
     with pytest.raises(DataError, match="broken"):
         FitResult.from_json(tree)
+
+
+@pytest.mark.parametrize("kind", ["diaginertia", "fullinertia"])
+def test_flat_bodies_are_written_so_that_mujoco_takes_them(tmp_path, kind):
+    """One moment is the sum of the others; with six digits, every fifth such body was refused."""
+    rng = np.random.default_rng(3)
+    for _ in range(30):
+        a, b = rng.uniform(0.001, 0.1, 2)
+        moments = " ".join(f"{value:.17g}" for value in (a, a + b, b)) + (" 0 0 0" if kind == "fullinertia" else "")
+        body = f'<body name="link"><joint name="j"/><inertial pos="0 0 0" mass="1" {kind}="{moments}"/></body>'
+        spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+        before = np.sort(spec.compile().body("link").inertia)
+        _leave_room_for_rounding(spec, spec.compile())
+        spec.compile()
+        written = mujoco.MjModel.from_xml_string(spec.to_xml())
+        np.testing.assert_allclose(np.sort(written.body("link").inertia), before, rtol=0, atol=4e-5 * before[2])

@@ -24,6 +24,8 @@ ROBOT_FILE = "robot.fitted.yaml"
 ISAAC_FILE = "isaac.actuators.yaml"
 SAMPLES_FILE = "fit.samples.npz"
 _SAMPLES = 1000
+# What three moments may lose together when they are written with six digits, as a share of the largest.
+_ROUNDED = 2e-5
 
 
 def save_identification(found: Identification, folder: Path, *, seed: int = 0) -> None:
@@ -51,8 +53,24 @@ def save_model(candidate: Candidate, path: Path) -> None:
     spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     if spec.meshes and spec.meshdir and not Path(spec.meshdir).is_absolute():
         spec.meshdir = str((candidate.nominal.path.parent / spec.meshdir).resolve())
+    _leave_room_for_rounding(spec, spec.compile())
     spec.compile()
     write_text(path, spec.to_xml())
+
+
+def _leave_room_for_rounding(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Thicken flat bodies so little that MuJoCo still takes their inertia after it was written with six digits.
+
+    Of a flat body one moment is the sum of the other two, and after rounding may be more than that.
+    """
+    for body in spec.bodies[1:]:
+        small, middle, large = np.sort(model.body(body.name).inertia)
+        if not body.explicitinertial or small + middle - large >= _ROUNDED * large:
+            continue
+        if np.isnan(body.fullinertia[0]):
+            body.inertia = body.inertia + _ROUNDED * large
+        else:
+            body.fullinertia = body.fullinertia + _ROUNDED * large * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 
 
 def fitted_robot(candidate: Candidate) -> RobotSpec:
