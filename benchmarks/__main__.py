@@ -50,6 +50,7 @@ NAMES = (
     "policy_going_on",
     "policy_algorithms",
     "policy_grid",
+    "ros2_bridge",
 )
 
 

@@ -31,6 +31,7 @@ ARROWS = {
     "compensate": {"augment", "deploy", "robots", "sim"},
     "policy": {"augment", "deploy", "identify", "measure", "robots", "sim"},
     "zoo": {"augment"},
+    "ros2": {"deploy"},
     "report": {"measure"},
     "stages": {
         "dataset",
@@ -45,6 +46,7 @@ ARROWS = {
         "augment",
         "compensate",
         "policy",
+        "ros2",
         "zoo",
     },
     "cli": {
@@ -61,6 +63,7 @@ ARROWS = {
             "augment",
             "compensate",
             "policy",
+            "ros2",
             "zoo",
         ),
         *("report", "stages"),

@@ -28,6 +28,7 @@ PARTS = {
         "what-compensation-brings.md",
     ),
     "whole_body": "whole-body.md",
+    "ros2_bridge": "ros2.md",
     **dict.fromkeys(("policy_transfer", "policy_going_on", "policy_algorithms", "policy_grid"), "policy-transfer.md"),
 }
 

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from trueup.cli import options
+from trueup.cli import options, ros2
 from trueup.cli.console import out, problem, status_line
 from trueup.errors import ConfigError
 
@@ -25,6 +25,7 @@ def register(parent: typer.Typer) -> None:
     """Add the group of commands."""
     app.callback()(_deploy)
     app.command("run")(run)
+    ros2.register(app)
     parent.add_typer(app, name="deploy")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -42,6 +42,25 @@ FailAbove = Annotated[
     typer.Option(
         "--fail-above",
         help="SIGNAL.METRIC=VALUE or RUN:SPLIT:SIGNAL.METRIC=VALUE; exit code 3 if a run is above; repeatable.",
+    ),
+]
+Domain = Annotated[
+    int | None, typer.Option("--domain", min=0, help="Domain of ROS 2; ROS_DOMAIN_ID, or 0, if not given.")
+]
+Localhost = Annotated[
+    bool | None,
+    typer.Option(
+        "--localhost/--network",
+        help="This computer only, or all of the network; what ROS's variables say if not given.",
+    ),
+]
+Reliable = Annotated[
+    bool, typer.Option("--reliable", help="Publish reliably, for listeners that ask for it; else as sensors do.")
+]
+Form = Annotated[
+    Literal["joint_state", "array"],
+    typer.Option(
+        "--form", help="Commands as JointState, or as Float64MultiArray for ros2_control's forward controllers."
     ),
 ]
 SkipBad = Annotated[bool, typer.Option("--skip-bad", help="Exit with 0 even if some episodes were refused.")]

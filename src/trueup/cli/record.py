@@ -9,6 +9,7 @@ import typer
 
 from trueup.cli import options
 from trueup.cli.console import note, out, problem, track
+from trueup.errors import ConfigError
 
 if TYPE_CHECKING:
     from trueup.stages.recording import RecordSummary
@@ -24,7 +25,7 @@ def register(app: typer.Typer) -> None:
 def record(
     out_dir: Annotated[Path, typer.Option("--out", help="Folder of the dataset.")],
     robot: options.Robot = "panda",
-    hardware: Annotated[str, typer.Option("--hardware", help="lab, or an engine: mujoco, dart.")] = "lab",
+    hardware: Annotated[str, typer.Option("--hardware", help="lab, an engine (mujoco, dart), or ros2.")] = "lab",
     unit: Annotated[
         list[int] | None,
         typer.Option("--unit", min=0, help="Which individual of the lab's robots, 1 if not given; several take turns."),
@@ -75,6 +76,14 @@ def record(
             "--servo-hz", help="Of a robot that takes torques: natural frequency of the springs that lead it."
         ),
     ] = None,
+    states: Annotated[str, typer.Option("--states", help="With ros2: topic of its joint states.")] = "/joint_states",
+    commands: Annotated[
+        str, typer.Option("--commands", help="With ros2: topic that it listens to.")
+    ] = "/joint_commands",
+    form: options.Form = "joint_state",
+    domain: options.Domain = None,
+    localhost: options.Localhost = None,
+    reliable: options.Reliable = False,
     model: Annotated[
         Path | None, typer.Option("--model", help="MJCF or URDF; what robot.yaml names if not given.")
     ] = None,
@@ -104,21 +113,32 @@ def record(
     plans = plans_named(plan, scale=scale, seed=seed)
     if seed is None:  # a stored plan set says nothing of the days on which it is executed
         seed = 0 if isinstance(plans, PlanSet) else plans.seed
-    rigs: list[Rig] = [
-        make_rig(
-            hardware,
-            spec,
-            find_model(spec, given=model),
-            unit=one,
-            seed=seed,
-            lab=load_lab(lab, robot=robot) if lab else None,
-            fault_share=faults,
-            control_hz=max(control_hz, record_hz),
-            base=under,
-            servo_hz=servo_hz,
-        )
-        for one, under in itertools.product(unit or (1,), base or (None,))
-    ]
+    rigs: list[Rig]
+    if hardware == "ros2":
+        of_the_lab = {"--lab": lab, "--base": base, "--faults": faults, "--truth": truth, "--servo-hz": servo_hz}
+        if given := [name for name, value in of_the_lab.items() if value]:
+            raise ConfigError("a robot behind ROS 2 has none of the lab's options", got=given, hint="Leave them out.")
+        from trueup.ros2 import Network, RobotTopics
+        from trueup.stages.ros2_rig import Ros2Rig
+
+        where = RobotTopics(states, commands, form, network=Network(domain, localhost, reliable))
+        rigs = [Ros2Rig(spec.joint_names, where, *(unit or ()))]
+    else:
+        rigs = [
+            make_rig(
+                hardware,
+                spec,
+                find_model(spec, given=model),
+                unit=one,
+                seed=seed,
+                lab=load_lab(lab, robot=robot) if lab else None,
+                fault_share=faults,
+                control_hz=max(control_hz, record_hz),
+                base=under,
+                servo_hz=servo_hz,
+            )
+            for one, under in itertools.product(unit or (1,), base or (None,))
+        ]
     if network is not None:
         rigs = [CompensatedRig.of(rig, spec, network, control_hz=control_hz) for rig in rigs]
     summary = run(

@@ -22,6 +22,7 @@ from trueup.robots import RobotSpec, find_model
 from trueup.stages.importing import checked
 from trueup.stages.progress import Track, silent
 from trueup.stages.rigs import LabRig, Rig, ServoedRig
+from trueup.stages.ros2_rig import Ros2Rig
 
 if TYPE_CHECKING:
     from trueup.lab import Truth
@@ -123,7 +124,7 @@ def record(
         payloads_kg: every motion is recorded with each of these payloads [kg].
         settings: rates, speeds, tolerances.
         model: MJCF or URDF of the robot; found as for replay if None.
-        jobs: processes.
+        jobs: processes; a robot behind ROS 2 is driven by one.
         overwrite: delete the dataset that is there first.
         resume: go on with a dataset that is there even if it is complete.
         truth: file for what is true of the lab's robot; apart from the data.
@@ -149,6 +150,13 @@ def record(
         raise ConfigError("payloads must be different masses >= 0", got=list(payloads_kg))
     if jobs < 1:
         raise ConfigError("jobs must be at least 1", got=jobs)
+    live = any(isinstance(one, Ros2Rig) for one in rigs)
+    if live and (len(rigs) > 1 or len(payloads_kg) > 1):
+        raise ConfigError(
+            "one robot behind ROS 2 is recorded at a time, with what it carries",
+            got=f"{len(rigs)} robots, {len(payloads_kg)} payloads",
+            hint="Record into several datasets.",
+        )
     path = find_model(robot, given=model)
     _refuse_unfit(robot, path, rigs, plans, payloads_kg, settings)
     config = {
@@ -176,7 +184,7 @@ def record(
         tasks = [task for task in _tasks(motions, payloads_kg) if task.id not in writer.ids]
         worker = _Worker(robot, path, rigs, motions.path, settings)
         # An error here must not leave processes at work.
-        with contextlib.closing(_results(worker, tasks, jobs)) as results:
+        with contextlib.closing(_results(worker, tasks, 1 if live else jobs)) as results:
             for name, result in track(results, "record", len(tasks)):
                 if isinstance(result, TrueupError):
                     failed[name] = result

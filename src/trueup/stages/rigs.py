@@ -167,18 +167,7 @@ class CompensatedRig:
         Raises:
             ConfigError: a joint has no limits of its position.
         """
-        from trueup.deploy import Limits
-
-        known = {joint.name: joint.position_limits for joint in robot.joints if joint.position_limits}
-        missing = [name for name in robot.joint_names if name not in known]
-        if missing:
-            raise ConfigError(
-                f"robot {robot.name!r} has joints whose corrected commands would know no limits",
-                got=missing,
-                hint="Give them position_limits in robot.yaml.",
-            )
-        low, high = zip(*(known[name] for name in robot.joint_names), strict=True)
-        return CompensatedRig(inner, network, Limits(low=low, high=high), control_hz)
+        return CompensatedRig(inner, network, position_limits(robot), control_hz)
 
     @property
     def unit(self) -> str:
@@ -334,6 +323,25 @@ class EngineRig:
         steps = round(ratio) if ratio >= 1 and abs(ratio - round(ratio)) < 1e-6 else 1
         home = _home(model, self.robot.joint_names)
         return SimulatedRobot(self._simulator, position=home, steps_per_control=steps)
+
+
+def position_limits(robot: RobotSpec) -> Limits:
+    """Where the joints of a robot may be commanded to be.
+
+    Raises:
+        ConfigError: a joint has no limits of its position.
+    """
+    from trueup.deploy import Limits
+
+    known = {joint.name: joint.position_limits for joint in robot.joints if joint.position_limits}
+    if missing := [name for name in robot.joint_names if name not in known]:
+        raise ConfigError(
+            f"robot {robot.name!r} has joints whose corrected commands would know no limits",
+            got=missing,
+            hint="Give them position_limits in robot.yaml.",
+        )
+    low, high = zip(*(known[name] for name in robot.joint_names), strict=True)
+    return Limits(low=low, high=high)
 
 
 def _home(model: Any, joints: Sequence[str]) -> np.ndarray:

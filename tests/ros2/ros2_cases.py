@@ -1,0 +1,90 @@
+"""Domains of their own, joint states that move, and nodes that publish and listen, for tests of what is live."""
+
+import itertools
+import math
+import os
+import threading
+import time
+
+import numpy as np
+
+from trueup.ros2 import JointState, Network, Node, run_bridge
+from trueup.ros2.messages import Header, Time
+
+JOINTS = ("a", "b")
+_numbers = itertools.count()
+
+
+def network(**options):
+    """On this computer only, in a domain that no other test is in: tests run side by side."""
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+    return Network(30 + 60 * (worker % 3) + next(_numbers) % 60, localhost=True, **options)
+
+
+def state(time_s, names=JOINTS, *, frame="base", signals=("position", "velocity", "effort"), epoch_s=1_700_000_000):
+    """Joint states of a slow wave; those of a joint depend on its name alone."""
+    numbers = {
+        signal: [math.sin(time_s + sum(map(ord, name)) + place) for name in names]
+        for place, signal in enumerate(signals)
+    }
+    return JointState(Header(Time.of_ns(epoch_s * 10**9 + round(time_s * 1e9)), frame), list(names), **numbers)
+
+
+def wait_for(what, seconds=10.0):
+    """Until it is true."""
+    until = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < until, "that took too long"
+        time.sleep(0.01)
+
+
+def send_all(outbox, messages, *, every_s=0.0):
+    """One after the other."""
+    for message in messages:
+        outbox.send(message)
+        if every_s:
+            time.sleep(every_s)
+
+
+def received(inbox, node, count, seconds=10.0):
+    """So many messages, or as many as came in so long."""
+    messages, until = [], time.monotonic() + seconds
+    while len(messages) < count and time.monotonic() < until:
+        node.wait(0.1)
+        messages += inbox.take()
+    return messages
+
+
+class Bridge:
+    """A bridge in a thread; left, it is stopped, and `report` says what it did."""
+
+    def __init__(self, where, answer, listens="/joint_states", publishes="/corrected", form=JointState, beside=()):
+        self._node, self._stop = Node(where), threading.Event()
+        self.inbox, self.outbox = self._node.listen(listens, JointState), self._node.publish(publishes, form)
+        others = [(self._node.listen(topic, JointState), hear) for topic, hear in beside]
+        self.report, self._error = None, None
+
+        def run():
+            try:
+                self.report = run_bridge(self._node, self.inbox, self.outbox, answer, beside=others, stop=self._stop)
+            except Exception as error:
+                self._error = error
+
+        self._thread = threading.Thread(target=run, daemon=True)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._stop.set()
+        self._thread.join(10.0)
+        assert not self._thread.is_alive()
+        self._node.close()
+        if self._error:
+            raise self._error
+
+
+def arrays(messages, field="position"):
+    """One field of many messages, (N, J)."""
+    return np.array([getattr(message, field) for message in messages])

@@ -1,0 +1,227 @@
+"""A bridge on real topics: everything that comes is answered, whoever leaves and comes back."""
+
+import numpy as np
+import pytest
+from benchmarks.networks import inputs_of, outputs_of, real_time
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from ros2.ros2_cases import JOINTS, Bridge, arrays, network, received, send_all, state, wait_for
+from trueup.dataset import Dataset
+from trueup.deploy import Stream
+from trueup.errors import ConfigError, MissingSignal
+from trueup.ros2 import Augmented, Float64MultiArray, JointState, Node, run_bridge
+from trueup.stages import import_logs
+
+RATE_HZ = 100.0
+TYPE = "sensor_msgs/msg/JointState"
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("network")
+    real_time(
+        folder, hidden=(8, 5), rate_hz=RATE_HZ, joints=JOINTS, inputs=inputs_of(JOINTS), outputs=outputs_of(JOINTS)
+    )
+    return folder
+
+
+def augmented(folder):
+    return Augmented(Stream.load(folder, rate_hz=RATE_HZ, joints=JOINTS))
+
+
+def through(where, folder, messages):
+    """What a bridge of its own answers to messages that are published as fast as can be."""
+    with Bridge(where, augmented(folder)) as bridge, Node(where) as node:
+        source, answers = node.publish("/joint_states", JointState), node.listen("/corrected", JointState)
+        wait_for(lambda: source.readers and answers.writers and bridge.outbox.readers)
+        send_all(source, messages, every_s=0.001)
+        return received(answers, node, len(messages))
+
+
+def test_every_message_is_answered_once_and_in_order(folder):
+    messages = [state(number / RATE_HZ, names=("x", "b", "a")) for number in range(500)]
+    answers = through(network(), folder, messages)
+    alone = augmented(folder)
+    expected = [alone.to(message) for message in messages]
+    assert [answer.header for answer in answers] == [message.header for message in messages]
+    np.testing.assert_array_equal(arrays(answers), arrays(expected))
+    np.testing.assert_array_equal(arrays(answers, "effort"), arrays(expected, "effort"))
+
+
+def test_what_it_counts(folder):
+    where = network()
+    with Bridge(where, augmented(folder)) as bridge, Node(where) as node:
+        source, answers = node.publish("/joint_states", JointState), node.listen("/corrected", JointState)
+        wait_for(lambda: source.readers and bridge.outbox.readers)
+        send_all(source, [state(number / RATE_HZ) for number in range(40)], every_s=0.002)
+        send_all(source, [state(1.0, names=("finger",))])
+        assert len(received(answers, node, 41)) == 41
+    report = bridge.report
+    assert (report.received, report.sent) == (41, 41)
+    assert sum(report.counts.values()) == 41
+    assert len(report.added) == 41
+    assert 0 < report.added.percentile_us(50.0) <= report.added.percentile_us(99.0) <= report.added.max_us
+    assert 1 <= report.most_waiting <= 41
+    tree = report.to_json()
+    assert tree["added"]["count"] == 41
+    assert sum(count for *_, count in tree["way"]["bins"]) == len(report.way) > 0
+
+
+def test_a_simulator_that_leaves_and_comes_back_is_heard_again(folder):
+    where = network()
+    with Bridge(where, augmented(folder)) as bridge, Node(where) as listener:
+        answers = listener.listen("/corrected", JointState)
+        for start_s in (0.0, 100.0, 0.0):  # it goes on later, or begins anew
+            with Node(where) as node:
+                source = node.publish("/joint_states", JointState)
+                wait_for(lambda: source.readers and bridge.outbox.readers)  # noqa: B023 - it is over before the next
+                send_all(source, [state(start_s + number / RATE_HZ) for number in range(30)], every_s=0.002)
+                got = received(answers, listener, 30)
+            assert len(got) == 30
+            alone = augmented(folder)
+            expected = [alone.to(state(start_s + number / RATE_HZ)) for number in range(30)]
+            # As if there had been nobody before: the network's state is started anew after a gap.
+            np.testing.assert_array_equal(arrays(got), arrays(expected))
+            wait_for(lambda: not bridge.inbox.writers)
+    assert bridge.report.counts["ok"] > 60
+
+
+def test_a_listener_that_comes_late_gets_what_comes_then(folder):
+    where = network()
+    with Bridge(where, augmented(folder)) as bridge, Node(where) as node:
+        source = node.publish("/joint_states", JointState)
+        wait_for(lambda: source.readers)
+        send_all(source, [state(number / RATE_HZ) for number in range(20)], every_s=0.002)
+        wait_for(lambda: bridge.inbox.writers)
+        answers = node.listen("/corrected", JointState)
+        wait_for(lambda: answers.writers and bridge.outbox.readers)
+        send_all(source, [state(number / RATE_HZ) for number in range(20, 30)], every_s=0.002)
+        got = received(answers, node, 10)
+    stamps = [message.header.stamp.ns for message in got]
+    assert stamps == [state(number / RATE_HZ).header.stamp.ns for number in range(20, 30)]
+
+
+def test_a_listener_that_asks_for_reliable_messages_hears_a_reliable_bridge_only(folder):
+    from cyclonedds.qos import Policy, Qos
+    from cyclonedds.sub import DataReader
+    from cyclonedds.topic import Topic
+
+    wanted = Qos(Policy.Reliability.Reliable(max_blocking_time=0))
+    for reliable in (False, True):
+        where = network(reliable=reliable)
+        with Node(where) as offering, Node(where) as asking:
+            outbox = offering.publish("/corrected", JointState)
+            plain = asking.listen("/corrected", JointState)
+            participant = asking._participant
+            reader = DataReader(participant, Topic(participant, "rt/corrected", JointState), qos=wanted)
+            wait_for(lambda: plain.writers)  # noqa: B023 - it is over before the next
+            assert bool(reader.get_matched_publications()) == reliable
+            assert outbox.readers == 1 + reliable
+
+
+def test_other_topics_are_heard_beside(folder, tmp_path):
+    real_time(
+        tmp_path,
+        hidden=(8, 5),
+        rate_hz=RATE_HZ,
+        joints=JOINTS,
+        inputs=inputs_of(JOINTS, command=True),
+        outputs=outputs_of(JOINTS),
+    )
+    where, answer = network(), augmented(tmp_path)
+    beside = [("/commands", answer.command.hear)]
+    with Bridge(where, answer, beside=beside) as bridge, Node(where) as node:
+        source, commands = node.publish("/joint_states", JointState), node.publish("/commands", JointState)
+        answers = node.listen("/corrected", JointState)
+        wait_for(lambda: source.readers and commands.readers and bridge.outbox.readers)
+        commands.send(state(3.0))
+        wait_for(lambda: np.isfinite(answer.command.values["position"]).all())
+        send_all(source, [state(number / RATE_HZ) for number in range(20)], every_s=0.002)
+        assert len(received(answers, node, 20)) == 20
+    assert bridge.report.counts["ok"]
+
+
+def test_what_the_first_message_lacks_ends_it(folder):
+    where = network()
+
+    def lacking():
+        with Node(where) as node, Bridge(where, augmented(folder)) as bridge:
+            source = node.publish("/joint_states", JointState)
+            wait_for(lambda: source.readers)
+            source.send(state(0.0, signals=("position", "velocity")))
+            wait_for(lambda: not bridge._thread.is_alive())
+
+    with pytest.raises(MissingSignal, match="torque"):
+        lacking()
+
+
+def test_it_ends_when_its_time_is_over(folder):
+    with Node(network()) as node:
+        inbox, outbox = node.listen("/joint_states", JointState), node.publish("/corrected", JointState)
+        seen = []
+        report = run_bridge(
+            node,
+            inbox,
+            outbox,
+            augmented(folder),
+            seconds=0.3,
+            on_progress=lambda so_far: seen.append(so_far.received),
+        )
+    assert report.received == 0
+    assert 0.3 <= report.seconds < 5.0
+    assert seen == [0]
+
+
+def test_a_domain_has_one_reach_in_a_process():
+    where = network()
+    with Node(where):
+        pass
+    with pytest.raises(ConfigError, match="another reach"):
+        Node(type(where)(where.number, localhost=False))
+
+
+def written(path, messages):
+    """The messages in a bag, as `ros2 bag record` would have kept them."""
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/joint_states", TYPE, typestore=STORE)
+        for message in messages:
+            writer.write(connection, message.header.stamp.ns, message.serialize(use_version_2=False))
+    return path
+
+
+def played(path):
+    """The messages of a bag."""
+    with Reader(path) as reader:
+        return [JointState.deserialize(bytes(raw)) for _, _, raw in reader.messages()]
+
+
+def test_a_bag_of_a_run_plays_back_to_the_same_result(folder, tmp_path):
+    """What was live goes into a bag; played into another bridge, faster and on another day, it is answered the same."""
+    messages = [state(number / RATE_HZ, names=("b", "gripper", "a")) for number in range(200)]
+    live = through(network(), folder, messages)
+    bag = written(tmp_path / "states", messages)
+    again = through(network(), folder, played(bag))
+    assert [answer.serialize(use_version_2=False) for answer in again] == [
+        answer.serialize(use_version_2=False) for answer in live
+    ]
+    # And a bag of the answers is data like any other.
+    written(tmp_path / "answers", live)
+    import_logs(tmp_path / "answers", tmp_path / "data")
+    (episode,) = Dataset(tmp_path / "data")
+    order = [list(live[0].name).index(joint) for joint in episode.measured.joints]
+    np.testing.assert_array_equal(episode.measured["position"], arrays(live)[:, order])
+
+
+def test_arrays_are_another_type(folder):
+    """Who listens for joint states does not hear arrays on the same topic."""
+    where = network()
+    with Node(where) as one, Node(where) as other:
+        outbox = one.publish("/commands", Float64MultiArray)
+        states, numbers = other.listen("/commands", JointState), other.listen("/commands", Float64MultiArray)
+        wait_for(lambda: numbers.writers)
+        outbox.send(Float64MultiArray(data=[1.0, 2.0]))
+        assert [list(message.data) for message in received(numbers, other, 1)] == [[1.0, 2.0]]
+        assert not states.writers
+        assert not states.take()
