@@ -9,8 +9,8 @@ from benchmarks.pages.markdown import table
 
 TEXT = """## What it adds
 
-A publisher at {rate_hz:g} Hz, a bridge with a network of Realeasy's size (100 and 21 units) that sees every message, and
-a listener on both topics, each a process, for {seconds:g} s on {machine}. Of {published} messages that were published DDS
+A publisher at {rate_hz:g} Hz, a bridge with a network of Realeasy's size (100, 21 units) that sees every message, and
+a listener on both topics, each a process, for {seconds:g} s on {machine}. Of {published} messages DDS
 delivered {delivered}; {lost}.
 
 {table}
