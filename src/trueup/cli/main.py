@@ -19,6 +19,7 @@ from trueup.cli import (
     design,
     doctor,
     experiment,
+    fleet,
     gap,
     identify,
     policy,
@@ -50,6 +51,7 @@ for module in (
     experiment,
     report,
     close,
+    fleet,
     demo,
     doctor,
 ):

@@ -17,6 +17,9 @@ Model = Annotated[
     typer.Option("--model", exists=True, dir_okay=False, help="MJCF or URDF; else looked for in the dataset's model/."),
 ]
 Jobs = Annotated[int | None, typer.Option("--jobs", min=1, help="Threads; the number of cores if not given.")]
+Ray = Annotated[
+    str | None, typer.Option("--ray", help="Work on a Ray cluster: its HOST:PORT, or local for one on this machine.")
+]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all draws.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on where an earlier call was interrupted.")]

@@ -27,6 +27,7 @@ def replay(
     ] = None,
     delay_s: Annotated[float | None, typer.Option("--delay-s", help="Commands act this much later [s].")] = None,
     jobs: options.Jobs = None,
+    ray: options.Ray = None,
     overwrite: options.Overwrite = False,
     resume: options.Resume = False,
 ) -> int:
@@ -44,6 +45,7 @@ def replay(
         window_s=window_s,
         delay_s=delay_s,
         jobs=jobs,
+        ray=ray,
         overwrite=overwrite,
         resume=resume,
         track=track,

@@ -6,6 +6,7 @@ import contextlib
 import itertools
 import logging
 import os
+import socket
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
@@ -16,6 +17,8 @@ from trueup.errors import ConfigError, needing
 _RETRIES = 3
 # What goes between processes here is small; Ray would take a third of the memory for it [bytes].
 _STORE = 100_000_000
+# How long a cluster may take to answer [s].
+_PATIENCE_S = 5.0
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -105,6 +108,8 @@ def _cluster(address: str, jobs: int | None) -> Iterator[None]:
         own = {"num_cpus": jobs, "object_store_memory": _STORE, "include_dashboard": False}
         own["_node_ip_address"] = "127.0.0.1"
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # what it tells its makers is for those who asked for it
+    elif address != "auto" and "://" not in address:
+        _refuse_silent(address)
     try:
         ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, **own)
     except (OSError, RuntimeError, ValueError) as error:
@@ -115,6 +120,18 @@ def _cluster(address: str, jobs: int | None) -> Iterator[None]:
         yield
     finally:
         ray.shutdown()
+
+
+def _refuse_silent(address: str) -> None:
+    """Ray itself waits for minutes for somebody who is not there."""
+    host, _, port = address.rpartition(":")
+    try:
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=_PATIENCE_S):
+            return
+    except (OSError, ValueError, OverflowError) as error:
+        raise ConfigError(
+            "no Ray cluster answers", got=f"{address}: {error}", expected="local, or HOST:PORT"
+        ) from error
 
 
 def _done(work: Callable[[Item], Result], item: Item, begin: Callable[..., None], with_args: tuple[Any, ...]) -> Result:

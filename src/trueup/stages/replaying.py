@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 from trueup.align import JointMap
 from trueup.core.atomic import as_read_back
-from trueup.core.episode import Episode
 from trueup.core.provenance import provenance
+from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset, RunWriter, refuse_run
 from trueup.errors import DataError, OutputExists, TrueupError
 from trueup.robots import RobotSpec
 from trueup.stages.progress import Track, silent
+from trueup.stages.replay_parts import PART, ReplayPart, readable, replayed_on_ray
 from trueup.stages.robot_model import model_file
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ def replay(
     delay_s: float | None = None,
     ids: Sequence[str] | None = None,
     jobs: int | None = None,
+    ray: str | None = None,
     overwrite: bool = False,
     resume: bool = False,
     track: Track = silent,
@@ -72,7 +74,9 @@ def replay(
         window_s: restart from the measured state this often [s]; the robot's own setting if None.
         delay_s: the command acts this much later [s]; the robot's own setting if None.
         ids: episodes; all if None.
-        jobs: threads (DART: processes); the number of cores if None.
+        jobs: threads (DART: processes); the number of cores if None. On a cluster, parts of the dataset at a time.
+        ray: address of a Ray cluster, `local` for one on this machine, whose machines find dataset and model in the
+            same folders; this process if None.
         overwrite: replace the run if it is there.
         resume: keep the run if it was made from the same inputs, and add what is missing.
         track: shows progress.
@@ -80,7 +84,8 @@ def replay(
     Raises:
         OutputExists: the run is there, and neither `overwrite` nor a matching `resume` applies.
         NameMismatch: the joints of log, robot and model do not agree.
-        ConfigError: the model is not found, or does not load, or the engine is not there or cannot match it.
+        ConfigError: the model is not found, or does not load, or the engine is not there or cannot match it, or no
+            cluster answers.
         DataError: no episode could be replayed.
     """
     label = f"{engine}/stock" if label is None else label
@@ -124,16 +129,28 @@ def replay(
         if keeping:
             writer = stack.enter_context(RunWriter(dataset.path, label, run_info=info, resume=True))
         missing = [name for name in wanted if writer is None or name not in writer.ids]
-        results = chain.from_iterable(
-            replay_episodes(
-                _readable(dataset, names, joint_map, failed),
-                (make_simulator(engine, robot, path, payload_kg=payload_kg) if payload_kg else simulator).clone,
-                settings,
-                jobs=jobs or os.cpu_count() or 1,
-                processes=engine == "dart",
+        results: Iterator[tuple[str, TimeSeries | TrueupError]]
+        if ray is not None:
+            parts = (
+                ReplayPart(
+                    *(dataset.path.resolve(), tuple(names[first : first + PART]), robot, path.resolve(), engine),
+                    *(payload_kg, settings),
+                )
+                for payload_kg, names in by_payload(dataset, robot, missing)
+                for first in range(0, len(names), PART)
             )
-            for payload_kg, names in by_payload(dataset, robot, missing)
-        )
+            results = replayed_on_ray(parts, ray, jobs)
+        else:
+            results = chain.from_iterable(
+                replay_episodes(
+                    readable(dataset, names, joint_map, failed),
+                    (make_simulator(engine, robot, path, payload_kg=payload_kg) if payload_kg else simulator).clone,
+                    settings,
+                    jobs=jobs or os.cpu_count() or 1,
+                    processes=engine == "dart",
+                )
+                for payload_kg, names in by_payload(dataset, robot, missing)
+            )
         for name, result in track(results, "replay", len(missing)):
             if isinstance(result, TrueupError):
                 failed[name] = result
@@ -174,16 +191,6 @@ def by_payload(dataset: Dataset, robot: RobotSpec, ids: Sequence[str]) -> Iterat
     carried = {name: robot.carried_kg(logged[name]) for name in ids}
     for payload_kg in sorted(set(carried.values())):
         yield payload_kg, [name for name in ids if carried[name] == payload_kg]
-
-
-def _readable(
-    dataset: Dataset, ids: Sequence[str], joint_map: JointMap, failed: dict[str, TrueupError]
-) -> Iterator[Episode]:
-    for name in ids:
-        try:
-            yield joint_map.of_episode(dataset.episode(name))
-        except TrueupError as error:
-            failed[name] = error
 
 
 def _refuse_other_names(dataset: Dataset, ids: Sequence[str], joint_map: JointMap) -> None:
