@@ -93,7 +93,7 @@ def show(found: FleetResult, out_dir: Path) -> None:
 def _units(found: FleetResult) -> Table:
     rungs = list(dict.fromkeys(rung for unit in found.units for rung in unit.errors))
     split = "test" if any("test" in errors for unit in found.units for errors in unit.errors.values()) else "train"
-    table = Table(title=f"RMSE of {found.signal}, {split}")
+    table = Table(title=escape(f"RMSE of {found.signal}, {split}"))
     table.add_column("unit")
     table.add_column("motions", justify="right")
     for rung in rungs:
