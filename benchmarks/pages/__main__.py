@@ -29,6 +29,7 @@ PARTS = {
     ),
     "whole_body": "whole-body.md",
     "ros2_bridge": "ros2.md",
+    "fleet": "fleet.md",
     **dict.fromkeys(("policy_transfer", "policy_going_on", "policy_algorithms", "policy_grid"), "policy-transfer.md"),
 }
 

@@ -1,4 +1,5 @@
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,12 +7,13 @@ import pytest
 from sim.arms import two_links
 from sim.test_replay import SERVO, logged_motion
 from trueup.errors import BarNotMet, ConfigError, DataError, NameMismatch, TrueupError
-from trueup.robots import find_model, load_robot
+from trueup.robots import ControllerSpec, find_model, load_robot
 from trueup.sim import ENGINES, DartSimulator, ReplaySettings, make_simulator, replay
 
 
 def test_every_engine_makes_the_robot():
     robot = load_robot("panda")
+    robot = replace(robot, controller=ControllerSpec(kind="position", kp=100.0, kv=5.0))  # without plugins
     simulators = [make_simulator(engine, robot, find_model(robot)) for engine in ENGINES]
     assert len({simulator.fingerprint for simulator in simulators}) == len(ENGINES)
     for simulator in simulators:

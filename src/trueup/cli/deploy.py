@@ -55,6 +55,8 @@ def run(
     late_ms: Annotated[
         float, typer.Option("--late-ms", help="With --real-time: a tick that is so much too late stops the arm.")
     ] = 20.0,
+    priority: options.Priority = None,
+    cpu: options.Cpu = None,
     model: options.Model = None,
     seed: options.Seed = 0,
     out_dir: Annotated[Path | None, typer.Option("--out", help="Dataset of what was measured and sent.")] = None,
@@ -63,11 +65,13 @@ def run(
     """Drive virtual hardware by a policy at the rate of its control loop, within limits, with an emergency stop."""
     import trueup.zoo
     from trueup.deploy.policy_loop import DONE
+    from trueup.deploy.realtime import RealTimeSettings
     from trueup.robots import load_robot
     from trueup.stages.policy_driving import drive
 
     if goal is not None and goals is not None:
         raise ConfigError("--goal and --goals", got="both", expected="one of them")
+    RealTimeSettings(priority, None if cpu is None else tuple(cpu), lock_memory=priority is not None).apply()
     with status_line() as line:
         runs = drive(
             trueup.zoo.folder_of(policy),

@@ -7,11 +7,13 @@ import platform
 import shutil
 import subprocess
 from importlib import metadata, util
+from typing import Annotated
 
 import typer
 from rich.markup import escape
 from rich.table import Table
 
+from trueup.cli import options
 from trueup.cli.console import out
 
 # Extra -> (what it is for, the modules that it brings: distribution name, import name).
@@ -36,8 +38,18 @@ def register(app: typer.Typer) -> None:
     app.command("doctor")(doctor)
 
 
-def doctor() -> int:
+def doctor(
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="Also whether this machine can run a loop in time, and how well it does.")
+    ] = False,
+    hz: Annotated[float, typer.Option("--hz", min=1.0, help="With --realtime: rate of the loop.")] = 1000.0,
+    seconds: Annotated[float, typer.Option("--seconds", min=0.1, help="With --realtime: how long.")] = 5.0,
+    priority: options.Priority = None,
+    cpu: options.Cpu = None,
+) -> int:
     """Show versions, extras, threads and GPU, and how to get what is missing."""
+    if realtime:
+        return _realtime(hz, seconds, priority, cpu)
     out.print(f"trueup {metadata.version('trueup')}, Python {platform.python_version()}, {platform.platform()}")
     out.print(f"threads: {os.cpu_count()}")
     out.print(f"GPU: {_gpu()}")
@@ -59,6 +71,31 @@ def doctor() -> int:
     if missing:
         out.print(f"missing from the base installation: {', '.join(missing)}")
     return 2 if missing else 0
+
+
+def _realtime(hz: float, seconds: float, priority: int | None, cpu: list[int] | None) -> int:
+    """What the machine has, and how late a loop that does nothing is woken."""
+    from trueup.deploy import run_loop
+    from trueup.deploy.realtime import RealTimeSettings, host_checks
+
+    table = Table(title="this machine")
+    for heading in ("", "found", "", "what to do"):
+        table.add_column(heading, overflow="fold")
+    for check in host_checks():
+        mark = {True: "[green]ok[/]", False: "[red]no[/]", None: "?"}[check.good]
+        table.add_row(check.what, escape(check.found), mark, "" if check.good else escape(check.hint))
+    out.print(table)
+    asked = RealTimeSettings(priority, None if cpu is None else tuple(cpu), lock_memory=priority is not None)
+    asked.apply()
+    how = "ordinary scheduling" if priority is None else f"SCHED_FIFO {priority}, memory locked"
+    where = "" if cpu is None else f", on core {', '.join(map(str, cpu))}"
+    report = run_loop(lambda _: None, rate_hz=hz, duration_s=seconds)
+    late = report.wakeup
+    shown = ", ".join(f"{share:g} % within {late.percentile_us(share):.0f} us" for share in (50.0, 99.0, 99.9))
+    out.print(f"a loop of {hz:g} Hz for {seconds:g} s ({how}{where}): woken late by: {shown}, all {late.max_us:.0f}")
+    missed = f"{report.overruns} of {report.cycles + report.skipped} cycles missed, {report.skipped} left out"
+    out.print(f"period {1e6 / hz:.0f} us: {missed if report.overruns else 'no cycle missed'}")
+    return 0 if report.overruns == 0 else 3
 
 
 def _version(name: str) -> str | None:

@@ -47,6 +47,13 @@ FailAbove = Annotated[
         help="SIGNAL.METRIC=VALUE or RUN:SPLIT:SIGNAL.METRIC=VALUE; exit code 3 if a run is above; repeatable.",
     ),
 ]
+Priority = Annotated[
+    int | None,
+    typer.Option("--priority", help="Real-time priority of the loop, 1 to 99 (80 is usual); its memory is locked."),
+]
+Cpu = Annotated[
+    list[int] | None, typer.Option("--cpu", min=0, help="Core that the loop runs on; repeatable; all if not given.")
+]
 Domain = Annotated[
     int | None, typer.Option("--domain", min=0, help="Domain of ROS 2; ROS_DOMAIN_ID, or 0, if not given.")
 ]

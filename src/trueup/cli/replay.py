@@ -20,7 +20,7 @@ def replay(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
     robot: options.Robot,
     model: options.Model = None,
-    engine: Annotated[str, typer.Option("--engine", help="mujoco or dart.")] = "mujoco",
+    engine: Annotated[str, typer.Option("--engine", help="mujoco, dart or warp.")] = "mujoco",
     label: Annotated[str | None, typer.Option("--label", help="Name of the run; ENGINE/stock if not given.")] = None,
     window_s: Annotated[
         float | None, typer.Option("--window-s", help="Restart from the measured state this often [s].")

@@ -58,6 +58,8 @@ def ros2(
     domain: options.Domain = None,
     localhost: options.Localhost = None,
     reliable: options.Reliable = False,
+    priority: options.Priority = None,
+    cpu: options.Cpu = None,
     seconds: Annotated[
         float | None, typer.Option("--seconds", min=0.0, help="Stop after so long; Ctrl-C stops at any time.")
     ] = None,
@@ -71,11 +73,13 @@ def ros2(
     What the network was trained for decides which of the two it is. No installation of ROS is needed.
     """
     import trueup.zoo
+    from trueup.deploy.realtime import RealTimeSettings
     from trueup.robots import load_robot
     from trueup.ros2 import Network
     from trueup.stages.bridging import BridgeTopics, bridge
 
     folder = trueup.zoo.folder_of(network)
+    RealTimeSettings(priority, None if cpu is None else tuple(cpu), lock_memory=priority is not None).apply()
     with _asked_to_stop() as stop, status_line() as line:
         done = bridge(
             folder,

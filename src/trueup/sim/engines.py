@@ -9,8 +9,9 @@ from trueup.errors import ConfigError
 from trueup.robots import RobotSpec
 from trueup.sim.dart_engine import DartSimulator
 from trueup.sim.mujoco_engine import MujocoSimulator
+from trueup.sim.warp_engine import WarpSimulator
 
-Engine = Literal["mujoco", "dart"]
+Engine = Literal["mujoco", "dart", "warp"]
 ENGINES: tuple[str, ...] = get_args(Engine)
 
 
@@ -25,5 +26,9 @@ def make_simulator(
     """
     if engine not in ENGINES:
         raise ConfigError(f"there is no engine {engine!r}", available=ENGINES)
-    kind = MujocoSimulator if engine == "mujoco" else DartSimulator
-    return kind.from_robot(robot, model_path, payload_kg=payload_kg)
+    kinds: dict[str, type[MujocoSimulator] | type[DartSimulator]] = {
+        "mujoco": MujocoSimulator,
+        "dart": DartSimulator,
+        "warp": WarpSimulator,
+    }
+    return kinds[engine].from_robot(robot, model_path, payload_kg=payload_kg)

@@ -47,7 +47,8 @@ class WarpFleet:
         with needing("--device cuda", "warp"):
             import mujoco_warp
             import warp
-        self._warp, self._engine = warp, mujoco_warp
+        self._warp: Any = warp
+        self._engine = mujoco_warp
         refuse_others(transitions)
         self._first = transitions[0]
         simulator = self._first.simulator

@@ -69,7 +69,7 @@ def replay(
         dataset: logs; any joint names that the robot's joint map knows.
         robot: its description.
         model: MJCF or URDF; looked for beside the data and in the package if None.
-        engine: `mujoco` or `dart`.
+        engine: `mujoco`, `dart` or `warp`.
         label: name of the run; `ENGINE/stock` if None.
         window_s: restart from the measured state this often [s]; the robot's own setting if None.
         delay_s: the command acts this much later [s]; the robot's own setting if None.
@@ -146,7 +146,7 @@ def replay(
                     readable(dataset, names, joint_map, failed),
                     (make_simulator(engine, robot, path, payload_kg=payload_kg) if payload_kg else simulator).clone,
                     settings,
-                    jobs=jobs or os.cpu_count() or 1,
+                    jobs=1 if engine == "warp" else jobs or os.cpu_count() or 1,
                     processes=engine == "dart",
                 )
                 for payload_kg, names in by_payload(dataset, robot, missing)
