@@ -51,6 +51,7 @@ NAMES = (
     "policy_algorithms",
     "policy_grid",
     "ros2_bridge",
+    "ros2_hour",
     "fleet",
 )
 

@@ -31,10 +31,10 @@ from trueup.stages.timing import machine_name
 RESULT = Path(__file__).parent / "results" / "ros2_bridge.json"
 RATE_HZ, SECONDS = 1000.0, 60.0
 BAR_MS = 1.0
-_DOMAIN = 211
-_STATES, _ANSWERS = "/joint_states", "/joint_states_corrected"
+DOMAIN = 211
+STATES, ANSWERS = "/joint_states", "/joint_states_corrected"
 # Until processes have found each other, and until the last message is through [s].
-_START_S, _REST_S = 6.0, 3.0
+START_S, REST_S = 6.0, 3.0
 
 
 def run() -> list[Row]:
@@ -66,8 +66,8 @@ def measured(seconds: float) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         real_time(folder / "network", rate_hz=RATE_HZ)
-        whole = seconds + _START_S + _REST_S
-        options = ("--domain", _DOMAIN, "--localhost", "--seconds", whole, "--out", folder / "out")
+        whole = seconds + START_S + REST_S
+        options = ("--domain", DOMAIN, "--localhost", "--seconds", whole, "--out", folder / "out")
         bridge = _started("-m", "trueup.cli.main", "deploy", "ros2", folder / "network", *options)
         listener = _started("-m", "benchmarks.ros2_bridge", "listen", whole, folder / "listened.json")
         publisher = _started("-m", "benchmarks.ros2_bridge", "publish", seconds)
@@ -101,8 +101,8 @@ def _started(*arguments: object) -> subprocess.Popen[bytes]:
 
 def _publish(seconds: float) -> None:
     """Joint states of slow waves, each at its time."""
-    with Node(Network(_DOMAIN, localhost=True)) as node:
-        out = node.publish(_STATES, JointState)
+    with Node(Network(DOMAIN, localhost=True)) as node:
+        out = node.publish(STATES, JointState)
         until = time.monotonic() + 30.0
         while out.readers < 2:
             if time.monotonic() > until:
@@ -125,9 +125,9 @@ def _publish(seconds: float) -> None:
 def _listen(seconds: float, path: Path) -> None:
     """When messages and answers came, by their stamps [ns]."""
     heard: dict[str, dict[int, int]] = {"states": {}, "answers": {}}
-    with Node(Network(_DOMAIN, localhost=True)) as node:
-        inboxes = {"states": node.listen(_STATES, JointState), "answers": node.listen(_ANSWERS, JointState)}
-        until = time.monotonic() + seconds - _REST_S
+    with Node(Network(DOMAIN, localhost=True)) as node:
+        inboxes = {"states": node.listen(STATES, JointState), "answers": node.listen(ANSWERS, JointState)}
+        until = time.monotonic() + seconds - REST_S
         while time.monotonic() < until:
             if node.wait():
                 for name, inbox in inboxes.items():
