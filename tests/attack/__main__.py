@@ -15,7 +15,7 @@ from attack.harness import HERE, Attacker, Tally, all_parsers, attack, reproduce
 from attack.kill import WRITERS, assaulted
 
 RESULTS = HERE.parent.parent / "benchmarks" / "results" / "attack.json"
-KILLS = 60
+KILLS = 100
 _EVERY = 200  # cases between two lines of progress
 
 

@@ -31,6 +31,7 @@ def measure(
     The report of `trueup augment eval` shows its histogram.
     """
     from trueup.core.atomic import make_folder
+    from trueup.core.model_card import ModelCard
     from trueup.core.step_times import LATENCY_NAME
     from trueup.stages import time_steps
     from trueup.zoo import folder_of
@@ -40,6 +41,7 @@ def measure(
     folder = folder_of(model)
     # What came with the package is not written to: it may belong to somebody else.
     target = out_dir or (folder if folder == model else None)
+    ModelCard.load(folder)
     if out_dir is not None:
         make_folder(out_dir)
     if target is None:

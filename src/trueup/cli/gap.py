@@ -68,8 +68,6 @@ def gap(
             "--explain simulates, so it needs to know the robot", hint="Give --robot NAME or a robot.yaml."
         )
     bars = [parse_bar(text) for text in fail_above or []]
-    if out_dir is not None:
-        make_folder(out_dir)
     if out_dir is not None and (out_dir / "gap.json").exists() and not overwrite:
         raise OutputExists(f"{out_dir / 'gap.json'} exists", hint="Give --overwrite, or choose another --out.")
     data = Dataset(dataset)
@@ -77,6 +75,7 @@ def gap(
         bars, runs=_list(runs) or data.runs, splits=[split] if split else sorted({*data.splits.values()} - {""})
     )
     if out_dir is not None:
+        make_folder(out_dir)  # what cannot be written to is said before an hour of fits
         folder.refuse_other_fit(out_dir, data.hash)
     measurement = measure(
         data,

@@ -58,6 +58,8 @@ for module in (
     module.register(app)
 
 
+# Letters of a file's name that are shown.
+_NAME = 200
 _INTERRUPTED = 130  # typer's code for Ctrl-C, too
 
 
@@ -91,6 +93,13 @@ def main(argv: Sequence[str] | None = None) -> None:
         code = _INTERRUPTED
     except BrokenPipeError:
         code = 0  # the reader, e.g. head, has seen enough
+    except OSError as error:
+        if debug:
+            raise
+        # What the machine refuses (names that are too long, disks, rights) is none of ours.
+        named = "" if error.filename is None else f" {str(error.filename)[:_NAME]!r}"
+        problem(f"this machine refuses{named}", error.strerror or str(error))
+        code = 2
     except Exception as error:
         # Usage errors of typer and click share no public base class, but only they can format themselves.
         usage = getattr(error, "format_message", None)

@@ -1,0 +1,157 @@
+"""Files that are made to hurt: each is refused in a line or two, in a few seconds, in little memory."""
+
+import resource
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from benchmarks.networks import real_time
+from onnx import TensorProto, helper
+
+from trueup.core.atomic import file_hash, read_json, write_json
+from trueup.core.card import sealed
+from trueup.core.model_card import CARD_NAME, CARD_SCHEMA, ONNX_NAME
+from trueup.dataset import Dataset, DatasetWriter
+from trueup.stages import demo_dataset
+
+PATIENCE_S, ROOM_BYTES = 20.0, 3_000_000_000
+BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
+    f"{name}: &{name} [{','.join([f'*{before}'] * 9)}]\n" for before, name in zip("abcdefghi", "bcdefghij", strict=True)
+)
+ENTITIES = (
+    '<!DOCTYPE mujoco [<!ENTITY a "aaaaaaaaaaaaaaaaaaaa">'
+    + "".join(f'<!ENTITY {name} "{f"&{before};" * 20}">' for before, name in zip("abcdef", "bcdefg", strict=True))
+    + "]><mujoco model='&g;'><worldbody/></mujoco>"
+)
+OUTSIDE = '<!DOCTYPE mujoco [<!ENTITY x SYSTEM "file:///etc/passwd">]><mujoco model="&x;"><worldbody/></mujoco>'
+
+
+def _limits():
+    resource.setrlimit(resource.RLIMIT_DATA, (ROOM_BYTES, ROOM_BYTES))
+
+
+def run(*arguments, folder):
+    """The command in a process of its own, that may not take much; code, output, and seconds."""
+    began = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-m", "trueup.cli.main", *map(str, arguments)],
+        cwd=folder, capture_output=True, text=True, timeout=PATIENCE_S + 40, preexec_fn=_limits, check=False,
+    )  # fmt: skip
+    return done.returncode, done.stdout + done.stderr, time.monotonic() - began
+
+
+def refused(*arguments, folder, told=()):
+    code, said, took_s = run(*arguments, folder=folder)
+    assert code == 2, said
+    assert "Traceback" not in said
+    assert "bug in trueup" not in said
+    assert took_s < PATIENCE_S, said
+    assert len(said) < 5000
+    for word in told:
+        assert word in said
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    return demo_dataset(tmp_path_factory.mktemp("data") / "data")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [BOMB, "a: &a [*a]\n", "[" * 50_000, "{a: " * 20_000, "!!python/object/apply:os.system [touch /tmp/owned]\n", "\0"],
+    ids=["aliases", "itself", "deep list", "deep mapping", "code", "zero byte"],
+)
+def test_yaml(text, data, tmp_path):
+    (tmp_path / "robot.yaml").write_text(text)
+    refused("replay", data, "--robot", tmp_path / "robot.yaml", folder=tmp_path)
+    (tmp_path / "fit.yaml").write_text(text)
+    arguments = ("--robot", "demo_arm", "--config", tmp_path / "fit.yaml", "--out", tmp_path / "out")
+    refused("identify", data, *arguments, folder=tmp_path)
+    assert not Path("/tmp/owned").exists()
+
+
+@pytest.mark.parametrize("text", [ENTITIES, OUTSIDE, "<a>" * 100_000], ids=["entities", "other files", "deep"])
+def test_xml(text, data, tmp_path):
+    (tmp_path / "model.xml").write_text(text)
+    code, said, took_s = run("replay", data, "--robot", "demo_arm", "--model", tmp_path / "model.xml", folder=tmp_path)
+    assert code == 2, said
+    assert took_s < PATIENCE_S
+    assert "root:" not in said
+    assert "Traceback" not in said
+
+
+def network(folder, node, *, initializer=None, opsets=()):
+    """A model folder whose graph has a node more, its card in order."""
+    real_time(folder, hidden=(8, 5), rate_hz=100.0)
+    model = onnx.load(folder / ONNX_NAME)
+    model.graph.node.append(node)
+    model.graph.initializer.extend([] if initializer is None else [initializer])
+    model.opset_import.extend(opsets)
+    (folder / ONNX_NAME).write_bytes(model.SerializeToString())
+    tree = read_json(folder / CARD_NAME)
+    tree["files"][ONNX_NAME] = file_hash(folder / ONNX_NAME)
+    content = {key: value for key, value in tree.items() if key not in ("schema", "sha256")}
+    write_json(folder / CARD_NAME, sealed(CARD_SCHEMA, content))
+
+
+def test_a_network_that_reads_other_files(tmp_path, data):
+    outside = helper.make_tensor("w", TensorProto.FLOAT, [4], np.zeros(4, np.float32).tobytes(), raw=True)
+    outside.ClearField("raw_data")
+    outside.data_location = TensorProto.EXTERNAL
+    for key, value in (("location", "../../../etc/passwd"), ("offset", "0"), ("length", "16")):
+        entry = outside.external_data.add()
+        entry.key, entry.value = key, value
+    network(tmp_path / "net", helper.make_node("Identity", ["w"], ["unused"]), initializer=outside)
+    arguments = ("augment", "time", tmp_path / "net", "--seconds", 0.1, "--out", tmp_path / "out")
+    refused(*arguments, folder=tmp_path, told=["cannot run", "External data path"])
+
+
+def test_a_network_with_operators_of_its_own(tmp_path):
+    node = helper.make_node("Launch", ["x"], ["unused"], domain="evil")
+    network(tmp_path / "net", node, opsets=[helper.make_opsetid("evil", 1)])
+    arguments = ("augment", "time", tmp_path / "net", "--seconds", 0.1, "--out", tmp_path / "out")
+    refused(*arguments, folder=tmp_path, told=["cannot run", "evil"])
+
+
+def test_units_whose_names_lead_elsewhere(tmp_path, data):
+    """A fleet makes a folder for each unit, below its own and nowhere else."""
+    source = Dataset(data)
+    with DatasetWriter.create(tmp_path / "hostile", source.info) as writer:
+        for number, name in enumerate(("../../outside", "/etc/x", "..", ".hidden")):
+            episode = source.episode(source.ids[number])
+            writer.append(replace(episode, meta=replace(episode.meta, unit=name)))
+    before = {path.name for path in tmp_path.iterdir()}
+    code, said, _ = run(
+        *("fleet", tmp_path / "hostile", "--robot", "demo_arm", "--until", "gap", "--jobs", 1, "--out", tmp_path / "o"),
+        folder=tmp_path,
+    )
+    assert code in (0, 2), said
+    assert "Traceback" not in said
+    assert {path.name for path in tmp_path.iterdir()} - before <= {"o"}
+    assert not (tmp_path.parent / "outside").exists()
+    assert all(not path.name.startswith(".") for path in (tmp_path / "o").iterdir())
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("import", "DATA/nothing"),
+        ("gap", "DATA"),
+        ("close", "DATA", "--robot", "demo_arm", "--until", "gap"),
+        ("identify", "DATA", "--robot", "demo_arm"),
+        ("fleet", "DATA", "--robot", "demo_arm", "--until", "gap"),
+        ("export", "DATA", "--format", "csv"),
+        ("augment", "train", "DATA", "--method", "moving-average"),
+        ("record", "--robot", "panda", "--scale", "0.001"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_a_folder_that_cannot_be_written_to(words, data, tmp_path):
+    """Below /proc nobody makes folders, root neither."""
+    line = [word.replace("DATA", str(data)) for word in words]
+    refused(*line, "--out", "/proc/trueup/out", folder=tmp_path)
