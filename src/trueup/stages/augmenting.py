@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trueup.augment.config import FEWEST_FOR_CHANCE, SIGNALS, AugmentConfig
-from trueup.core.atomic import json_hash, make_folder
+from trueup.core.atomic import json_hash
 from trueup.core.episode import Episode
 from trueup.core.model_card import ANY_JOINT, CARD_NAME, Channel
+from trueup.core.sole_writer import sole_writer
 from trueup.core.time_limit import TimeLimit
 from trueup.dataset import Dataset
 from trueup.dataset.writer import is_label_part
@@ -113,104 +114,104 @@ def augment(
     name = name or config.method
     _refuse_bad_name(name)
     _refuse_no_training(config)
-    make_folder(out)
-    if not (overwrite or resume):
-        ModelFolder.refuse_full(out)
-    source = TrainingData.of(datasets, run)
-    limits = _limits(robot, source, config)
-    asked = json_hash(
-        {
-            "data": source.hash,
-            "run": run,
-            "config": config.to_json(),
-            "limits": sorted([*key, *value] for key, value in limits.items()),
-            "name": name,
-            "drop_flagged": drop_flagged,
-            "train_motions": train_motions,
-            "seed": seed,
-        }
-    )
-    folder = ModelFolder(out, asked)
-    if not overwrite and folder.is_finished():
-        folder.clean()
-        finished = Augmentation.load(out)
-        return Augmented(finished, out, ("was finished already", *_notes(finished)))
-    ids = {split: source.ids(split, drop_flagged=drop_flagged) for split in ("train", "val")}
-    if train_motions is not None:
-        ids["train"] = _drawn(ids["train"], train_motions, seed)
-    first = next(source.episodes(ids["train"][:1]))
-    data = config.data
-    inputs, outputs = channels_of(
-        first,
-        run,
-        signals=data.signals,
-        reads=data.reads,
-        command=data.command,
-        measured=data.measured,
-        known=SIGNALS,
-    )
-    Loss(config.loss, outputs, 1.0, config.network.quantiles)  # refuses what cannot be minimized, before all is read
-    joints, bodies = _joints(source, config), _bodies(outputs, config)
-    outputs = tuple(channel for channel in outputs if channel.joint in (bodies if channel.of_body else joints))
-    blocks = bodies if outputs[0].of_body else joints
-    has_bodies = any(channel.of_body for channel in inputs)
-    names = tuple(dict.fromkeys(channel.joint for channel in inputs)) if has_bodies else source.joints
-    if data.modular:
-        inputs, outputs, limits = any_joint(inputs), any_joint(outputs), {}
-    rate_hz = data.rate_hz or rate_of(first, run)
-    with folder.scratch() as scratch, contextlib.ExitStack() as stack:
-        pairs = {
-            split: stack.enter_context(
-                write_pairs(
-                    track(source.at_rate(chosen, rate_hz, given=data.rate_hz is not None), split, len(chosen)),
-                    scratch / f"{split}.f32",
-                    run=run,
-                    inputs=inputs,
-                    outputs=outputs,
-                    rate_hz=rate_hz,
-                    joints=blocks if data.modular else (),
-                    mirrored=data.mirrored and split == "train",
+    with sole_writer(out):
+        if not (overwrite or resume):
+            ModelFolder.refuse_full(out)
+        source = TrainingData.of(datasets, run)
+        limits = _limits(robot, source, config)
+        asked = json_hash(
+            {
+                "data": source.hash,
+                "run": run,
+                "config": config.to_json(),
+                "limits": sorted([*key, *value] for key, value in limits.items()),
+                "name": name,
+                "drop_flagged": drop_flagged,
+                "train_motions": train_motions,
+                "seed": seed,
+            }
+        )
+        folder = ModelFolder(out, asked)
+        if not overwrite and folder.is_finished():
+            folder.clean()
+            finished = Augmentation.load(out)
+            return Augmented(finished, out, ("was finished already", *_notes(finished)))
+        ids = {split: source.ids(split, drop_flagged=drop_flagged) for split in ("train", "val")}
+        if train_motions is not None:
+            ids["train"] = _drawn(ids["train"], train_motions, seed)
+        first = next(source.episodes(ids["train"][:1]))
+        data = config.data
+        inputs, outputs = channels_of(
+            first,
+            run,
+            signals=data.signals,
+            reads=data.reads,
+            command=data.command,
+            measured=data.measured,
+            known=SIGNALS,
+        )
+        Loss(config.loss, outputs, 1.0, config.network.quantiles)  # refuses what cannot be minimized, before the data
+        joints, bodies = _joints(source, config), _bodies(outputs, config)
+        outputs = tuple(channel for channel in outputs if channel.joint in (bodies if channel.of_body else joints))
+        blocks = bodies if outputs[0].of_body else joints
+        has_bodies = any(channel.of_body for channel in inputs)
+        names = tuple(dict.fromkeys(channel.joint for channel in inputs)) if has_bodies else source.joints
+        if data.modular:
+            inputs, outputs, limits = any_joint(inputs), any_joint(outputs), {}
+        rate_hz = data.rate_hz or rate_of(first, run)
+        with folder.scratch() as scratch, contextlib.ExitStack() as stack:
+            pairs = {
+                split: stack.enter_context(
+                    write_pairs(
+                        track(source.at_rate(chosen, rate_hz, given=data.rate_hz is not None), split, len(chosen)),
+                        scratch / f"{split}.f32",
+                        run=run,
+                        inputs=inputs,
+                        outputs=outputs,
+                        rate_hz=rate_hz,
+                        joints=blocks if data.modular else (),
+                        mirrored=data.mirrored and split == "train",
+                    )
                 )
+                for split, chosen in ids.items()
+            }
+            refuse_overlap(pairs["train"], pairs["val"])
+            task = Task(
+                name=name,
+                robot=source.robot,
+                joints=(ANY_JOINT,) if data.modular else names,
+                run=run,
+                rate_hz=rate_hz,
+                train=pairs["train"],
+                val=pairs["val"],
+                limits=limits,
+                data_hash=source.hash,
+                asked=asked,
+                description=description,
             )
-            for split, chosen in ids.items()
-        }
-        refuse_overlap(pairs["train"], pairs["val"])
-        task = Task(
-            name=name,
-            robot=source.robot,
-            joints=(ANY_JOINT,) if data.modular else names,
-            run=run,
-            rate_hz=rate_hz,
-            train=pairs["train"],
-            val=pairs["val"],
-            limits=limits,
-            data_hash=source.hash,
-            asked=asked,
-            description=description,
+            if overwrite:
+                folder.begin_anew()
+            augmentation = Augmentation.fit(
+                task,
+                config,
+                folder=out,
+                seed=seed,
+                resume=resume,
+                device=device,
+                threads=jobs,
+                on_progress=on_progress,
+                limit=limit,
+            )
+            augmentation.save(out)
+        # Only here is nothing left that an interruption could cost.
+        folder.clean()
+        notes = (
+            *_unmeasured(first, run, config),
+            *_unreached(augmentation, max(motion.rows for motion in pairs["train"].motions)),
+            *_unknown_limits(limits, inputs, config),
+            *_notes(augmentation),
         )
-        if overwrite:
-            folder.begin_anew()
-        augmentation = Augmentation.fit(
-            task,
-            config,
-            folder=out,
-            seed=seed,
-            resume=resume,
-            device=device,
-            threads=jobs,
-            on_progress=on_progress,
-            limit=limit,
-        )
-        augmentation.save(out)
-    # Only here is nothing left that an interruption could cost.
-    folder.clean()
-    notes = (
-        *_unmeasured(first, run, config),
-        *_unreached(augmentation, max(motion.rows for motion in pairs["train"].motions)),
-        *_unknown_limits(limits, inputs, config),
-        *_notes(augmentation),
-    )
-    return Augmented(augmentation, out, notes)
+        return Augmented(augmentation, out, notes)
 
 
 def _refuse_bad_name(name: str) -> None:

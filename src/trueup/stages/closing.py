@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trueup.augment.networks import METHODS as KNOWN_METHODS
-from trueup.core.atomic import make_folder
 from trueup.core.close_result import STEPS, StepName
 from trueup.core.provenance import provenance
+from trueup.core.sole_writer import sole_writer
 from trueup.dataset import Dataset, is_dataset
 from trueup.dataset.importers.base import ImportOptions
 from trueup.errors import ConfigError, OutputExists
@@ -95,45 +95,45 @@ def close(
         refuse_nesting(source, out / "dataset")
     if model is not None:
         find_model(robot, given=Path(model))
-    make_folder(out)
-    if any(out.iterdir()) and not (overwrite or resume):
-        raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
-    asked = {"until": until, "budget_s": budget_s, "methods": list(methods), "drop_flagged": drop_flagged}
-    folder = CloseFolder(out, until=until, budget_s=budget_s, provenance=provenance(config=asked, seed=seed))
-    budget = Budget(budget_s, [step for step in STEPS if folder.asked(step)])
-    imported, path = None, source
-    if not is_dataset(source):
-        path = out / "dataset"
-        watch.on_step("import")
-        with folder.step("import") as step:
-            imported = import_logs(
-                source,
-                path,
-                format=format,
-                options=options,
-                robot=robot,
-                splits=splits,
-                seed=seed,
-                overwrite=overwrite,
-                resume=resume,
-                track=track,
-            )
-            step.what = f"{len(Dataset(path))} motions"
-        watch.on_import(imported)
-    steps = CloseSteps(
-        dataset=Dataset(path),
-        robot=robot,
-        model=model,
-        config=config,
-        methods=methods,
-        metrics=metrics,
-        drop_flagged=drop_flagged,
-        seed=seed,
-        jobs=jobs,
-        overwrite=overwrite,
-        track=track,
-        watch=watch,
-        folder=folder,
-        budget=budget,
-    )
-    return replace(steps.climb(), imported=imported)
+    with sole_writer(out):
+        if any(out.iterdir()) and not (overwrite or resume):
+            raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
+        asked = {"until": until, "budget_s": budget_s, "methods": list(methods), "drop_flagged": drop_flagged}
+        folder = CloseFolder(out, until=until, budget_s=budget_s, provenance=provenance(config=asked, seed=seed))
+        budget = Budget(budget_s, [step for step in STEPS if folder.asked(step)])
+        imported, path = None, source
+        if not is_dataset(source):
+            path = out / "dataset"
+            watch.on_step("import")
+            with folder.step("import") as step:
+                imported = import_logs(
+                    source,
+                    path,
+                    format=format,
+                    options=options,
+                    robot=robot,
+                    splits=splits,
+                    seed=seed,
+                    overwrite=overwrite,
+                    resume=resume,
+                    track=track,
+                )
+                step.what = f"{len(Dataset(path))} motions"
+            watch.on_import(imported)
+        steps = CloseSteps(
+            dataset=Dataset(path),
+            robot=robot,
+            model=model,
+            config=config,
+            methods=methods,
+            metrics=metrics,
+            drop_flagged=drop_flagged,
+            seed=seed,
+            jobs=jobs,
+            overwrite=overwrite,
+            track=track,
+            watch=watch,
+            folder=folder,
+            budget=budget,
+        )
+        return replace(steps.climb(), imported=imported)

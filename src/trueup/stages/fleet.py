@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trueup.core.atomic import make_folder
 from trueup.core.close_result import CLOSE_NAME, STEPS, StepName
 from trueup.core.fit_result import FitResult, FittedParameter
 from trueup.core.fleet_result import FLEET_NAME, FleetParameter, FleetResult, FleetUnit, UnitValue
 from trueup.core.provenance import provenance
 from trueup.core.ray_workers import on_ray
 from trueup.core.results import Ladder
+from trueup.core.sole_writer import sole_writer
 from trueup.core.workers import as_they_end
 from trueup.dataset import Dataset, DatasetWriter
 from trueup.errors import ConfigError, DataError, OutputExists, TrueupError
@@ -112,29 +112,29 @@ def fleet(
     if jobs is not None and jobs < 1:
         raise ConfigError("jobs must be at least 1", got=jobs)
     out = Path(out)
-    make_folder(out)
-    if any(out.iterdir()) and not (overwrite or resume):
-        raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
-    tasks = [
-        _Task(name, data, out / name, robot, model, config, until, budget_s, tuple(methods), seed)
-        for name, data in _units([Path(path) for path in datasets], out, overwrite=overwrite)
-    ]
-    outcomes: dict[str, _Outcome] = {}
-    for task, outcome in track(_ended(tasks, jobs, ray), "fleet", len(tasks)):
-        outcomes[task.name] = outcome
-    done = [outcomes[task.name] for task in tasks]
-    if all(outcome.unit.status == "failed" for outcome in done):
-        raise DataError("nothing could be done with any unit, the first because", got=done[0].unit.reason)
-    asked = {"until": until, "budget_s": budget_s, "methods": list(methods), "robot": robot.name}
-    result = FleetResult(
-        tuple(outcome.unit for outcome in done),
-        summarized({outcome.unit.name: outcome.fit for outcome in done if outcome.fit is not None}),
-        next((outcome.signal for outcome in done if outcome.signal), ""),
-        until,
-        provenance(config=asked, seed=seed),
-    )
-    result.save(out / FLEET_NAME)
-    return result
+    with sole_writer(out):
+        if any(out.iterdir()) and not (overwrite or resume):
+            raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
+        tasks = [
+            _Task(name, data, out / name, robot, model, config, until, budget_s, tuple(methods), seed)
+            for name, data in _units([Path(path) for path in datasets], out, overwrite=overwrite)
+        ]
+        outcomes: dict[str, _Outcome] = {}
+        for task, outcome in track(_ended(tasks, jobs, ray), "fleet", len(tasks)):
+            outcomes[task.name] = outcome
+        done = [outcomes[task.name] for task in tasks]
+        if all(outcome.unit.status == "failed" for outcome in done):
+            raise DataError("nothing could be done with any unit, the first because", got=done[0].unit.reason)
+        asked = {"until": until, "budget_s": budget_s, "methods": list(methods), "robot": robot.name}
+        result = FleetResult(
+            tuple(outcome.unit for outcome in done),
+            summarized({outcome.unit.name: outcome.fit for outcome in done if outcome.fit is not None}),
+            next((outcome.signal for outcome in done if outcome.signal), ""),
+            until,
+            provenance(config=asked, seed=seed),
+        )
+        result.save(out / FLEET_NAME)
+        return result
 
 
 def summarized(fits: dict[str, FitResult]) -> tuple[FleetParameter, ...]:

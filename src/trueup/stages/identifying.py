@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trueup.core.atomic import json_hash, make_folder, remove
+from trueup.core.atomic import json_hash, remove
 from trueup.core.attribution import Attribution
 from trueup.core.fit_result import FitResult
 from trueup.core.results import Ladder
+from trueup.core.sole_writer import sole_writer
 from trueup.core.time_limit import TimeLimit
 from trueup.dataset import Dataset
 from trueup.errors import OutputExists, TrueupError
@@ -99,54 +100,54 @@ def fit(
     from trueup.identify import identify, judged, save_identification
 
     out = Path(out)
-    make_folder(out)
-    if any(out.iterdir()) and not (overwrite or resume):
-        raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
-    checkpoints = out / _CHECKPOINTS
-    if overwrite and not resume:
+    with sole_writer(out):
+        if any(out.iterdir()) and not (overwrite or resume):
+            raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
+        checkpoints = out / _CHECKPOINTS
+        if overwrite and not resume:
+            shutil.rmtree(checkpoints, ignore_errors=True)
+        path = model_file(robot, dataset, given=model)
+        jobs = jobs or os.cpu_count() or 1
+        given, robot = robot, judged(robot, config)
+        inputs = _digest(dataset, robot, path, config, seed)
+        result = _finished(out, inputs) if resume and not overwrite else None
+        motions = motions_of(dataset, robot)
+        # Before the fit, since what keeps a replay from working must not come to light after an hour of it.
+        stock = replay_unless_same(dataset, robot, model=path, label=STOCK, jobs=jobs, track=track)
+        if result is None:
+            found = identify(
+                motions.by_split,
+                robot,
+                path,
+                config=config,
+                jobs=jobs,
+                seed=seed,
+                checkpoints=checkpoints,
+                data_hash=dataset.hash,
+                on_progress=on_progress,
+                limit=limit,
+            )
+            data = {
+                **found.result.data,
+                "refused": _joined(motions.refused, found.result.data["refused"]),
+                "inputs": inputs,
+            }
+            found = replace(found, result=replace(found.result, data=data))
+            save_identification(found, out, seed=seed)
+            result = found.result
+        graybox = _save_graybox(motions, robot, path, out)
+        fitted_robot = load_robot(out / "robot.fitted.yaml")
+        fitted = replay_unless_same(dataset, fitted_robot, model=None, label=FITTED, jobs=jobs, track=track)
+        measurement = gap(dataset, runs=[STOCK, FITTED], seed=seed, blocks=False, track=track)
+        seconds = sum(row.seconds for row in result.models) + fitted.seconds
+        ladder = ladder_of(measurement, {"stock": (STOCK, stock.seconds), "fitted": (FITTED, seconds)})
+        forget_explanation(out, unless_of=None if overwrite else dataset.hash)
+        measurement.save(out)
+        ladder.save(out / "ladder.json")
+        # Only here is nothing left that an interruption could cost.
         shutil.rmtree(checkpoints, ignore_errors=True)
-    path = model_file(robot, dataset, given=model)
-    jobs = jobs or os.cpu_count() or 1
-    given, robot = robot, judged(robot, config)
-    inputs = _digest(dataset, robot, path, config, seed)
-    result = _finished(out, inputs) if resume and not overwrite else None
-    motions = motions_of(dataset, robot)
-    # Before the fit, since what keeps a replay from working must not come to light after an hour of it.
-    stock = replay_unless_same(dataset, robot, model=path, label=STOCK, jobs=jobs, track=track)
-    if result is None:
-        found = identify(
-            motions.by_split,
-            robot,
-            path,
-            config=config,
-            jobs=jobs,
-            seed=seed,
-            checkpoints=checkpoints,
-            data_hash=dataset.hash,
-            on_progress=on_progress,
-            limit=limit,
-        )
-        data = {
-            **found.result.data,
-            "refused": _joined(motions.refused, found.result.data["refused"]),
-            "inputs": inputs,
-        }
-        found = replace(found, result=replace(found.result, data=data))
-        save_identification(found, out, seed=seed)
-        result = found.result
-    graybox = _save_graybox(motions, robot, path, out)
-    fitted_robot = load_robot(out / "robot.fitted.yaml")
-    fitted = replay_unless_same(dataset, fitted_robot, model=None, label=FITTED, jobs=jobs, track=track)
-    measurement = gap(dataset, runs=[STOCK, FITTED], seed=seed, blocks=False, track=track)
-    seconds = sum(row.seconds for row in result.models) + fitted.seconds
-    ladder = ladder_of(measurement, {"stock": (STOCK, stock.seconds), "fitted": (FITTED, seconds)})
-    forget_explanation(out, unless_of=None if overwrite else dataset.hash)
-    measurement.save(out)
-    ladder.save(out / "ladder.json")
-    # Only here is nothing left that an interruption could cost.
-    shutil.rmtree(checkpoints, ignore_errors=True)
-    notes = (*_left_out_notes(result), *_window_note(given, robot), *graybox, *measurement.gap.settings["warnings"])
-    return Identified(result, (stock, fitted), measurement, ladder, notes)
+        notes = (*_left_out_notes(result), *_window_note(given, robot), *graybox, *measurement.gap.settings["warnings"])
+        return Identified(result, (stock, fitted), measurement, ladder, notes)
 
 
 def explain_inputs(
