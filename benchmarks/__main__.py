@@ -1,10 +1,15 @@
-"""Run all benchmarks, or those named: `python -m benchmarks replay pipeline`."""
+"""Run all benchmarks, or those named: `python -m benchmarks replay pipeline`.
+
+All of them take a day, most of it trainings; each leaves its figures in `results/figures.json`, so that `--kept` goes
+on with what is missing, and `--table` prints one table of all that is known.
+"""
 
 import argparse
 import sys
 from importlib import import_module
 from pathlib import Path
 
+from benchmarks.figures import keep, print_all, stored
 from benchmarks.table import print_table, write_rows
 
 NAMES = (
@@ -57,15 +62,28 @@ NAMES = (
 
 
 def main() -> None:
-    """Print one table per benchmark; leave with 1 if a figure misses its limit."""
+    """Print one table per benchmark as it ends, then one of all; leave with 1 if a figure misses its limit."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="of a benchmark; all of them without a name")
     parser.add_argument("--rows", type=Path, metavar="FILE", help="also store the figures as JSON")
+    parser.add_argument("--kept", action="store_true", help="measure only what has no figures in results/figures.json")
+    parser.add_argument("--table", action="store_true", help="measure nothing: the table of what is there")
     options = parser.parse_args()
+    if unknown := sorted(set(options.names) - set(NAMES)):
+        parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(NAMES)}")
+    names = options.names or NAMES
+    if options.table:
+        print_all(names)
+        return
     rows = {}
-    for name in options.names or NAMES:
+    for name in names:
+        if options.kept and name in stored():
+            continue
         rows[name] = import_module(f"benchmarks.{name}").run()
+        keep(name, rows[name])
         print_table(rows[name], name)
+    if not options.names:
+        print_all(NAMES)
     if options.rows:
         write_rows(rows, options.rows)
     missed = [row.name for own in rows.values() for row in own if not row.ok]

@@ -1,0 +1,79 @@
+"""The latest figures of every benchmark, in one file and one table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.table import Row, rounded
+from trueup.core.atomic import read_json, write_json
+from trueup.core.provenance import provenance
+from trueup.stages.timing import machine_name
+
+PATH = Path(__file__).parent / "results" / "figures.json"
+
+
+def stored(path: Path = PATH) -> dict[str, dict[str, Any]]:
+    """Benchmark -> its rows, and when, where and on which commit they were measured."""
+    found: dict[str, dict[str, Any]] = read_json(path) if path.is_file() else {}
+    return found
+
+
+def keep(name: str, rows: Sequence[Row], path: Path = PATH) -> None:
+    """Put the rows of a benchmark in the place of those that were measured before."""
+    made = provenance(config={}, seed=0)
+    entry = {
+        "created": made["created"],
+        "git": made["git"],
+        "machine": machine_name(),
+        "rows": [rounded(asdict(row)) for row in rows],
+    }
+    # Read again: another benchmark may have ended meanwhile.
+    write_json(path, {**stored(path), name: entry})
+
+
+def rows_of(entry: Mapping[str, Any]) -> list[Row]:
+    """The rows as they were measured."""
+    return [Row(**row) for row in entry["rows"]]
+
+
+def cells(name: str, entry: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
+    """One line for each figure: benchmark, what, figure, limit, ratio, unit, verdict, when."""
+    for row in rows_of(entry):
+        limit = "" if row.limit is None else f"{row.limit:.4g}"
+        ratio = f"{row.value / row.limit:.2f}" if row.limit else ""
+        verdict = "" if row.limit is None else "ok" if row.ok else "MISSED"
+        yield (
+            name,
+            row.name,
+            f"{row.value:.4g}",
+            limit,
+            ratio,
+            row.unit,
+            verdict,
+            f"{entry['created'][:10]} {entry['git']}",
+        )
+
+
+def print_all(names: Iterable[str], path: Path = PATH) -> None:
+    """One table of all that is known, and what was never measured."""
+    table = Table(title="all benchmarks")
+    for heading in ("benchmark", "what", "figure", "limit", "ratio", "unit", "", "measured"):
+        table.add_column(heading, justify="right" if heading in ("figure", "limit", "ratio") else "left")
+    known, unknown = stored(path), []
+    for name in names:
+        if name not in known:
+            unknown.append(name)
+            continue
+        for line in cells(name, known[name]):
+            colored = {"ok": "[green]ok[/]", "MISSED": "[bold red]MISSED[/]"}.get(line[6], "")
+            table.add_row(*(part.replace("[", "\\[") for part in line[:6]), colored, line[7])
+        table.add_section()
+    Console(width=200).print(table)
+    if unknown:
+        print(f"never measured here: {', '.join(unknown)}")

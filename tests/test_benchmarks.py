@@ -1,0 +1,71 @@
+"""One table of all benchmarks: figures are kept, and each benchmark that is named is there."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from benchmarks.__main__ import NAMES
+from benchmarks.figures import cells, keep, print_all, rows_of, stored
+from benchmarks.table import Row, at_least, at_most, shown
+
+ROOT = Path(__file__).parent.parent
+
+
+def test_figures_are_kept_and_replaced(tmp_path):
+    path = tmp_path / "figures.json"
+    assert stored(path) == {}
+    keep("one", [at_most("time", 2.0, 4.0, "s"), shown("size", 1.23456789, "MB")], path)
+    keep("two", [at_least("speed", 3.0, 4.0, "x")], path)
+    keep("one", [at_most("time", 3.0, 4.0, "s")], path)
+    assert rows_of(stored(path)["one"]) == [Row("time", 3.0, 4.0, "s", ok=True)]
+    (line,) = cells("two", stored(path)["two"])
+    assert line[:7] == ("two", "speed", "3", "4", "0.75", "x", "MISSED")
+
+
+def test_one_table_of_all(tmp_path, capsys):
+    path = tmp_path / "figures.json"
+    keep("one", [at_most("lost", 0, 0, "messages"), at_most("a [b]", 2.0, 4.0, "s")], path)
+    print_all(["one", "never"], path)
+    out = capsys.readouterr().out
+    for word in ("a [b]", "0.50", "ok", "never measured here: never"):
+        assert word in out
+
+
+def test_every_benchmark_is_there():
+    for name in NAMES:
+        assert "def run() -> list[Row]:" in (ROOT / "benchmarks" / f"{name}.py").read_text(), name
+    assert set(stored()) <= set(NAMES)
+
+
+def test_the_command_prints_the_table_without_measuring():
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks", "--table"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "all benchmarks" in done.stdout
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks", "nothing"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "no benchmark nothing" in done.stderr
+
+
+@pytest.mark.parametrize("name", sorted(stored()))
+def test_what_is_stored_says_where_it_comes_from(name):
+    entry = stored()[name]
+    assert entry["git"]
+    assert entry["machine"]
+    assert json.dumps(entry)
+    assert rows_of(entry)
