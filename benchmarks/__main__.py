@@ -1,7 +1,8 @@
-"""Run all benchmarks, or those named: `python -m benchmarks replay pipeline`.
+"""Run the benchmarks and print one table of all figures: `python -m benchmarks`; or those named: `replay pipeline`.
 
-All of them take a day, most of it trainings; each leaves its figures in `results/figures.json`, so that `--kept` goes
-on with what is missing, and `--table` prints one table of all that is known.
+Trainings take a day. Their results are kept (benchmarks/results), and stand in the table with the date and the commit
+that they are of; `--anew` makes them again, too. `--kept` goes on with what has no figures yet, and `--table` measures
+nothing.
 """
 
 import argparse
@@ -9,7 +10,7 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
-from benchmarks.figures import keep, print_all, stored
+from benchmarks.figures import keep, known, print_all
 from benchmarks.table import print_table, write_rows
 
 NAMES = (
@@ -60,24 +61,48 @@ NAMES = (
     "fleet",
 )
 
+# Hours each, or one hour at least: measured when they are named, or with --anew.
+LONG = (
+    "thesis",
+    "real_robots",
+    "panda",
+    "augment",
+    "sat",
+    "sat_so101",
+    "sat_bodies",
+    "sat_robustness",
+    "sat_training",
+    "compensation",
+    "compensation_ablations",
+    "compensation_robot",
+    "compensation_ways",
+    "whole_body",
+    "policy_transfer",
+    "policy_going_on",
+    "policy_algorithms",
+    "policy_grid",
+    "ros2_hour",
+)
+
 
 def main() -> None:
     """Print one table per benchmark as it ends, then one of all; leave with 1 if a figure misses its limit."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help="of a benchmark; all of them without a name")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="of a benchmark; without one, all but trainings")
+    parser.add_argument("--anew", action="store_true", help="trainings, too: a day")
     parser.add_argument("--rows", type=Path, metavar="FILE", help="also store the figures as JSON")
-    parser.add_argument("--kept", action="store_true", help="measure only what has no figures in results/figures.json")
+    parser.add_argument("--kept", action="store_true", help="measure only what has no figures yet")
     parser.add_argument("--table", action="store_true", help="measure nothing: the table of what is there")
     options = parser.parse_args()
     if unknown := sorted(set(options.names) - set(NAMES)):
         parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(NAMES)}")
-    names = options.names or NAMES
     if options.table:
-        print_all(names)
+        print_all(options.names or NAMES)
         return
+    names = options.names or [name for name in NAMES if options.anew or name not in LONG]
     rows = {}
     for name in names:
-        if options.kept and name in stored():
+        if options.kept and known(name) is not None:
             continue
         rows[name] = import_module(f"benchmarks.{name}").run()
         keep(name, rows[name])

@@ -7,7 +7,7 @@ writes `benchmarks/results/augment.json`, from which docs/learned-corrections.md
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -68,7 +68,14 @@ def run() -> list[Row]:
     }
     make_folder(RESULT.parent)
     write_text(RESULT, json.dumps(result, allow_nan=False, separators=(",", ":")) + "\n")
-    return [*_lab_rows(lab), *_other_rows(others), *_so101_rows(real)]
+    return rows(result)
+
+
+def rows(result: Mapping[str, Any]) -> list[Row]:
+    """The figures of a result."""
+    lab = AugmentResult.from_json(result["lab"])
+    others = {unit: AugmentResult.from_json(own) for unit, own in result["others"].items()}
+    return [*_lab_rows(lab), *_other_rows(others), *_so101_rows(result["so101_rungs"])]
 
 
 def _evaluated(data: Dataset, names: Sequence[str], what: str, run: str, split: str = "test") -> AugmentResult:
@@ -120,7 +127,7 @@ def _lab_rows(lab: AugmentResult) -> list[Row]:
     return rows
 
 
-def _other_rows(others: dict[int, AugmentResult]) -> list[Row]:
+def _other_rows(others: Mapping[str, AugmentResult]) -> list[Row]:
     rows = []
     for unit, result in others.items():
         for model in REALEASY:
@@ -129,18 +136,11 @@ def _other_rows(others: dict[int, AugmentResult]) -> list[Row]:
     return rows
 
 
-def _so101_rows(real: AugmentResult | None) -> list[Row]:
+def _so101_rows(rungs: Mapping[str, Any]) -> list[Row]:
     """RMSE as identification counts it: mean over motions of the mean over joints of each motion's RMSE."""
-    if real is None:
+    if not rungs:
         return []
-    from trueup.core.results import GapResult
-
-    gap = GapResult.load(FOLDER / "evaluated" / "so101" / "gap.json")
-    rows = [shown("SO-101: identified simulator, position RMSE", _rmse(gap, FITTED), "rad")]
+    rows = [shown("SO-101: identified simulator, position RMSE", rungs["fitted"]["value"], "rad")]
     for name, bar in ARM.items():
-        rows.append(at_most(f"SO-101: {name}, position RMSE", _rmse(gap, f"{FITTED}+{name}"), bar, "rad"))
+        rows.append(at_most(f"SO-101: {name}, position RMSE", rungs[f"fitted+{name}"]["value"], bar, "rad"))
     return rows
-
-
-def _rmse(gap: Any, run: str) -> float:
-    return float(gap.runs[run]["test"]["position"]["rmse"].total.value)

@@ -75,10 +75,10 @@ def run() -> list[Row]:
     }
     make_folder(RESULT.parent)
     write_json(RESULT, rounded(result))
-    return rows_of(result)
+    return rows(result)
 
 
-def rows_of(result: Mapping[str, Any]) -> list[Row]:
+def rows(result: Mapping[str, Any]) -> list[Row]:
     """The rows of a result."""
     rows = []
     for robots, by_threads in result["stepping"].items():

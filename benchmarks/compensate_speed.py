@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
@@ -55,6 +55,12 @@ def run() -> list[Row]:
     result = {"schema": "trueup.compensate-speed/1", "steps": steps, "batch": batch, "provenance": made_of}
     make_folder(RESULT.parent)
     write_json(RESULT, result)
+    return rows(result)
+
+
+def rows(result: Mapping[str, Any]) -> list[Row]:
+    """The figures of a result."""
+    steps, batch = result["steps"], result["batch"]
     rows = [at_most("a step through Stream, 10 joints, p50", steps["Stream"]["p50_us"], STEP_US, "us")]
     rows += [
         shown(f"{name}, {what}", own[key], "us")

@@ -83,7 +83,7 @@ def run() -> list[Row]:
         "provenance": provenance(seed=0, data_hash=data_of("train").hash, config=asdict(SHORT)),
     }
     write_json(RESULT, rounded(result))
-    return _rows(read_json(RESULT))
+    return rows(read_json(RESULT))
 
 
 def tables_on(base: str) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -218,7 +218,7 @@ def _training(made: Compensation) -> dict[str, Any]:
     return {key: said[key] for key in ("cpu_seconds", "best_round", "motions", "val")}
 
 
-def _rows(result: Mapping[str, Any]) -> list[Row]:
+def rows(result: Mapping[str, Any]) -> list[Row]:
     tables = result["tables"]
     rows = [shown("0 kg: large gaps, plain PD", _mean(tables, PD, "test", 0.0, "large_gap_ratio"), "")]
     for operator, (alone, baselines) in BASELINES.items():

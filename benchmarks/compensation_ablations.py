@@ -65,7 +65,7 @@ def run() -> list[Row]:
         "provenance": provenance(config=asdict(SHORT), seed=0, data_hash=data_of("train").hash),
     }
     write_json(RESULT, rounded(result))
-    return _rows(read_json(RESULT))
+    return rows(read_json(RESULT))
 
 
 def tables_of(names: list[str]) -> dict[str, Any]:
@@ -107,7 +107,7 @@ def _told(config: CompensateConfig, windows: Windows, sensors: Sensors, seed: in
     return corrector
 
 
-def _rows(result: Mapping[str, Any]) -> list[Row]:
+def rows(result: Mapping[str, Any]) -> list[Row]:
     rows = []
     for name, tests in result["tables"].items():
         for payload_kg in SEEN_KG:

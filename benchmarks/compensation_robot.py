@@ -83,7 +83,7 @@ def run() -> list[Row]:
         }
     result["provenance"] = provenance(config=asdict(CONFIG), seed=0, data_hash=data_of("train").hash)
     write_json(RESULT, rounded(result))
-    return _rows(read_json(RESULT))
+    return rows(read_json(RESULT))
 
 
 def network_folder(seed: int) -> Path:
@@ -162,7 +162,7 @@ def _compared(plain: Sequence[Mapping[str, float]], helped: Sequence[Mapping[str
     return found
 
 
-def _rows(result: Mapping[str, Any]) -> list[Row]:
+def rows(result: Mapping[str, Any]) -> list[Row]:
     rows = []
     for (seed, own), name in itertools.product(result["seeds"].items(), TESTS):
         for (payload, references), reference in itertools.product(

@@ -39,7 +39,7 @@ def run() -> list[Row]:
         "provenance": provenance(config=asdict(METHODS["operator"]), seed=SEED, data_hash=data_of("train").hash),
     }
     write_json(RESULT, rounded(result))
-    return _rows(read_json(RESULT))
+    return rows(read_json(RESULT))
 
 
 def _trained(way: Way) -> dict[str, Any]:
@@ -57,7 +57,7 @@ def _trained(way: Way) -> dict[str, Any]:
     }
 
 
-def _rows(result: Mapping[str, Any]) -> list[Row]:
+def rows(result: Mapping[str, Any]) -> list[Row]:
     rows = []
     for way, own in result["ways"].items():
         for payload_kg in SEEN_KG:

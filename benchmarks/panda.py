@@ -6,7 +6,7 @@ Writes `benchmarks/results/panda.json`, from which docs/panda.md is made.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -63,9 +63,14 @@ def run() -> list[Row]:
         }
     make_folder(RESULT.parent)
     write_json(RESULT, result)
-    own, other = (np.array(part["multi-joint"]["torque"]["mse"]) for part in (runs[GOOD], runs[ROUGH]))
-    fresh = np.array([part["groups"]["multi-joint"]["torque"]["mse"] for part in unseen])
-    slope = trends[GOOD]["torque"]["rmse"]
+    return rows(result)
+
+
+def rows(result: Mapping[str, Any]) -> list[Row]:
+    """The figures of a result."""
+    own, other = (np.array(result["runs"][run]["multi-joint"]["torque"]["mse"]) for run in (GOOD, ROUGH))
+    fresh = np.array([part["groups"]["multi-joint"]["torque"]["mse"] for part in result["unseen"]])
+    slope = result["trends"][GOOD]["torque"]["rmse"]
     return [
         at_most("twin, multi-joint torque MSE, worst joint", own.max(), 40, "Nm2"),
         at_least("twin, multi-joint torque MSE, best joint", own.min(), 5, "Nm2"),

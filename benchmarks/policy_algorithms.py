@@ -97,10 +97,10 @@ def run() -> list[Row]:
         result["algorithms"][name] = own
     result["provenance"] = provenance(config={"steps": STEPS, "seeds": SEEDS}, seed=0)
     write_json(RESULT, rounded(result))
-    return _rows(read_json(RESULT))
+    return rows(read_json(RESULT))
 
 
-def _rows(result: dict[str, Any]) -> list[Row]:
+def rows(result: dict[str, Any]) -> list[Row]:
     rows = []
     for name, own in result["algorithms"].items():
         rows.append(shown(f"{name}: median distance", 100 * own["median"], "cm"))

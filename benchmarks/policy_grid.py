@@ -90,14 +90,14 @@ def run() -> list[Row]:
         "provenance": provenance(config={question.id: asdict(question.config) for question in QUESTIONS}, seed=0),
     }
     write_json(RESULT, rounded(result))
-    return _rows(read_json(RESULT))
+    return rows(read_json(RESULT))
 
 
 def _about(question: Question) -> dict[str, str]:
     return {"figure": question.figure, "algorithm": question.algorithm, "name": question.name}
 
 
-def _rows(result: dict[str, Any]) -> list[Row]:
+def rows(result: dict[str, Any]) -> list[Row]:
     rows = []
     for question in result["questions"]:
         for group in question["groups"]:

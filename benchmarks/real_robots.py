@@ -66,6 +66,11 @@ def run() -> list[Row]:
     result["provenance"] = provenance(config={"threads": JOBS, "data": hashes}, seed=0)
     make_folder(RESULT.parent)
     write_json(RESULT, result)
+    return rows(result)
+
+
+def rows(result: Mapping[str, Any]) -> list[Row]:
+    """The figures of a result."""
     so101, double = result["so101"]["runs"], result["double_pendulum"]["runs"]
     share = double[FITTED]["test"]["value"] / double[STOCK]["test"]["value"]
     return [

@@ -64,7 +64,7 @@ def run() -> list[Row]:
     }
     make_folder(RESULT.parent)
     write_json(RESULT, rounded(result))
-    return _rows(result)
+    return rows(result)
 
 
 def errors_of(data: Dataset, models: Mapping[str, Path]) -> dict[str, Errors]:
@@ -172,7 +172,7 @@ def _training(name: str) -> dict[str, Any]:
     }
 
 
-def _rows(result: Mapping[str, Any]) -> list[Row]:
+def rows(result: Mapping[str, Any]) -> list[Row]:
     rows = []
     for test, metric in itertools.product(UNSEEN, BARS):
         cut = result["cuts"][test][SAT]["position"][metric]["value"]

@@ -207,7 +207,7 @@ def run() -> list[Row]:
     }
     make_folder(RESULT.parent)
     write_json(RESULT, result)
-    return _rows(tests)
+    return rows(result)
 
 
 _MEASURES: Mapping[str, tuple[str, Callable[..., Any], Callable[..., Any]]] = {
@@ -269,13 +269,14 @@ def _chosen() -> str:
     return min(left, key=lambda name: left[name])
 
 
-def _rows(tests: Mapping[str, Any]) -> list[Row]:
-    rows, chosen = [], _chosen()
-    for kind, test in tests.items():
+def rows(result: Mapping[str, Any]) -> list[Row]:
+    """The figures of a result."""
+    found, chosen = [], result["chosen_on_val"]
+    for kind, test in result["tests"].items():
         for measure, bar in (("position_mae", MAE_CUT), ("position_max", MAX_CUT), ("rotation_mae", None)):
             for name, network in test[measure]["networks"].items():
                 what, value = f"{name}, {kind or 'all test motions'}: {measure} cut", 100 * network["cut"]["value"]
                 # The bars are for the one network that val has chosen; the others are there to compare.
                 held = bar is not None and not kind and name == chosen
-                rows.append(at_least(what, value, 100 * (bar or 0), "%") if held else shown(what, value, "%"))
-    return rows
+                found.append(at_least(what, value, 100 * (bar or 0), "%") if held else shown(what, value, "%"))
+    return found

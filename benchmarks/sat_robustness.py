@@ -80,7 +80,7 @@ def run() -> list[Row]:
     }
     make_folder(RESULT.parent)
     write_json(RESULT, rounded(result))
-    return _rows(result)
+    return rows(result)
 
 
 def _sped_up(speed: int) -> Dataset:
@@ -132,7 +132,7 @@ def _cuts(row: RobustnessRow) -> dict[str, Any]:
     }
 
 
-def _rows(result: Mapping[str, Any]) -> list[Row]:
+def rows(result: Mapping[str, Any]) -> list[Row]:
     rows = [
         shown(f"{ROBOT} at {speed} times the speed: position MAE cut", item["mae"]["value"], "")
         for speed, item in result["speeds"].items()

@@ -117,7 +117,7 @@ def score(arm: Dataset, chosen: Mapping[str, Any]) -> list[Row]:
     }
     make_folder(RESULT.parent)
     write_text(RESULT, json.dumps(rounded(result), allow_nan=False, separators=(",", ":")) + "\n")
-    return _rows(result)
+    return rows(result)
 
 
 def seeds_of(name: str) -> Sequence[int]:
@@ -248,7 +248,7 @@ def _training(name: str, seed: int) -> dict[str, Any]:
     }
 
 
-def _rows(result: Mapping[str, Any]) -> list[Row]:
+def rows(result: Mapping[str, Any]) -> list[Row]:
     found = result["differences"]
     high = found[f"sat-sensed - {SIMULATOR}"]["mae"]["unseen"]["difference"]["high"]
     rows = [at_most("wrist, never seen: SAT with sensors - simulator, MAE, upper end", 1e3 * high, 0.0, "mrad")]

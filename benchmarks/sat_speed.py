@@ -74,10 +74,10 @@ def run() -> list[Row]:
     }
     make_folder(RESULT.parent)
     write_json(RESULT, result)
-    return rows_of(result)
+    return rows(result)
 
 
-def rows_of(result: Mapping[str, Any]) -> list[Row]:
+def rows(result: Mapping[str, Any]) -> list[Row]:
     """The rows of a result; those with a bar first."""
     rows = []
     for name, by_copies in result["steps"].items():

@@ -79,7 +79,7 @@ def run() -> list[Row]:
     }
     make_folder(RESULT.parent)
     write_json(RESULT, rounded(result))
-    return _rows(result)
+    return rows(result)
 
 
 def _seed(seed: int) -> dict[str, Any]:
@@ -144,7 +144,7 @@ def _pieces(folder: Path | None) -> dict[str, Any]:
     return {"value": values.mean(axis=0).tolist(), "low": low.tolist(), "high": high.tolist(), "motions": len(rows)}
 
 
-def _rows(result: Mapping[str, Any]) -> list[Row]:
+def rows(result: Mapping[str, Any]) -> list[Row]:
     rows = []
     for test in UNSEEN:
         for metric, bar in BARS.items():

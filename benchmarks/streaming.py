@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -54,27 +54,33 @@ def run() -> list[Row]:
         found = _measured(made)
         times, loop = time_steps(made.folder, rate_hz=RATE_HZ, seconds=_LOOP_S)
     make_folder(RESULT.parent)
-    write_json(RESULT, _result(found, times, loop))
+    result = _result(found, times, loop)
+    write_json(RESULT, result)
+    return rows(result)
+
+
+def rows(result: Mapping[str, Any]) -> list[Row]:
+    """The figures of a result."""
     rows = []
-    for runner, turns in found.items():
+    for runner, own in result["step"].items():
         for key, share in PERCENTILES.items():
-            value, title = _typical_us(turns, share), f"{runner}, p{share:g}"
+            value, title = own["typical"][key], f"{runner}, p{share:g}"
             rows.append(at_most(title, value, BARS[key], "us") if runner in OURS else shown(title, value, "us"))
         if runner in OURS:
             rows += [
-                shown(f"{runner}, p{share:g} over all turns", _pooled(turns).percentile_us(share), "us")
-                for share in PERCENTILES.values()
+                shown(f"{runner}, p{share:g} over all turns", own[key], "us") for key, share in PERCENTILES.items()
             ]
     rows.append(shown("the paper's step", PAPER_US, "us"))
-    title = f"{RATE_HZ:g} Hz for {_LOOP_S:g} s"
+    loop = result["loop"]
+    title = f"{loop['rate_hz']:g} Hz for {loop['duration_s']:g} s"
     rows += [
-        at_most(f"{title}: deadlines missed by the step", loop.overran_by_step, 0, ""),
-        shown(f"{title}: missed because it was interrupted", loop.overran_by_waiting, ""),
-        shown(f"{title}: missed because it was woken late", loop.overran_by_wakeup, ""),
-        shown(f"{title}: cycles left out", loop.skipped, ""),
-        shown(f"{title}: step, p99.9", loop.step.percentile_us(99.9), "us"),
-        shown(f"{title}: step, longest", loop.step.max_us, "us"),
-        shown(f"{title}: wake-up too late by, p99.9", loop.wakeup.percentile_us(99.9), "us"),
+        at_most(f"{title}: deadlines missed by the step", loop["overran_by_step"], 0, ""),
+        shown(f"{title}: missed because it was interrupted", loop["overran_by_waiting"], ""),
+        shown(f"{title}: missed because it was woken late", loop["overran_by_wakeup"], ""),
+        shown(f"{title}: cycles left out", loop["skipped"], ""),
+        shown(f"{title}: step, p99.9", loop["step"]["p999_us"], "us"),
+        shown(f"{title}: step, longest", loop["step"]["max_us"], "us"),
+        shown(f"{title}: wake-up too late by, p99.9", loop["wakeup"]["p999_us"], "us"),
     ]
     return rows
 

@@ -75,7 +75,7 @@ class Search:
 
 
 def run() -> list[Row]:
-    """Record, fit with every solver, score, write the result file; the bar is that of the default solver."""
+    """Record, fit with every solver, score, write the result file."""
     default, newton = SolverChoice(), SolverChoice("gauss-newton")
     alone = SolverChoice("cma-es", max_evaluations=_EVALUATIONS_PER_JOINT)
     searches = (
@@ -96,8 +96,9 @@ def run() -> list[Row]:
     ]
     seconds = time.perf_counter() - began
     make_folder(RESULT.parent)
-    write_json(RESULT, _result(robots, seconds))
-    return _rows(robots, seconds)
+    result = _result(robots, seconds)
+    write_json(RESULT, result)
+    return rows(result)
 
 
 def record(truth: HiddenPanda, torques_nm: Mapping[str, Sequence[float]], *, seed: int) -> list[Episode]:
@@ -285,9 +286,10 @@ def _result(robots: Sequence[dict[str, Any]], seconds: float) -> dict[str, Any]:
     }
 
 
-def _rows(robots: Sequence[dict[str, Any]], seconds: float) -> list[Row]:
+def rows(result: Mapping[str, Any]) -> list[Row]:
+    """The figures of a result; the bar is that of the default solver."""
     rows = []
-    for robot in robots:
+    for robot in result["robots"]:
         for name, own in robot["searches"].items():
             joints = own["joints"].values()
             label = f"robot {robot['seed']}, {name}"
@@ -301,7 +303,7 @@ def _rows(robots: Sequence[dict[str, Any]], seconds: float) -> list[Row]:
                 rows.append(shown(f"{label}: the same, held out", unseen, "%"))
             rows.append(shown(f"{label}: CPU time", own["solver"]["cpu_seconds"], "s"))
             rows.append(shown(f"{label}: time", own["solver"]["seconds"], "s"))
-    return [*rows, shown("everything", seconds, "s")]
+    return [*rows, shown("everything", result["seconds"], "s")]
 
 
 def _say(text: str) -> None:

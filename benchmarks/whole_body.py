@@ -132,7 +132,7 @@ def run() -> list[Row]:
     }
     make_folder(RESULT.parent)
     write_text(RESULT, json.dumps(without_nan(rounded(result)), allow_nan=False, separators=(",", ":")) + "\n")
-    return _rows(result)
+    return rows(result)
 
 
 def figures_of(payload_kg: float) -> Figures:
@@ -236,7 +236,7 @@ def _difference(
     ).to_json()
 
 
-def _rows(result: Mapping[str, Any]) -> list[Row]:
+def rows(result: Mapping[str, Any]) -> list[Row]:
     rows = []
     for payload, ways in result["payloads"].items():
         for name, own in ways.items():

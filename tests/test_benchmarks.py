@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from benchmarks.__main__ import NAMES
-from benchmarks.figures import cells, keep, print_all, rows_of, stored
+from benchmarks.__main__ import LONG, NAMES
+from benchmarks.figures import cells, keep, known, own_result, print_all, rows_of, stored
 from benchmarks.table import Row, at_least, at_most, shown
 
 ROOT = Path(__file__).parent.parent
@@ -36,7 +36,9 @@ def test_one_table_of_all(tmp_path, capsys):
 def test_every_benchmark_is_there():
     for name in NAMES:
         assert "def run() -> list[Row]:" in (ROOT / "benchmarks" / f"{name}.py").read_text(), name
+    assert set(LONG) < set(NAMES)
     assert set(stored()) <= set(NAMES)
+    assert not [name for name in stored() if own_result(name).is_file()]
 
 
 def test_the_command_prints_the_table_without_measuring():
@@ -62,10 +64,22 @@ def test_the_command_prints_the_table_without_measuring():
     assert "no benchmark nothing" in done.stderr
 
 
-@pytest.mark.parametrize("name", sorted(stored()))
-def test_what_is_stored_says_where_it_comes_from(name):
-    entry = stored()[name]
+@pytest.mark.parametrize("name", [name for name in NAMES if name in stored() or own_result(name).is_file()])
+def test_what_is_kept_says_where_it_comes_from(name):
+    entry = known(name)
     assert entry["git"]
-    assert entry["machine"]
+    assert entry["created"]
     assert json.dumps(entry)
     assert rows_of(entry)
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_what_takes_hours_is_kept(name):
+    assert own_result(name).is_file()
+
+
+def test_figures_of_a_benchmark_are_kept_in_one_place(tmp_path):
+    keep("one", [shown("size", 1.0, "MB")], tmp_path / "figures.json")
+    (tmp_path / "two.json").write_text("{}")
+    keep("two", [shown("size", 1.0, "MB")], tmp_path / "figures.json")
+    assert set(stored(tmp_path / "figures.json")) == {"one"}
