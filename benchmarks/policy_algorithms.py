@@ -40,10 +40,7 @@ GOALS = 100
 
 def config_of(algorithm: Algorithm) -> PolicyConfig:
     """The laptop's numbers; deterministic policies explore by noise."""
-    learner = LAPTOP.learner
-    if algorithm in ("ddpg", "td3"):
-        learner = replace(learner, noise="normal", sigma=0.1, n_steps=1)
-    return replace(LAPTOP, algorithm=algorithm, learner=learner, steps=STEPS)
+    return replace(laptop(algorithm), steps=STEPS)
 
 
 def trained(task: tuple[Algorithm, int]) -> dict[str, Any]:

@@ -32,6 +32,7 @@ from trueup.dataset import Dataset
 from trueup.deploy.policy import Policy
 from trueup.identify import IdentifyConfig
 from trueup.measure import paired_difference
+from trueup.measure.seeds import seeds_interval
 from trueup.policy.config import LAPTOP, PolicyConfig
 from trueup.policy.evaluation import evaluate
 from trueup.policy.randomization import THESIS, RandomizationConfig
@@ -195,6 +196,7 @@ def table(policies: Mapping[str, Any]) -> dict[str, Any]:
                     "by_robot": np.median(distances, axis=1).tolist(),
                     "success": float((distances <= BAR_M).mean()),
                     "minus_stock": _minus(by_unit, policies["stock"]["none"], names, "distances"),
+                    "minus_stock_robots": _minus_robots(by_unit, policies["stock"]["none"], names),
                     "minus_stock_reward": _minus(by_unit, policies["stock"]["none"], names, "rewards"),
                     **{
                         name: float(
@@ -220,6 +222,16 @@ def _spots() -> dict[str, dict[str, list[str]]]:
 def _values(by_unit: Mapping[str, Any], names: Mapping[str, list[str]], key: str) -> np.ndarray:
     """(policies, goals), or a row for each robot that a policy is judged on."""
     return np.array([own["places"][name][key] for unit, own in by_unit.items() for name in names[unit]])
+
+
+def _minus_robots(by_unit: Mapping[str, Any], base: Mapping[str, Any], names: Mapping[str, list[str]]) -> list[float]:
+    """The difference in distance with its interval over goals and robots, each of which has a seed of its own."""
+
+    def of(policies: Mapping[str, Any]) -> np.ndarray:
+        places = ([own["places"][name]["distances"] for name in names[unit]] for unit, own in policies.items())
+        return np.array([np.mean(rows, axis=0) for rows in places])
+
+    return list(seeds_interval(of(by_unit), of(base)))
 
 
 def _minus(

@@ -31,15 +31,16 @@ from trueup.lab import LabSpec, VirtualRobot, draw_truth
 from trueup.lab.spec import Controller
 from trueup.measure import paired_difference
 from trueup.measure.seeds import seeds_interval
-from trueup.policy.arms import EngineArm, HardwareArm, MujocoArms
+from trueup.policy.arms import HardwareArm
 from trueup.policy.config import LAPTOP, PolicyConfig
 from trueup.policy.evaluation import UNITS as METRICS
 from trueup.policy.evaluation import Episodes, evaluate
 from trueup.policy.randomization import THESIS, RandomizationConfig
 from trueup.policy.reaching import Reaching
+from trueup.policy.simulated import simulated
 from trueup.policy.thesis_friction import OFFSET
 from trueup.robots import RobotSpec, find_model, load_robot
-from trueup.sim import MujocoSimulator, make_simulator
+from trueup.sim import MujocoSimulator
 from trueup.stages.policy_training import TrainedPolicy, train_policy
 
 RESULT = Path(__file__).parent / "results" / "policy_transfer.json"
@@ -151,12 +152,12 @@ def places(
         offset: what the thesis adds to actions on hardware, for its way alone (Table 3.1) [Nm].
     """
     model = MujocoSimulator.from_robot(load_robot(STOCK), find_model(load_robot(STOCK))).model
-    found = {}
-    for name, robot in robots.items():
-        arms = MujocoArms(MujocoSimulator.from_robot(robot, find_model(robot)), 50, TASK.control_s)
-        found[name] = Reaching(arms, model, TASK)
+    asked = PolicyConfig(reach=TASK)
+    found = {
+        name: simulated(asked, robot, find_model(robot), count=50, randomized=False) for name, robot in robots.items()
+    }
     robot = robots["identified"]
-    found["dart"] = Reaching(EngineArm(make_simulator("dart", robot, find_model(robot)), TASK.control_s), model, TASK)
+    found["dart"] = simulated(asked, robot, find_model(robot), engine="dart")
     spec = replace(LabSpec(), controller=Controller(kind="torque"))
     for unit in units:
         lab = VirtualRobot(draw_truth(spec, unit=unit))

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import torch
 import yaml
 
 from policy.test_randomization import fitted
@@ -112,16 +113,36 @@ def test_an_old_policy_stays_until_the_new_one_takes_its_place(run, tmp_path, mo
         (("train", "--out", "x", "--robot", "panda"), "follows them"),
         (("train", "--out", "x", "--randomize", "nowhere"), "nowhere"),
         (("train", "--out", "x", "--config", "odd.yaml"), "learner"),
+        (("train", "--out", "x", "--config", "tiny.yaml", "--device", "cuda"), "finds no GPU"),
         (("eval", "nowhere"), "policy.json"),
         (("eval", "x", "--goals", 1), "goals"),
     ],
 )
 def test_bad_input(run, tmp_path, arguments, said):
+    if "cuda" in arguments and torch.cuda.is_available():
+        pytest.skip("there is a GPU")
     (tmp_path / "odd.yaml").write_text("learner: {rate: -1.0}\n")
+    (tmp_path / "tiny.yaml").write_text(yaml.safe_dump(SMALL))
     code, _, err = run(*arguments)
     assert code == 2
     assert said in err
     assert "Traceback" not in err
+
+
+def test_an_identification_that_is_not_ok_is_forced_or_refused(run, tmp_path):
+    folder = fitted(tmp_path / "fit", status="at-bound")
+    small = ("train", "--config", "small.yaml", "--jobs", 1, "--randomize", folder)
+    code, _, err = run(*small, "--out", "refused")
+    assert code == 2
+    assert "the identification is at-bound: Joint 1 never moved" in err
+    assert not (tmp_path / "refused" / "policy.json").exists()
+    assert run(*small, "--out", "forced", "--force")[0] == 0
+    code, _, err = run(
+        *small[:-1], fitted(tmp_path / "other", samples={"damping[elbow]": np.ones(3)}), "--out", "other"
+    )
+    assert code == 2
+    assert "another robot" in err
+    assert "joint4" in err
 
 
 def test_a_place_that_is_none_and_a_robot_that_does_not_fit(run):

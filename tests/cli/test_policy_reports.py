@@ -161,13 +161,51 @@ def test_policies_that_cannot_be_compared(run, policies):
     code, _, err = run("eval", grid / "small-0", policies / "slow", "--goals", 2)
     assert code == 2
     assert "not of one task" in err
-    assert "12.5 Hz" in err
+    assert "control_hz 12.5" in err
     code, _, err = run("eval", grid / "small-0", grid / "small-0", "--goals", 2)
     assert code == 2
     assert "each once" in err
     code, _, err = run("curves", policies, "--out", "all.html")
     assert code == 2
     assert "different robots or rates" in err
+
+
+def test_a_policy_meets_friction_as_it_was_trained_with_it(policies, tmp_path, monkeypatch):
+    """Friction of actions in simulators, also in DART; on hardware what its gravity lacks (ES thesis, 2.4.2, 3.1)."""
+    pytest.importorskip("dartpy")
+    from trueup.policy import reaching
+
+    (tmp_path / "thesis.yaml").write_text(yaml.safe_dump({**SMALL, "friction": "thesis"}))
+    trained("--out", tmp_path / "thesis", "--config", tmp_path / "thesis.yaml")
+    made = []
+
+    class Noted(reaching.Reaching):
+        def __init__(self, arms, model, config, **options):
+            super().__init__(arms, model, config, **options)
+            made.append((type(arms).__name__, options.get("friction"), options.get("offset_nm"), arms))
+
+    for module in ("reaching", "simulated"):
+        monkeypatch.setattr(f"trueup.policy.{module}.Reaching", Noted)
+    both = [tmp_path / "thesis", policies / "grid" / "small-0"]
+    judged = judge_policies(both, load_robot("panda_torque"), places=("mujoco", "dart", "lab"), goals=2, jobs=1)
+    assert judged.evaluation.settings["friction"] == {"thesis": "thesis", "small-0": "simulator"}
+    names = [kind for kind, *_ in made]
+    assert names == 2 * ["MujocoArms", "EngineArm", "HardwareArm"]
+    assert [friction is not None for _, friction, *_ in made] == [True, True, False, False, False, False]
+    assert [offset is not None for *_, offset, _ in made] == [False, False, True, False, False, False]
+    damping = [max(arms._simulator.model.dof_damping) for *_, arms in (made[1], made[4])]
+    assert damping[0] == 0 < damping[1]
+    assert not made[0][3]._models[0].dof_damping.any()
+
+
+def test_tasks_that_differ_in_their_reward_or_goals_are_not_compared(run, policies, tmp_path):
+    for name, reach in (("reward", {"reward": {"speed": 0.3}}), ("goals", {"lowest_m": 0.3})):
+        other = {**SMALL, "reach": {**SMALL["reach"], **reach}}
+        (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump(other))
+        trained("--out", tmp_path / name, "--config", tmp_path / f"{name}.yaml")
+        code, _, err = run("eval", policies / "grid" / "small-0", tmp_path / name, "--goals", 2)
+        assert code == 2
+        assert next(iter(reach)) in err
 
 
 def test_curves_of_a_folder_with_policies_below_it(run, policies, tmp_path):

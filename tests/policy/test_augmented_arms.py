@@ -20,6 +20,7 @@ from trueup.policy.arms import Arms, EngineArm, MujocoArms
 from trueup.policy.augmented_arms import AugmentedArms
 from trueup.policy.config import PolicyConfig
 from trueup.policy.reach import ReachConfig
+from trueup.policy.reaching import Reaching
 from trueup.policy.simulated import simulated
 from trueup.robots import find_model, load_robot
 from trueup.sim import MujocoSimulator
@@ -113,6 +114,32 @@ def test_a_network_on_torques_is_a_compensated_simulator(tmp_path):
         np.testing.assert_allclose(together[:, number], run.state[1:], atol=1e-4)
     plain = driven(MujocoArms(SIMULATOR, 3, 1.0 / RATE_HZ), torque)
     assert np.abs(together - plain).max() > 0.01
+
+
+@pytest.mark.parametrize("kind", [reader, actor])
+def test_a_network_that_says_what_is_no_number_ends_the_episode(tmp_path, kind, monkeypatch):
+    kind(tmp_path / "net")
+    network = Network.load(tmp_path / "net")
+    arms = arms_of(network, 3, control_s=1.0 / RATE_HZ)
+    reaching = Reaching(arms, SIMULATOR.model, ReachConfig(control_hz=RATE_HZ))
+    rng = np.random.default_rng(0)
+    reaching.begin(np.arange(3), rng)
+    reaching.step(np.zeros((3, 7)), rng)
+    run = arms._network.session.run
+
+    class Broken:
+        def run(self, names, feeds):
+            y, *after = run(names, feeds)
+            y = y.copy()
+            y[0, 1] = np.nan
+            return [y, *after]
+
+    monkeypatch.setattr(type(arms._network), "session", property(lambda _: Broken()), raising=False)
+    done = reaching.step(np.zeros((3, 7)), rng)
+    assert done.lost.tolist() == [False, True, False]
+    assert reaching.lost_episodes == 1
+    assert np.isfinite(done.observation).all()
+    assert np.isfinite(done.reward).all()
 
 
 @pytest.mark.parametrize("kind", [reader, actor])

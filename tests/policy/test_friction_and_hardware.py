@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trueup.errors import ConfigError, RobotStopped
+from trueup.errors import ConfigError, DataError, RobotStopped
 from trueup.lab import LabSpec, VirtualRobot, draw_truth
 from trueup.lab.spec import Controller
 from trueup.policy.arms import Arms, HardwareArm, MujocoArms
@@ -44,8 +44,9 @@ def sigmoid(joint, velocity):
 
 
 def test_tables_are_those_of_the_thesis():
-    assert PUBLISHED[0] == (0.5462, 5.1181, 0.0395)  # Table 2.3
-    assert PUBLISHED[5] == (0.3030, 17.1330, -0.0210)
+    assert [row[0] for row in PUBLISHED] == [0.5462, 0.8722, 0.6407, 1.2794, 0.8390, 0.3030, 0.5649]  # Table 2.3
+    assert [row[1] for row in PUBLISHED] == [5.1181, 9.0657, 10.1360, 5.5903, 8.3469, 17.1330, 10.3360]
+    assert [row[2] for row in PUBLISHED] == [0.0395, 0.0259, -0.0461, 0.0362, 0.0262, -0.0210, 0.0036]
     assert OFFSET == (-0.127, -0.725, 0.027, 0.53, 0.0, -0.06, 0.0)  # Table 3.1
     assert BREAKAWAY_POSITIVE == (0.65, 0.88, 0.51, 0.61, 0.44, 0.40, 0.32)  # Table 3.2
     assert BREAKAWAY_NEGATIVE == (-0.62, -0.81, -0.42, -0.51, -0.67, -0.23, -0.35)
@@ -120,6 +121,22 @@ def test_an_environment_drives_hardware_and_episodes_are_repeatable():
     lab.stop()
     with pytest.raises(RobotStopped):
         env.step(env.action_space.high)
+
+
+def test_hardware_whose_simulation_diverges_is_lost(monkeypatch):
+    lab = VirtualRobot(draw_truth(LAB))
+    reaching = Reaching(hardware(lab), SIMULATOR.model, CONFIG)
+    rng = np.random.default_rng(0)
+    reaching.begin(np.zeros(1, int), rng)
+
+    def diverged(time_s):
+        raise DataError("the simulation diverged")
+
+    monkeypatch.setattr(lab, "wait_until_s", diverged)
+    done = reaching.step(np.zeros((1, 7)), rng)
+    assert done.lost.tolist() == [True]
+    assert np.isfinite(done.observation).all()
+    assert np.isfinite(done.reward).all()
 
 
 def test_a_robot_that_takes_no_torques_or_says_too_little():

@@ -11,10 +11,12 @@ from trueup.errors import ConfigError, DataError, NameMismatch
 from trueup.identify.candidate import Nominal
 from trueup.identify.inertial import inertial_of
 from trueup.policy.arms import MujocoArms
+from trueup.policy.config import PolicyConfig
 from trueup.policy.environment import ReachVector
 from trueup.policy.randomization import THESIS, Individuals, RandomizationConfig, posterior_samples
 from trueup.policy.reach import ReachConfig
 from trueup.policy.reaching import Reaching
+from trueup.policy.simulated import simulated
 from trueup.robots import JointFriction, find_model, load_robot
 
 PANDA = load_robot("panda_torque")
@@ -114,6 +116,24 @@ def test_draws_depend_on_the_generator_alone(nominal):
     assert not np.array_equal(numbers(one, "dof_damping"), numbers(other, "dof_damping"))
 
 
+PARAMETER = {
+    "name": "damping[joint1]",
+    "value": 1.0,
+    "unit": "Nm s/rad",
+    "nominal": 1.0,
+    "start": 1.0,
+    "low": 0.001,
+    "high": 100.0,
+    "interval": [0.8, 1.2],
+    "at_bound": "",
+    "identified": "yes",
+    "prior_share": None,
+    "sentence": "",
+    "cause": "friction",
+    "transform": "log",
+}
+
+
 def fitted(folder, status="ok", samples=None):
     """A folder of an identification with correlated damping and armature of joint1."""
     rng = np.random.default_rng(0)
@@ -162,7 +182,26 @@ def test_an_identification_that_is_not_ok_is_refused_unless_forced(nominal, tmp_
         posterior_samples(fitted(tmp_path / "odd", samples={"colour[joint1]": np.ones(3)}))
     with pytest.raises(DataError, match="not finite"):
         posterior_samples(fitted(tmp_path / "nan", samples={"damping[joint1]": np.array([1.0, np.nan])}))
+    with pytest.raises(DataError, match="different numbers of samples"):
+        posterior_samples(fitted(tmp_path / "odd", samples={"delay_s": np.zeros(3), "damping[joint1]": np.ones(4)}))
+    bounded = fitted(tmp_path / "bounded", samples={"damping[joint1]": np.array([1.0, -50.0])})
+    tree = read_json(bounded / "fit.json")
+    write_json(bounded / "fit.json", {**tree, "parameters": [PARAMETER]})
+    with pytest.raises(DataError, match=r"damping\[joint1\] outside its bounds: got -50 to 1; expected 0.001 to 100"):
+        posterior_samples(bounded)
     assert read_json(folder / "fit.json")["status"] == "not-identifiable"
+
+
+def test_an_identification_of_another_robot_is_refused_with_both_lists(nominal, tmp_path):
+    for name, known in (("damping[elbow]", "joint4"), ("mass[upper_arm]", "link4")):
+        config = RandomizationConfig(posterior=str(fitted(tmp_path / "other", samples={name: np.ones(3)})))
+        with pytest.raises(NameMismatch, match="identification of another robot") as caught:
+            config.draws(nominal)
+        assert known in str(caught.value)
+        assert name.partition("[")[2].removesuffix("]") in str(caught.value)
+    late = RandomizationConfig(posterior=str(fitted(tmp_path / "late", samples={"delay_s": np.array([0.001, 0.05])})))
+    with pytest.raises(ConfigError, match=r"got 0.05 s"):
+        simulated(PolicyConfig(randomization=late), nominal.given, nominal.path)
 
 
 def test_widths_that_are_none():

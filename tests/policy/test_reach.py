@@ -12,8 +12,11 @@ from gymnasium.utils.env_checker import check_env
 from trueup.errors import ConfigError, NameMismatch
 from trueup.policy import ReachConfig, Reward, register
 from trueup.policy.arms import EngineArm, MujocoArms
+from trueup.policy.config import PolicyConfig
 from trueup.policy.environment import PandaReach, ReachVector
+from trueup.policy.randomization import RandomizationConfig
 from trueup.policy.reaching import Reaching
+from trueup.policy.simulated import simulated
 from trueup.policy.workspace import Chain, Workspace
 from trueup.robots import find_model, load_robot
 from trueup.sim import MujocoSimulator, make_simulator
@@ -41,7 +44,8 @@ def by_hand(position, velocity, before, goal, start, step_s):
     """Observation and reward of the thesis's listings, number by number (2.1.3)."""
     away = [math.tanh(a - b) for a, b in zip(end_of(position), goal, strict=True)]
     seen = [math.sin(q) for q in position] + [math.cos(q) for q in position] + [math.tanh(v) for v in velocity] + away
-    dist = math.sqrt(sum(x * x for x in seen[21:])) / math.dist(end_of(start), goal)
+    begun = [math.tanh(a - b) for a, b in zip(end_of(start), goal, strict=True)]
+    dist = math.sqrt(sum(x * x for x in seen[21:])) / math.sqrt(sum(x * x for x in begun))
     joint_acc = sum(math.tanh(abs((v - u) / step_s / 100)) for v, u in zip(velocity, before, strict=True))
     dq = sum(math.tanh(abs(v)) for v in velocity)
     reward = -2 * dist - 0.03 * joint_acc / (0.15 + dist) - 0.05 * joint_acc / abs(1.15 - min(1, dist)) - 0.03 * dq
@@ -91,6 +95,57 @@ def test_observation_and_reward_are_those_of_the_listings(engine):
         before = arms.velocity[0].copy()
 
 
+def test_an_arm_that_stays_at_rest_is_as_far_away_as_at_the_start():
+    """The distance is divided by its own value at the start, so that it is 1 there, whatever the goal (2.1.3)."""
+    reaching = many(5)
+    rng = np.random.default_rng(0)
+    reaching.begin(np.arange(5), rng)
+    np.testing.assert_allclose(reaching.step(np.zeros((5, 7)), rng).reward, -2.0, atol=0.02)
+    reaching.arms.velocity[:] = reaching._velocity[:] = 0.0
+    reaching.arms.position[:] = HOME
+    reaching._look(rng)
+    np.testing.assert_allclose(reaching._reward, -2.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.0104, 0.02])
+def test_a_late_robot_is_late_wherever_it_is_simulated(delay_s):
+    """Trained on, judged in MuJoCo, in DART, in one environment: torques act as late as the description says."""
+    pytest.importorskip("dartpy")
+    late = replace(PANDA, controller=replace(PANDA.controller, delay_s=delay_s))
+    config, path = PolicyConfig(arms=2), find_model(PANDA)
+    every = [
+        simulated(config, late, path),
+        simulated(config, late, path, count=1, randomized=False),
+        simulated(config, late, path, engine="dart"),
+        PandaReach(late).reaching,
+        PandaReach(late, engine="dart").reaching,
+    ]
+    ends = []
+    for reaching in every:
+        rng = np.random.default_rng(3)
+        reaching.begin(np.arange(reaching.arms.count), rng, goals=np.tile(GOAL, (reaching.arms.count, 1)))
+        for action in np.random.default_rng(1).uniform(-1, 1, (4, 7)) * reaching.most:
+            reaching.step(np.tile(action, (reaching.arms.count, 1)), rng)
+        ends.append(reaching.arms.position[0].copy())
+    for end in ends[1:]:
+        np.testing.assert_allclose(end, ends[0], atol=2e-4)  # joints of this robot have friction: engines differ
+    prompt = simulated(config, PANDA, path)
+    prompt.begin(np.arange(2), np.random.default_rng(3), goals=np.tile(GOAL, (2, 1)))
+    for action in np.random.default_rng(1).uniform(-1, 1, (4, 7)) * prompt.most:
+        prompt.step(np.tile(action, (2, 1)), np.random.default_rng(0))
+    assert (np.abs(prompt.arms.position[0] - ends[0]).max() > 1e-3) == (delay_s > 0)
+
+
+def test_a_delay_of_more_than_a_control_step_is_refused_at_once():
+    late = replace(PANDA, controller=replace(PANDA.controller, delay_s=0.03))
+    for made in (lambda: PandaReach(late), lambda: simulated(PolicyConfig(), late, find_model(PANDA))):
+        with pytest.raises(ConfigError, match=r"late by a control step at most: got 0.03 s"):
+            made()
+    drawn = PolicyConfig(randomization=RandomizationConfig(delay_s=(0.0, 0.05)))
+    with pytest.raises(ConfigError, match=r"got 0.05 s"):
+        simulated(drawn, PANDA, find_model(PANDA))
+
+
 def test_a_torque_is_held_for_a_control_step_and_cut_to_the_largest():
     reaching = many(2)
     rng = np.random.default_rng(0)
@@ -116,6 +171,34 @@ def test_many_arms_move_as_one_in_an_engine():
         both, alone = two.step(action, rng), one.step(action[1:], rng)
     np.testing.assert_allclose(both.observation[1:], alone.observation, atol=1e-12)
     np.testing.assert_allclose(both.reward[1:], alone.reward, atol=1e-12)
+
+
+def test_one_arm_that_begins_anew_leaves_the_others_alone():
+    """What an arm does in the middle of its episode does not depend on what ends beside it."""
+    config = ReachConfig(episode_s=0.2)
+    alone, beside = many(1, episode_s=0.2), many(3, episode_s=0.2)
+    goals = np.stack([GOAL, GOAL + np.array([0.0, -0.3, 0.1]), GOAL + np.array([0.05, 0.0, 0.0])])
+    alone.begin(np.zeros(1, int), np.random.default_rng(0), goals=goals[1:2])
+    beside.begin(np.arange(3), np.random.default_rng(0), goals=goals)
+    rng = np.random.default_rng(5)
+    for step, action in enumerate(rng.uniform(-1, 1, (config.steps, 3, 7)) * beside.most):
+        if step == 4:
+            beside.begin(np.array([0, 2]), rng, goals=goals[[2, 0]])
+        one, three = alone.step(action[1:2], rng), beside.step(action, rng)
+        np.testing.assert_allclose(three.observation[1], one.observation[0], atol=1e-12)
+        np.testing.assert_allclose(three.reward[1], one.reward[0], atol=1e-12)
+    assert three.ended.tolist() == [False, True, False]
+
+
+def test_threads_change_nothing():
+    ends = []
+    for threads in (1, 2):
+        reaching = Reaching(MujocoArms(SIMULATOR, 6, 0.02, threads=threads), MODEL, ReachConfig())
+        reaching.begin(np.arange(6), np.random.default_rng(0))
+        for action in np.random.default_rng(1).uniform(-1, 1, (10, 6, 7)) * reaching.most:
+            done = reaching.step(action, np.random.default_rng(0))
+        ends.append(done.observation)
+    np.testing.assert_array_equal(*ends)
 
 
 def test_an_episode_that_ends_is_followed_by_another_and_the_others_go_on():
@@ -228,6 +311,14 @@ def test_goals_are_within_reach_and_others_are_refused():
     with pytest.raises(ConfigError, match="out of reach") as caught:
         PandaReach().reset(options={"goal": [1.5, 0.0, 0.5]})
     assert "nearest place" in str(caught.value)
+    # Anything that a pose within the ranges reaches is no goal out of reach, also between the poses that stand for all.
+    low, high = space.chain.ranges.T
+    poses = np.random.default_rng(7).uniform(low, high, (60, 7))
+    for place in space.chain.place(poses):
+        space.check(place)
+    farthest = space.chain.place(poses)[np.argmax(np.linalg.norm(space.chain.place(poses), axis=1))]
+    with pytest.raises(ConfigError, match="out of reach"):
+        space.check(farthest * 1.4)
     for goal in ("there", [0.1, 0.2], [0.3, np.nan, 0.4]):
         with pytest.raises(ConfigError, match="a goal is a place"):
             PandaReach().reset(options={"goal": goal})

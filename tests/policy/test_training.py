@@ -6,7 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from sb3_contrib import TQC
+from stable_baselines3 import DDPG, SAC, TD3
 
+from trueup.cli.policy_config import configured
 from trueup.errors import ConfigError, DataError, Diverged, OutputExists
 from trueup.policy.arms import MujocoArms
 from trueup.policy.config import ALGORITHMS, PAPER, LearnerConfig, PolicyConfig
@@ -16,6 +19,7 @@ from trueup.policy.randomization import RandomizationConfig
 from trueup.policy.reach import ReachConfig
 from trueup.policy.reaching import Reaching
 from trueup.policy.simulated import simulated
+from trueup.policy.thesis_friction import ThesisFriction
 from trueup.policy.training import judged, rounds_of, train
 from trueup.robots import find_model, load_robot
 from trueup.sim import MujocoSimulator
@@ -43,7 +47,7 @@ def weights(learner):
     return {name: value.clone() for name, value in learner.policy.state_dict().items()}
 
 
-def test_the_thesis_numbers():
+def test_the_thesis_numbers(tmp_path):
     """ES thesis, 2.3 and 2.3.2, those in bold."""
     assert {name: own.rate for name, own in PAPER.items()} == {"ddpg": 2e-3, "sac": 2e-3, "td3": 2e-3, "tqc": 1e-3}
     assert {name: own.gamma for name, own in PAPER.items()} == {"ddpg": 0.95, "sac": 0.99, "td3": 0.99, "tqc": 0.95}
@@ -52,6 +56,18 @@ def test_the_thesis_numbers():
     for own in PAPER.values():
         assert (own.batch, own.buffer, own.starts, own.every, own.updates) == (2048, 1_000_000, 5000, 500, 50)
         assert own.layers == (512, 512, 512)
+    # Table 2.1: fifty updates after every five hundred control steps of one arm.
+    config = configured("paper", "tqc", None, 2000)
+    small = replace(config.learner, batch=8, starts=1, layers=(4,), buffer=3000)
+    learner, _ = trained(tmp_path, replace(config, learner=small, reach=SMALL.reach, rounds=1))
+    assert learner._n_updates / learner.num_timesteps == pytest.approx(50 / 500, rel=0.3)
+
+
+def test_policies_that_draw_nothing_explore_on_a_laptop():
+    for algorithm in ALGORITHMS:
+        own = configured("laptop", algorithm, None, None).learner
+        deterministic = algorithm in ("td3", "ddpg")
+        assert (own.noise, own.n_steps) == (("normal", 1) if deterministic else ("none", 3))
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
@@ -224,3 +240,41 @@ def test_arms_are_as_the_configuration_asks():
     delayed = simulated(SMALL, late, find_model(PANDA), count=1)
     ReachVector(delayed, seed=0).reset()
     assert delayed.arms._late.sum() == pytest.approx(70.0)  # ten of the physics steps, seven joints
+
+
+def test_friction_of_actions_is_drawn_for_every_arm_and_for_no_other_robot():
+    config = replace(SMALL, friction="thesis", randomization=RandomizationConfig(friction=0.1))
+    made = simulated(config, PANDA, find_model(PANDA))
+    rng = np.random.default_rng(0)
+    made.begin(np.arange(4), rng)
+    scale = made._friction_scale
+    assert scale.shape == (4, 7, 5)
+    assert (scale >= 0.9).all()
+    assert (scale <= 1.1).all()
+    assert np.unique(scale).size == scale.size
+    before = scale.copy()
+    made.begin(np.array([2]), rng)
+    assert (made._friction_scale != before).any(axis=(1, 2)).tolist() == [False, False, True, False]
+    with pytest.raises(ConfigError, match=r"joints of a Panda: got 5 joints; expected 7"):
+        Reaching(FiveJoints(), SIMULATOR.model, ReachConfig(torque_nm=(1.0,) * 5), friction=ThesisFriction())
+
+
+class FiveJoints:
+    count, control_s, joints = 1, 0.02, PANDA.joint_names[:5]
+    position = velocity = np.zeros((1, 5))
+
+    def begin(self, rows, position, rng):
+        pass
+
+    def step(self, torque):
+        pass
+
+
+def test_an_error_that_is_no_divergence_is_not_called_one(tmp_path, monkeypatch):
+    def wrong(self, *given, **options):
+        raise ValueError("operands could not be broadcast")
+
+    for kind in (DDPG, SAC, TD3, TQC):
+        monkeypatch.setattr(kind, "learn", wrong)
+    with pytest.raises(ValueError, match="broadcast"):
+        trained(tmp_path)

@@ -42,17 +42,17 @@ def configured(
         ConfigError: it is none.
     """
     from trueup.core.config import build, read_yaml
-    from trueup.policy.config import ALGORITHMS, LAPTOP, PAPER, PolicyConfig
+    from trueup.policy.config import ALGORITHMS, LAPTOP, PAPER, PAPER_ARMS, PolicyConfig, laptop
     from trueup.policy.randomization import THESIS, RandomizationConfig
 
     if algorithm is not None and algorithm not in ALGORITHMS:
         raise ConfigError("there is no such algorithm", got=algorithm, available=ALGORITHMS)
     given = {} if algorithm is None else {"algorithm": algorithm}
     if config == "laptop":
-        chosen = replace(LAPTOP, algorithm=algorithm or LAPTOP.algorithm)
+        chosen = laptop(algorithm or LAPTOP.algorithm)  # type: ignore[arg-type]  # one of ALGORITHMS
     elif config == "paper":
         chosen = build(PolicyConfig, given, config)
-        chosen = replace(chosen, learner=PAPER[chosen.algorithm])
+        chosen = replace(chosen, learner=PAPER[chosen.algorithm], arms=PAPER_ARMS)
     else:
         chosen = build(PolicyConfig, {**read_yaml(Path(config)), **given}, config)
     if randomize is not None:

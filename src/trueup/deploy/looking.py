@@ -64,7 +64,7 @@ def _places(position, columns, axes, hinges, turns, shifts, out):  # type: ignor
         out[row, 0], out[row, 1], out[row, 2] = x, y, z
 
 
-def _look(position, velocity, before, place, goal, start_m, control_s, costs, seen, reward, distance_m):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _look(position, velocity, before, place, goal, start, control_s, costs, seen, reward, distance_m):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """What N arms see, and what the control step was worth.
 
     Args:
@@ -73,7 +73,7 @@ def _look(position, velocity, before, place, goal, start_m, control_s, costs, se
         before: velocities a control step ago.
         place: of the ends, (N, 3) [m].
         goal: (N, 3) [m].
-        start_m: distance at the start, (N,) [m].
+        start: length of the last three numbers of `seen` at the start, (N,): what the distance is divided by.
         control_s: control step [s].
         costs: of distance, of accelerations near the goal and far from it, and of speed, (4,).
         seen: sin q, cos q, tanh dq and tanh of the way from the goal to the end, written, (N, 3J + 3).
@@ -95,7 +95,7 @@ def _look(position, velocity, before, place, goal, start_m, control_s, costs, se
             seen[row, 3 * joints + k] = shown
             near += shown * shown
             away += off * off
-        d = np.sqrt(near) / start_m[row]
+        d = np.sqrt(near) / start[row]
         distance_m[row] = np.sqrt(away)
         reward[row] = (
             -costs[0] * d - costs[1] * jolt / (0.15 + d) - costs[2] * jolt / abs(1.15 - min(1.0, d)) - costs[3] * pace

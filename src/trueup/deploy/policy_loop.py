@@ -77,6 +77,8 @@ class PolicyLoop:
         settings: limits.
         rate_hz: ticks per second, a whole multiple of the policy's rate.
         real_time: ticks are timed by this computer's clock; by the robot's, which may stand still meanwhile, if not.
+        offset_nm: added to what the policy says, before the limits, (J,) [Nm]: what the robot's own compensation of
+            gravity gets wrong (ES thesis, Table 3.1); nothing if None.
 
     Raises:
         ConfigError: the robot takes no torques, or the rates do not fit.
@@ -92,6 +94,7 @@ class PolicyLoop:
         *,
         rate_hz: float = 1000.0,
         real_time: bool = False,
+        offset_nm: Float[np.ndarray, "J"] | None = None,
     ) -> None:
         card = policy.card
         if "torque" not in robot.command_signals:
@@ -117,6 +120,7 @@ class PolicyLoop:
             raise MissingSignal(f"a policy needs {sorted(missing)}", available=robot.read())
         self.robot, self.policy, self.settings, self.rate_hz = robot, policy, settings, rate_hz
         self.real_time = real_time
+        self.offset_nm = np.zeros(len(card.joints)) if offset_nm is None else np.asarray(offset_nm, np.float64)
         self._every = round(every)
 
     def run(self, goal: Float[np.ndarray, "3"], seconds: float) -> PolicyRun:
@@ -165,7 +169,7 @@ class _Drive:
     def __init__(self, loop: PolicyLoop, goal: Float64[np.ndarray, "3"], seconds: float, every: int) -> None:
         self._robot, self._policy, self._every, self._rate_hz = loop.robot, loop.policy, every, loop.rate_hz
         self.guard, self._real_time = Guard(loop.settings, 1.0 / loop.rate_hz), loop.real_time
-        self._goal = goal
+        self._goal, self._offset = goal, loop.offset_nm
         self._seconds, self._tick_s = seconds, 1.0 / loop.rate_hz
         ticks, joints = round((seconds + _STANDS_S) * loop.rate_hz), len(loop.robot.joints)
         self._time = np.zeros(ticks)
@@ -234,7 +238,7 @@ class _Drive:
         except Exception as error:  # the arm moves: whatever it is, it is stopped, and the run says why
             self.guard.stop(f"the policy has failed: {type(error).__name__}: {error}")
         else:
-            self._said, self._sound = answer.torque, answer.sound
+            self._said, self._sound = answer.torque + self._offset, answer.sound
 
     def found(self, report: LoopReport) -> PolicyRun:
         """What was recorded."""

@@ -15,6 +15,8 @@ from trueup.errors import ConfigError, DataError, RobotStopped
 from trueup.sim import MujocoSimulator
 from trueup.sim.transitions import late_shares, physics_steps
 
+Delay = float | Sequence[float] | Float64[np.ndarray, "J"]
+
 
 @runtime_checkable
 class Arms(Protocol):
@@ -58,12 +60,13 @@ class MujocoArms:
         simulator: a robot that follows torques.
         count: N.
         control_s: control step [s].
+        delay_s: torques act this much later, one number per joint or one for all, at most a control step [s].
         threads: of the processor.
         draw: makes the model of an arm for the next episode, of the same structure as the simulator's, and says how
-            much later its torques act, (J,) [s], at most a control step; the simulator's own for all if None.
+            much later its torques act, (J,) [s]; the simulator's own and `delay_s` for all if None.
 
     Raises:
-        ConfigError: the control step is no number of physics steps, or the robot follows no torques.
+        ConfigError: the control step is no number of physics steps, a delay is longer, or the robot follows no torques.
     """
 
     def __init__(
@@ -72,6 +75,7 @@ class MujocoArms:
         count: int,
         control_s: float,
         *,
+        delay_s: Delay = 0.0,
         threads: int = 1,
         draw: Callable[[np.random.Generator], tuple[mujoco.MjModel, Float64[np.ndarray, "J"]]] | None = None,
     ) -> None:
@@ -88,9 +92,9 @@ class MujocoArms:
         self.position = np.zeros((count, len(self.joints)))
         self.velocity = np.zeros_like(self.position)
         # What of the torque before still acts in each physics step, and that torque.
-        self._late = np.zeros((count, self._substeps, len(self.joints)))
+        self._late = np.tile(late_shares(simulator, control_s, delay_s), (count, 1, 1))
         self._before = np.zeros_like(self.position)
-        self._delayed = False
+        self._delayed = bool(self._late.any())
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -142,6 +146,7 @@ class EngineArm:
     Args:
         simulator: a robot that follows torques.
         control_s: control step [s].
+        delay_s: see `MujocoArms`.
 
     Raises:
         ConfigError: see `MujocoArms`.
@@ -149,10 +154,12 @@ class EngineArm:
 
     count = 1
 
-    def __init__(self, simulator: Simulator, control_s: float) -> None:
+    def __init__(self, simulator: Simulator, control_s: float, *, delay_s: Delay = 0.0) -> None:
         self.control_s = control_s
         self._substeps = substeps_of(simulator, control_s)
         self._simulator = simulator
+        self._late = late_shares(simulator, control_s, delay_s)
+        self._before: Float64[np.ndarray, "1 J"] = np.zeros((1, len(simulator.joints)))
         self.position = np.zeros((1, len(simulator.joints)))
         self.velocity = np.zeros_like(self.position)
 
@@ -165,14 +172,15 @@ class EngineArm:
         """See `Arms`."""
         del rows, rng
         self.position, self.velocity = np.array(position, np.float64), np.zeros(position.shape)
+        self._before[:] = 0.0
         self._simulator.reset(self.position, self.velocity)
 
     def step(self, torque: Float[np.ndarray, "N J"]) -> None:
         """See `Arms`."""
-        command = {"torque": np.asarray(torque, np.float64)}
         done: dict[str, np.ndarray] = {}
-        for _ in range(self._substeps):
-            done = self._simulator.step(command)
+        for late in self._late:
+            done = self._simulator.step({"torque": late * self._before + (1.0 - late) * torque})
+        self._before = np.array(torque, np.float64)
         self.position, self.velocity = (np.asarray(done[name], np.float64) for name in ("position", "velocity"))
 
 

@@ -122,6 +122,11 @@ class AugmentedArms:
         correction = y.reshape(self.count, -1) - self._x[:, card.base]
         for signal, places in self._places.items():
             self._correction[signal][:, places[:, 1]] = correction[:, places[:, 0]]
+        if self._acts:
+            # The engine would take such a torque for none, and nobody would know.
+            mad = ~np.isfinite(self._correction["torque"]).all(axis=1)
+            self._correction["torque"][mad] = 0.0
+            self._correction["position"][mad] = np.nan
 
 
 def samples_of(card: ModelCard, control_s: float) -> int:

@@ -8,6 +8,8 @@ from typing import Literal
 
 import numpy as np
 
+from trueup.core.config import build
+from trueup.core.policy_card import PolicyCard
 from trueup.errors import ConfigError
 from trueup.policy.randomization import RandomizationConfig
 from trueup.policy.reach import ReachConfig
@@ -119,6 +121,12 @@ PAPER: Mapping[Algorithm, LearnerConfig] = {
     "tqc": replace(_THESIS, rate=0.001, gamma=0.95, tau=0.9, noise="none"),
 }
 
+# One arm: learning begins after every so many control steps of it.
+PAPER_ARMS = 1
+# Policies that draw nothing need noise to explore, and with rewards of several control steps, which are those of other
+# policies by then, they learned nothing here.
+DETERMINISTIC: tuple[Algorithm, ...] = ("ddpg", "td3")
+
 # Two cores without a GPU: small networks, a low control rate, and rewards counted over three control steps.
 LAPTOP = PolicyConfig(
     algorithm="sac",
@@ -138,3 +146,22 @@ LAPTOP = PolicyConfig(
     steps=400_000,
     rounds=20,
 )
+
+
+def laptop(algorithm: Algorithm = "sac") -> PolicyConfig:
+    """`LAPTOP` for an algorithm: those that draw nothing explore by normal noise, and count one reward at a time."""
+    if algorithm not in DETERMINISTIC:
+        return replace(LAPTOP, algorithm=algorithm)
+    return replace(LAPTOP, algorithm=algorithm, learner=replace(LAPTOP.learner, n_steps=1, noise="normal"))
+
+
+def task_of(card: PolicyCard) -> PolicyConfig:
+    """The task and the friction that a policy was trained with, by its card; all else as by default.
+
+    Raises:
+        ConfigError: the card says of its task what makes none.
+    """
+    said = card.provenance.get("config", {})
+    own = {"torque_nm": list(card.torque_nm), "control_hz": card.rate_hz, "site": card.site}
+    tree = {"reach": {**said.get("reach", {}), **own}, "friction": said.get("friction", "simulator")}
+    return build(PolicyConfig, tree, f"policy {card.name!r}")

@@ -58,9 +58,9 @@ class PandaReach(gymnasium.Env[Observation, Action]):
             simulator = make_simulator(engine, spec, find_model(spec))
             # MuJoCo takes the physics steps of a control step at once.
             arm: Arms = (
-                MujocoArms(simulator, 1, config.control_s)
+                MujocoArms(simulator, 1, config.control_s, delay_s=spec.delay_s)
                 if isinstance(simulator, MujocoSimulator)
-                else EngineArm(simulator, config.control_s)
+                else EngineArm(simulator, config.control_s, delay_s=spec.delay_s)
             )
             reaching = Reaching(arm, simulator.model, config)
         if reaching.arms.count != 1:

@@ -166,7 +166,7 @@ def _values(
     distance = np.where(seen.any(axis=1), away[np.arange(len(away)), last], start_m)
     counted = np.maximum(seen.sum(axis=1), 1)
     steps = np.nan_to_num(np.abs(np.diff(share, axis=1)).mean(axis=2))
-    fast = np.zeros_like(away) if limit is None else (np.nan_to_num(speed) > limit).any(axis=2)
+    fast = (np.nan_to_num(speed) > (np.inf if limit is None else limit)).any(axis=2)
     return {
         "success": ((distance <= NEAR_M) & ~lost).astype(np.float64),
         "distance": distance,

@@ -15,6 +15,7 @@ from jaxtyping import Float64
 
 from trueup.core.atomic import read_json
 from trueup.core.fit_result import FitResult
+from trueup.core.npz import read_arrays
 from trueup.errors import ConfigError, DataError, NameMismatch
 from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.export import SAMPLES_FILE
@@ -165,16 +166,24 @@ class RandomizationConfig:
             if getattr(self, name) >= 1:
                 raise ConfigError(f"randomization: {name} is a share", got=getattr(self, name), expected="below 1")
 
-    def draws(self, *, force: bool = False) -> tuple[Draw, ...]:
+    def draws(self, nominal: Nominal | None = None, *, force: bool = False) -> tuple[Draw, ...]:
         """The functions, in their order.
+
+        Args:
+            nominal: the model that they change; what an identification has numbers of is looked for in it.
+            force: also draw from an identification whose status is not ok.
 
         Raises:
             ConfigError: the identification is not ok, and nobody forces it.
             DataError: it has no samples.
+            NameMismatch: it is of a robot with other joints or bodies.
         """
         found: list[Draw] = []
         if self.posterior:
-            found.append(posterior(posterior_samples(Path(self.posterior), force=force)))
+            samples = posterior_samples(Path(self.posterior), force=force)
+            if nominal is not None:
+                _refuse_another_robot(samples, nominal, self.posterior)
+            found.append(posterior(samples))
         for name, make in (("friction", friction), ("inertia", inertia), ("gains", gains)):
             if share := getattr(self, name):
                 found.append(make(share))
@@ -183,6 +192,13 @@ class RandomizationConfig:
         if self.payload_kg[1]:
             found.append(payload(*self.payload_kg))
         return tuple(found)
+
+    def most_delay_s(self, *, force: bool = False) -> float:
+        """The longest delay that can be drawn [s]."""
+        if self.delay_s[1] or not self.posterior:
+            return self.delay_s[1]
+        samples = posterior_samples(Path(self.posterior), force=force)
+        return max((float(v.max()) for name, v in samples.items() if name.partition("[")[0] == "delay_s"), default=0.0)
 
 
 # ES thesis, 4.1.1.
@@ -212,16 +228,42 @@ def posterior_samples(folder: Path, *, force: bool = False) -> dict[str, Float64
     if not path.is_file():
         raise DataError(f"{path} is not there", hint="Run trueup identify again; it writes them beside fit.json.")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            samples = {name: np.asarray(file[name], np.float64) for name in file.files}
-    except (OSError, ValueError) as error:
+        samples = {name: np.asarray(values, np.float64) for name, values in read_arrays(path).items()}
+    except (DataError, ValueError) as error:
         raise DataError(f"{path} holds no samples", got=error) from error
     strangers = [name for name in samples if name.partition("[")[0] not in QUANTITIES]
     if strangers:
         raise NameMismatch(f"{path}: unknown parameters", left=strangers, right=sorted(QUANTITIES))
     if any(values.ndim != 1 or not np.isfinite(values).all() for values in samples.values()):
         raise DataError(f"{path}: samples that are not finite numbers")
+    for item in fit.parameters:
+        drawn = samples.get(item.name)
+        if drawn is not None and not (
+            drawn.min(initial=item.low) >= item.low and drawn.max(initial=item.high) <= item.high
+        ):
+            raise DataError(
+                f"{path}: samples of {item.name} outside its bounds",
+                got=f"{drawn.min():g} to {drawn.max():g}",
+                expected=f"{item.low:g} to {item.high:g}, as fit.json says",
+            )
+    if len({len(values) for values in samples.values()}) > 1:
+        raise DataError(f"{path}: parameters with different numbers of samples")
     return samples
+
+
+def _refuse_another_robot(samples: Mapping[str, Float64[np.ndarray, "S"]], nominal: Nominal, folder: str) -> None:
+    """Refuse, by NameMismatch, numbers of joints and bodies that the model does not have."""
+    for name in samples:
+        about, target = quantity(name.partition("[")[0]), name.partition("[")[2].removesuffix("]")
+        known = about.targets(nominal)
+        if about.of != "motion" and target and target not in known:
+            raise NameMismatch(
+                f"{folder} is the identification of another robot: {name}",
+                left=[target],
+                right=list(known),
+                left_name="it has",
+                right_name="robot has",
+            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -53,7 +53,8 @@ class Reaching:
         noise: standard deviations of what is seen of positions and velocities [rad, rad/s]; none if None.
 
     Raises:
-        ConfigError: torques that are not one per joint, no pose to begin in, or no goal within reach.
+        ConfigError: torques that are not one per joint, friction of another number of joints, no pose to begin in, or
+            no goal within reach.
     """
 
     def __init__(
@@ -73,6 +74,13 @@ class Reaching:
             raise ConfigError(
                 "reach: torque_nm has one number for each joint", got=len(config.torque_nm), expected=len(joints)
             )
+        if friction is not None and len(friction.numbers) != len(joints):
+            raise ConfigError(
+                "friction: thesis has numbers for the joints of a Panda",
+                got=f"{len(joints)} joints",
+                expected=f"{len(friction.numbers)}",
+                hint="Take friction: simulator, and put friction into robot.yaml.",
+            )
         self.arms, self.config = arms, config
         self.home = home_of(model, joints) if home is None else np.asarray(home, np.float64)
         self.workspace = Workspace(
@@ -91,7 +99,7 @@ class Reaching:
         self._offset = None if offset_nm is None else np.asarray(offset_nm, np.float64)
         count = arms.count
         self.goal: Float64[np.ndarray, "N 3"] = np.tile(self.workspace.start, (count, 1))
-        self._start_m: Float64[np.ndarray, "N"] = np.ones(count)
+        self._start: Float64[np.ndarray, "N"] = np.ones(count)
         self._age: Int[np.ndarray, "N"] = np.zeros(count, int)
         self._velocity: Float64[np.ndarray, "N J"] = np.zeros((count, len(joints)))
         self._seen: Float64[np.ndarray, "N O"] = np.zeros((count, 3 * len(joints) + 3))
@@ -128,8 +136,9 @@ class Reaching:
             for goal in goals:
                 self.workspace.check(goal)
             self.goal[rows] = goals
-        self._start_m[rows] = np.linalg.norm(self.workspace.start - self.goal[rows], axis=1)
-        if (self._start_m[rows] < 1e-6).any():
+        # As it is seen, like the distance that is held against it: a reward begins with a distance of 1.
+        self._start[rows] = np.linalg.norm(np.tanh(self.workspace.start - self.goal[rows]), axis=1)
+        if (self._start[rows] < 1e-6).any():
             raise ConfigError("the goal is where the arm begins", got=self.goal[rows].round(3).tolist())
         self.arms.begin(rows, np.tile(self.home, (rows.size, 1)), rng)
         if self._friction_scale is not None:
@@ -189,7 +198,7 @@ class Reaching:
     ) -> None:
         self.workspace.chain.place(position, self._place)
         self._compiled(
-            *(position, velocity, self._velocity, self._place, self.goal, self._start_m),
+            *(position, velocity, self._velocity, self._place, self.goal, self._start),
             *(self.config.control_s, self._costs, self._seen, reward, self._distance_m),
         )
 

@@ -6,16 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
+from trueup.core.protocols import Simulator
 from trueup.deploy.network import Network
 from trueup.identify.candidate import Candidate, Nominal
-from trueup.policy.arms import Arms, MujocoArms
+from trueup.policy.arms import Arms, EngineArm, MujocoArms
 from trueup.policy.augmented_arms import AugmentedArms
 from trueup.policy.config import PolicyConfig
 from trueup.policy.randomization import Individuals
 from trueup.policy.reaching import Reaching
 from trueup.policy.thesis_friction import ThesisFriction
 from trueup.robots import JointFriction, RobotSpec
-from trueup.sim import set_friction
+from trueup.sim import make_simulator, set_friction
+from trueup.sim.transitions import late_shares
 
 
 def simulated(
@@ -27,6 +29,7 @@ def simulated(
     threads: int = 1,
     randomized: bool = True,
     force: bool = False,
+    engine: str = "mujoco",
 ) -> Reaching:
     """Episodes in the simulator of a robot, read through a network if the configuration has one.
 
@@ -38,22 +41,30 @@ def simulated(
         threads: of the processor.
         randomized: whether episodes differ as the configuration says, or all have the robot as it is described.
         force: also draw from an identification whose status is not ok.
+        engine: any other than `mujoco` has one arm, without randomization and network.
 
     Raises:
         ConfigError: the robot follows no torques, or the configuration does not fit it.
         DataError: the identification has no samples, or a file of the network is broken.
-        NameMismatch: the network is of a robot with other joints.
+        NameMismatch: the network, or the identification, is of a robot with other joints or bodies.
     """
     nominal = Nominal(robot, model)
-    draws = config.randomization.draws(force=force) if randomized else ()
+    if engine != "mujoco":
+        return _in_engine(config, nominal, engine)
+    draws = config.randomization.draws(nominal, force=force) if randomized else ()
     friction = None
     if config.friction == "thesis":
         draws, friction = (*draws, _without_friction), ThesisFriction()
     noise = (config.randomization.noise_rad, config.randomization.noise_rad_s)
-    drawn = Individuals(nominal, draws) if draws or any(robot.delay_s) else None
+    drawn = Individuals(nominal, draws) if draws else None
 
     def made(step_s: float) -> MujocoArms:
-        return MujocoArms(nominal.simulator, count or config.arms, step_s, threads=threads, draw=drawn)
+        if randomized:
+            # What is drawn later would end a training in the middle.
+            late_shares(nominal.simulator, step_s, config.randomization.most_delay_s(force=force))
+        return MujocoArms(
+            nominal.simulator, count or config.arms, step_s, delay_s=robot.delay_s, threads=threads, draw=drawn
+        )
 
     arms: Arms
     if config.network:
@@ -69,6 +80,17 @@ def simulated(
         friction_share=config.randomization.friction if randomized else 0.0,
         noise=noise if randomized and any(noise) else None,
     )
+
+
+def _in_engine(config: PolicyConfig, nominal: Nominal, engine: str) -> Reaching:
+    robot, friction = nominal.given, None
+    simulator: Simulator = make_simulator(engine, robot, nominal.path)
+    if config.friction == "thesis":
+        friction = ThesisFriction()
+        bare, _ = Individuals(nominal, (_without_friction,))(np.random.default_rng(0))
+        simulator = type(simulator)(bare, robot, nominal.simulator.channels)
+    arm = EngineArm(simulator, config.reach.control_s, delay_s=robot.delay_s)
+    return Reaching(arm, nominal.model, config.reach, friction=friction)
 
 
 def _without_friction(candidate: Candidate, _: np.random.Generator) -> None:

@@ -128,9 +128,11 @@ def train(
                 if start is not None and not history:
                     _look_around(learner, min(config.learner.starts, end))
                 learner.learn(end - learner.num_timesteps, reset_num_timesteps=learner.num_timesteps == 0)
-            except ValueError as error:  # torch's, of a distribution without numbers
-                raise diverged from error
-            if not all(bool(value.isfinite().all()) for value in learner.policy.state_dict().values()):
+            except ValueError as error:
+                if _finite(learner):
+                    raise
+                raise diverged from error  # torch's, of a distribution without numbers
+            if not _finite(learner):
                 raise diverged
             _end_episodes(learner)
             reward, median, worst = judged(learner, trial, seed)
@@ -160,6 +162,10 @@ def _look_around(learner: OffPolicyAlgorithm, steps: int) -> None:
     updates, learner.gradient_steps = learner.gradient_steps, 0
     learner.learn(steps)
     learner.gradient_steps = updates
+
+
+def _finite(learner: OffPolicyAlgorithm) -> bool:
+    return all(bool(value.isfinite().all()) for value in learner.policy.state_dict().values())
 
 
 def _rate(config: PolicyConfig, number: int) -> float:

@@ -13,9 +13,10 @@ from trueup.deploy.looking import compiled
 from trueup.deploy.policy import arrays_of
 from trueup.errors import ConfigError, NameMismatch
 
-# Poses that stand for all, and how near one of them a place must be to count as reachable [m].
+# Poses that stand for all; from how many of the nearest a pose for a goal is looked for, and how near is there [m].
 _POSES = 20_000
-_NEAR = 0.06
+_STARTS = 6
+_THERE = 1e-3
 # Of each joint's range, what goals stay away from at both ends.
 _MARGIN = 0.1
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -120,7 +121,8 @@ class Workspace:
         self.start = chain.place(np.asarray(home, np.float64)[None])[0]
         low, high = chain.ranges.T
         share = np.random.default_rng([seed, 9]).uniform(_MARGIN, 1.0 - _MARGIN, (_POSES, len(chain.joints)))
-        self._cloud = chain.place(low + share * (high - low))
+        self._poses = low + share * (high - low)
+        self._cloud = chain.place(self._poses)
         away = np.linalg.norm(self._cloud - self.start, axis=1)
         self.goals = self._cloud[(away >= nearest_m) & (away <= farthest_m) & (self._cloud[:, 2] >= lowest_m)]
         if not len(self.goals):
@@ -144,14 +146,32 @@ class Workspace:
         goal = np.asarray(goal, np.float64)
         if goal.shape != (3,) or not np.isfinite(goal).all():
             raise ConfigError("a goal is a place", got=goal.tolist(), expected="three finite numbers [m]")
-        away, nearest = self._tree.query(goal)
-        if away > _NEAR:
-            x, y, z = self._cloud[nearest]
+        place = self._nearest(goal)
+        away = float(np.linalg.norm(place - goal))
+        if away > _THERE:
+            x, y, z = place
             raise ConfigError(
                 "the goal is out of reach",
                 got=f"({goal[0]:.3f}, {goal[1]:.3f}, {goal[2]:.3f}) m",
-                expected=f"the nearest place that a pose reaches is ({x:.3f}, {y:.3f}, {z:.3f}) m, {away:.2f} m away",
+                expected=f"the nearest place that a pose reaches is ({x:.3f}, {y:.3f}, {z:.3f}) m, {away:.3f} m away",
             )
+
+    def _nearest(self, goal: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:
+        """The place nearest to a goal that poses within the joints' ranges were found for [m]."""
+        from scipy.optimize import least_squares
+
+        apart, rows = self._tree.query(goal, k=_STARTS)
+        best: Float64[np.ndarray, "3"] = self._cloud[rows[0]]
+        if apart[0] <= _THERE:
+            return best
+        for row in rows.tolist():
+            found = least_squares(
+                lambda pose: self.chain.place(pose[None])[0] - goal, self._poses[row], bounds=self.chain.ranges.T
+            )
+            best = min(best, found.fun + goal, key=lambda place: float(np.linalg.norm(place - goal)))
+            if np.linalg.norm(best - goal) <= _THERE:
+                break
+        return best
 
     @cached_property
     def _tree(self):  # type: ignore[no-untyped-def]  # noqa: ANN202 - scipy's, loaded when a goal is checked

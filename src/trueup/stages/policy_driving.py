@@ -124,8 +124,9 @@ def drive(
     from trueup.deploy.policy_loop import DONE, PolicyLoop
     from trueup.lab import LabSpec, VirtualRobot, draw_truth
     from trueup.lab.spec import Controller
-    from trueup.policy.reach import ReachConfig
+    from trueup.policy.config import task_of
     from trueup.policy.reaching import home_of
+    from trueup.policy.thesis_friction import OFFSET
     from trueup.policy.workspace import Chain, Workspace
     from trueup.sim import MujocoSimulator
 
@@ -137,7 +138,8 @@ def drive(
     policy = Policy.load(folder, joints=robot.joint_names, rate_hz=card.rate_hz)
     path = find_model(robot, given=model)
     compiled = MujocoSimulator.from_robot(robot, path).model
-    home, task = home_of(compiled, robot.joint_names), ReachConfig(card.torque_nm, card.rate_hz, site=card.site)
+    home, asked = home_of(compiled, robot.joint_names), task_of(card)
+    task = asked.reach
     space = Workspace(
         Chain(compiled, robot.joint_names, card.site),
         home,
@@ -160,7 +162,8 @@ def drive(
         payload_kg=payload_kg,
         real_time=real_time,
     )
-    loop = PolicyLoop(lab, policy, settings, rate_hz=rate_hz, real_time=real_time)
+    offset = np.array(OFFSET) if asked.friction == "thesis" else None
+    loop = PolicyLoop(lab, policy, settings, rate_hz=rate_hz, real_time=real_time, offset_nm=offset)
     runs: list[PolicyRun] = []
     info = DatasetInfo(
         robot=robot.name,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -15,8 +14,7 @@ from trueup.augment.config import CHECKPOINT_NAME
 from trueup.core.atomic import as_read_back, json_hash, make_folder, remove, write_json
 from trueup.core.policy_card import PolicyCard
 from trueup.core.provenance import provenance
-from trueup.core.ray_workers import on_ray
-from trueup.core.workers import as_they_end
+from trueup.core.spread import go_to, here, spread
 from trueup.dataset.lock import LOCK_NAME, FolderLock
 from trueup.errors import DataError, Diverged, OutputExists, TrueupError, needing
 from trueup.robots import RobotSpec, find_model
@@ -216,13 +214,7 @@ def _asked(study: GridStudy) -> Iterator[tuple[int, Point]]:
 def _ended(
     trials: Iterable[_Trial], jobs: int | None, ray: str | None, *, gpus: int
 ) -> Iterator[tuple[_Trial, _Outcome]]:
-    where = (str(Path.cwd()),)
-    if ray is not None:
-        return on_ray(_train, trials, address=ray, jobs=jobs, gpus=gpus, begin=_begin, with_args=where)
-    jobs = jobs or os.cpu_count() or 1
-    if jobs == 1:
-        return ((trial, _train(trial)) for trial in trials)
-    return as_they_end(_train, trials, jobs=jobs, begin=_begin, with_args=where)
+    return spread(_train, trials, jobs=jobs, ray=ray, gpus=gpus, begin=go_to, with_args=here())
 
 
 def _search(
@@ -279,22 +271,6 @@ def _save(found: GridResult, config: PolicyConfig, axes: Mapping[str, Any], seed
             "provenance": provenance(config=as_read_back(asdict(config)), seed=seed),
         },
     )
-
-
-def _begin(folder: str) -> None:
-    """Paths in configurations are as the caller sees them.
-
-    Raises:
-        DataError: the folder is not on this machine.
-    """
-    try:
-        os.chdir(folder)
-    except OSError as error:
-        raise DataError(
-            f"a worker cannot go to {folder}",
-            got=error.strerror,
-            hint="Machines of a Ray cluster share the file system that the command is given on.",
-        ) from error
 
 
 def _train(trial: _Trial) -> _Outcome:

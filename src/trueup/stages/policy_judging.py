@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +24,7 @@ from trueup.core.policy_evaluation import (
 )
 from trueup.core.provenance import provenance
 from trueup.core.results import Estimate, PairedDifference
+from trueup.core.sole_writer import writes_alone
 from trueup.core.trials import Trial, TrialGroup, alike
 from trueup.errors import ConfigError, OutputExists
 from trueup.measure.seeds import Statistic, seeds_interval
@@ -32,6 +33,7 @@ from trueup.record.limits import stated_rates
 from trueup.robots import RobotSpec, find_model
 
 if TYPE_CHECKING:
+    from trueup.policy.config import PolicyConfig
     from trueup.policy.evaluation import Episodes
     from trueup.policy.reach import ReachConfig
     from trueup.policy.reaching import Reaching
@@ -59,6 +61,7 @@ class Judgment:
     episodes: Mapping[str, Mapping[str, Episodes]]
 
 
+@writes_alone()
 def judge_policies(
     folders: Sequence[Path | str],
     robot: RobotSpec,
@@ -115,7 +118,8 @@ def judge_policies(
         Policy.load(path, joints=robot.joint_names, rate_hz=card.rate_hz)
         for path, card in zip(paths, cards, strict=True)
     ]
-    task = _task(cards, paths)
+    tasks = _tasks(cards, paths)
+    task = tasks[0].reach
     if out is not None:
         make_folder(out)
     model_file = find_model(robot, given=model)
@@ -124,9 +128,9 @@ def judge_policies(
     labels = _labels(trials, paths)
     found: dict[str, dict[str, Episodes]] = {label: {} for label in labels}
     start = (0.0, 0.0, 0.0)
-    for label, policy in zip(labels, policies, strict=True):
+    for label, policy, asked in zip(labels, policies, tasks, strict=True):
         # Made anew for each policy: virtual hardware remembers what was done with it.
-        for place, reaching in _worlds(robot, model_file, task, places, units, goals, jobs or os.cpu_count() or 1):
+        for place, reaching in _worlds(robot, model_file, asked, places, units, goals, jobs or os.cpu_count() or 1):
             found[label][place] = evaluate(
                 policy.act,
                 reaching,
@@ -197,6 +201,7 @@ def _evaluation(
     task: ReachConfig,
     seed: int,
 ) -> PolicyEvaluation:
+    from trueup.policy.config import task_of
     from trueup.policy.evaluation import NEAR_M, UNITS
 
     parts = alike([replace(trial, label=label) for trial, label in zip(trials, labels, strict=True)])
@@ -232,7 +237,11 @@ def _evaluation(
         start_m=start,
         control_s=task.control_s,
         near_m=NEAR_M,
-        settings={"goals": len(next(iter(found[labels[0]].values())).goals), "robot": cards[0].robot},
+        settings={
+            "goals": len(next(iter(found[labels[0]].values())).goals),
+            "robot": cards[0].robot,
+            "friction": {label: task_of(card).friction for label, card in zip(labels, cards, strict=True)},
+        },
         provenance=provenance(
             config={label: card.provenance.get("asked", "") for label, card in zip(labels, cards, strict=True)},
             seed=seed,
@@ -263,70 +272,64 @@ def _labels(trials: Sequence[Trial], paths: Sequence[Path]) -> list[str]:
     return names if len(set(names)) == len(names) else [str(path) for path in paths]
 
 
-def _task(cards: Sequence[PolicyCard], paths: Sequence[Path]) -> ReachConfig:
-    """The task that all policies were trained for.
+def _tasks(cards: Sequence[PolicyCard], paths: Sequence[Path]) -> list[PolicyConfig]:
+    """What each policy was trained for: one task, with the same or another way of friction.
 
     Raises:
-        ConfigError: there are several.
+        ConfigError: there are several tasks.
     """
-    from trueup.policy.reach import ReachConfig
+    from trueup.policy.config import task_of
 
-    tasks: list[ReachConfig] = []
-    for card, path in zip(cards, paths, strict=True):
-        said = card.provenance.get("config", {}).get("reach", {})
-        length = float(said.get("episode_s", ReachConfig.episode_s))
-        own = ReachConfig(card.torque_nm, card.rate_hz, length, card.site)
-        if tasks and own != tasks[0]:
+    tasks = [task_of(card) for card in cards]
+    for task, path in zip(tasks, paths, strict=True):
+        own, first = asdict(task.reach), asdict(tasks[0].reach)
+        if unlike := [name for name in own if own[name] != first[name]]:
             raise ConfigError(
                 f"{path} and {paths[0]} are not of one task",
-                got=_facts(card, own),
-                expected=_facts(cards[0], tasks[0]),
+                got=", ".join(f"{name} {own[name]}" for name in unlike),
+                expected=", ".join(f"{name} {first[name]}" for name in unlike),
                 hint="Judge them one by one.",
             )
-        tasks.append(own)
-    return tasks[0]
-
-
-def _facts(card: PolicyCard, task: ReachConfig) -> str:
-    torques = ", ".join(f"{torque:g}" for torque in card.torque_nm)
-    return f"{card.rate_hz:g} Hz, {task.episode_s:g} s, {card.site}, {torques} Nm"
+    return tasks
 
 
 def _worlds(
     robot: RobotSpec,
     path: Path,
-    task: ReachConfig,
+    asked: PolicyConfig,
     places: Sequence[str],
     units: Sequence[int],
     goals: int,
     threads: int,
 ) -> list[tuple[str, Reaching]]:
+    """Simulators as the policy was trained in, without randomization; hardware as it is."""
     from trueup.lab import LabSpec, VirtualRobot, draw_truth
     from trueup.lab.spec import Controller
-    from trueup.policy.arms import EngineArm, HardwareArm, MujocoArms
+    from trueup.policy.arms import HardwareArm
     from trueup.policy.reaching import Reaching
-    from trueup.sim import MujocoSimulator, make_simulator
+    from trueup.policy.simulated import simulated
+    from trueup.policy.thesis_friction import OFFSET
+    from trueup.sim import MujocoSimulator
 
-    simulator = MujocoSimulator.from_robot(robot, path)
-    found: list[tuple[str, Reaching]] = []
+    task, found = asked.reach, []
     for place in places:
-        if place == "mujoco":
-            arms = MujocoArms(simulator, min(goals, _ARMS), task.control_s, threads=threads)
-            found.append((place, Reaching(arms, simulator.model, task)))
-        elif place == "dart":
-            arm = EngineArm(make_simulator("dart", robot, path), task.control_s)
-            found.append((place, Reaching(arm, simulator.model, task)))
-        else:
-            spec = replace(LabSpec(), controller=Controller(kind="torque"))
-            for unit in units:
-                lab = VirtualRobot(draw_truth(spec, unit=unit))
+        if place != "lab":
+            count = min(goals, _ARMS)
+            found.append(
+                (place, simulated(asked, robot, path, count=count, threads=threads, randomized=False, engine=place))
+            )
+            continue
+        model = MujocoSimulator.from_robot(robot, path).model
+        spec = replace(LabSpec(), controller=Controller(kind="torque"))
+        for unit in units:
+            lab = VirtualRobot(draw_truth(spec, unit=unit))
 
-                def put(pose: Any, rng: np.random.Generator, lab: VirtualRobot = lab) -> None:
-                    lab.restart(position=pose, seed=int(rng.integers(2**31)))
+            def put(pose: Any, rng: np.random.Generator, lab: VirtualRobot = lab) -> None:
+                lab.restart(position=pose, seed=int(rng.integers(2**31)))
 
-                found.append(
-                    (f"lab-{unit}", Reaching(HardwareArm(lab, task.control_s, place=put), simulator.model, task))
-                )
+            offset = np.array(OFFSET) if asked.friction == "thesis" else None
+            arm = HardwareArm(lab, task.control_s, place=put)
+            found.append((f"lab-{unit}", Reaching(arm, model, task, offset_nm=offset)))
     return found
 
 

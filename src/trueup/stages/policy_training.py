@@ -12,6 +12,7 @@ from trueup.core.atomic import as_read_back, file_hash, json_hash, make_folder
 from trueup.core.model_card import ModelCard
 from trueup.core.policy_card import PolicyCard
 from trueup.core.provenance import provenance
+from trueup.core.sole_writer import writes_alone
 from trueup.errors import needing
 from trueup.robots import RobotSpec, find_model
 from trueup.stages.model_folder import POLICY, ModelFolder
@@ -39,6 +40,7 @@ class TrainedPolicy:
     history: tuple[Round, ...]
 
 
+@writes_alone()
 def train_policy(
     robot: RobotSpec,
     out: Path | str,
@@ -77,11 +79,12 @@ def train_policy(
         NameMismatch: the policy that it begins with, or its network, is of a robot with other joints.
         Diverged: the training came to numbers that are not finite.
         DataError: a file is broken, or cannot be written.
-        MissingDependency: Stable-Baselines3 is not installed.
+        MissingDependency: Stable-Baselines3 is not installed, or torch finds no GPU.
     """
     with needing("training a policy", "rl"):
         import torch
 
+        from trueup.augment.training import find_device
         from trueup.policy.config import PolicyConfig
         from trueup.policy.export import export
         from trueup.policy.learned import read_learned, write_learned
@@ -89,6 +92,7 @@ def train_policy(
         from trueup.policy.training import Round, train
 
     config, out = config or PolicyConfig(), Path(out)
+    find_device(device)
     path = find_model(robot, given=model)
     threads = jobs or os.cpu_count() or 1
     made_from = _made_from(robot, path, config)
