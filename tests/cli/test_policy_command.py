@@ -137,9 +137,8 @@ def test_an_identification_that_is_not_ok_is_forced_or_refused(run, tmp_path):
     assert "the identification is at-bound: Joint 1 never moved" in err
     assert not (tmp_path / "refused" / "policy.json").exists()
     assert run(*small, "--out", "forced", "--force")[0] == 0
-    code, _, err = run(
-        *small[:-1], fitted(tmp_path / "other", samples={"damping[elbow]": np.ones(3)}), "--out", "other"
-    )
+    foreign = fitted(tmp_path / "foreign", samples={"damping[elbow]": np.ones(3)})
+    code, _, err = run(*small[:-1], foreign, "--out", "new")
     assert code == 2
     assert "another robot" in err
     assert "joint4" in err
