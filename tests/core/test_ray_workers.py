@@ -51,6 +51,8 @@ def test_workers_begin_before_their_first_item_and_errors_arrive_as_they_were(wi
     try:
         begun = on_ray(errands.begun_with, [1, 2], address="local", begin=errands.begin_with, with_args=("x",))
         assert dict(begun) == {1: "x", 2: "x"}
+        begun = on_ray(errands.begun_with, [1, 2], address="local", begin=errands.begin_with, with_args=("y",))
+        assert dict(begun) == {1: "y", 2: "y"}  # the same processes begin anew for another call
         with pytest.raises(DataError, match="cannot: got 7") as caught:
             list(on_ray(errands.refuse, [7], address="local", begin=dict))
         assert caught.value.hint == "Do not."

@@ -1,18 +1,14 @@
 """A fleet: each unit by itself, the same wherever it is done, and one that is not like the others is found."""
 
 import json
-import os
 import shutil
-import signal
-import threading
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
 
+from core.ray_cases import one_worker_killed
 from identify.recovery_cases import Truth, arm
 from trueup.cli.main import main
 from trueup.core.fleet_result import FLEET_NAME, FleetResult
@@ -98,25 +94,8 @@ def test_it_is_read_back_and_refuses_what_it_is_not(done, tmp_path):
 
 def test_a_worker_that_is_killed_loses_nothing(done, home, robot, tmp_path):
     """On a Ray cluster of two processes, one of which is killed in the middle of a fit."""
-    killed = []
-
-    def kill():
-        until = time.monotonic() + 120
-        while not killed and time.monotonic() < until:
-            time.sleep(0.05)
-            if not any(tmp_path.glob("out/*/checkpoints/*")):  # a fit has begun
-                continue
-            for child in psutil.Process().children(recursive=True):
-                with_name = " ".join(child.cmdline()[:1]) if child.is_running() else ""
-                if with_name.startswith("ray::_done"):
-                    os.kill(child.pid, signal.SIGKILL)
-                    killed.append(child.pid)
-                    return
-
-    thread = threading.Thread(target=kill, daemon=True)
-    thread.start()
-    found = fleet([home / "data"], robot, tmp_path / "out", config=QUICK, jobs=2, ray="local")
-    thread.join(5.0)
+    with one_worker_killed(lambda: any(tmp_path.glob("out/*/checkpoints/*"))) as killed:  # a fit has begun
+        found = fleet([home / "data"], robot, tmp_path / "out", config=QUICK, jobs=2, ray="local")
     assert killed
     _, before = done
     assert found.parameters == before.parameters

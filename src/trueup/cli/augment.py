@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import typer
 
-from trueup.cli import augment_eval, augment_robustness, augment_time, augment_train
+from trueup.cli import augment_eval, augment_robustness, augment_sweep, augment_time, augment_train
 
 app = typer.Typer(
     help="Learned corrections: networks that turn simulated signals into what the robot would have measured.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
-for module in (augment_train, augment_eval, augment_robustness, augment_time):
+for module in (augment_train, augment_sweep, augment_eval, augment_robustness, augment_time):
     module.register(app)
 
 

@@ -72,7 +72,7 @@ def train(
     from trueup.robots import load_robot
     from trueup.stages import augment
 
-    chosen = _configured(method, config, signals, command, epochs)
+    chosen = configured(method, config, signals, command, epochs)
     with _watching(tensorboard) as on_progress:
         made = augment(
             [Dataset(path) for path in datasets],
@@ -107,10 +107,14 @@ def train(
     return 0
 
 
-def _configured(
+def configured(
     method: str | None, config: str | None, signals: list[str] | None, command: list[str] | None, epochs: int | None
 ) -> AugmentConfig:
-    """The configuration that the options ask for."""
+    """The configuration that the options ask for.
+
+    Raises:
+        ConfigError: there is no such method, or the file does not fit it.
+    """
     from trueup.augment import AugmentConfig, preset
 
     if config in (None, "default", "paper"):

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from trueup.stages import Identified
 
 # A fit with one of these is no result to build on; everything else is loud but usable.
-_UNUSABLE = ("no-better", "not-converged")
+UNUSABLE = ("no-better", "not-converged")
 
 
 def register(app: typer.Typer) -> None:
@@ -37,6 +37,12 @@ def identify(
     model: options.Model = None,
     seed: options.Seed = 0,
     jobs: options.Jobs = None,
+    ray: Annotated[
+        str | None,
+        typer.Option(
+            "--ray", help="Search from the starts on a Ray cluster: its HOST:PORT, or local for one on this machine."
+        ),
+    ] = None,
     overwrite: options.Overwrite = False,
     resume: options.Resume = False,
 ) -> int:
@@ -66,13 +72,14 @@ def identify(
             config=chosen,
             seed=seed,
             jobs=jobs,
+            ray=ray,
             overwrite=overwrite,
             resume=resume,
             track=track,
             on_progress=on_progress,
         )
     show(identified, out_dir)
-    return 3 if identified.fit.status in _UNUSABLE else 0
+    return 3 if identified.fit.status in UNUSABLE else 0
 
 
 def show(identified: Identified, out_dir: Path) -> None:
@@ -92,7 +99,7 @@ def show(identified: Identified, out_dir: Path) -> None:
     text, hint = status_line(fit)
     if fit.status == "ok":
         out.print(text, markup=False)
-    elif fit.status in _UNUSABLE:
+    elif fit.status in UNUSABLE:
         problem(text, hint)
     else:
         warning(text, hint)

@@ -60,12 +60,13 @@ Domain = Annotated[
 Localhost = Annotated[
     bool | None,
     typer.Option(
-        "--localhost/--network",
+        "--localhost/--no-localhost",
         help="This computer only, or all of the network; what ROS's variables say if not given.",
     ),
 ]
 Reliable = Annotated[
-    bool, typer.Option("--reliable", help="Publish reliably, for listeners that ask for it; else as sensors do.")
+    bool,
+    typer.Option("--reliable", help="Joint states are reliable, for listeners that ask for it; commands always are."),
 ]
 Form = Annotated[
     Literal["joint_state", "array"],

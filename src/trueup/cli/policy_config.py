@@ -49,7 +49,7 @@ def configured(
         raise ConfigError("there is no such algorithm", got=algorithm, available=ALGORITHMS)
     given = {} if algorithm is None else {"algorithm": algorithm}
     if config == "laptop":
-        chosen = laptop(algorithm or LAPTOP.algorithm)  # type: ignore[arg-type]  # one of ALGORITHMS
+        chosen = laptop(algorithm or LAPTOP.algorithm)
     elif config == "paper":
         chosen = build(PolicyConfig, given, config)
         chosen = replace(chosen, learner=PAPER[chosen.algorithm], arms=PAPER_ARMS)

@@ -8,6 +8,7 @@ import logging
 import os
 import socket
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from trueup.core.workers import one_thread
@@ -23,7 +24,22 @@ _PATIENCE_S = 5.0
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_begun: list[bool] = []
+# Of which call this process has begun the work: one process serves several, one after the other.
+_begun: list[int] = []
+_calls = itertools.count()
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """A Ray cluster, and how much of it is used.
+
+    Attributes:
+        address: `HOST:PORT`, or `local` for one on this machine.
+        jobs: items that are under way at a time; as many as it has processors if None.
+    """
+
+    address: str
+    jobs: int | None = None
 
 
 def on_ray(
@@ -48,17 +64,16 @@ def on_ray(
         jobs: items that are under way at a time; as many as the cluster has processors if None.
         gpus: what each item needs besides its processor; Ray hides them from an item that asks for none.
         begin: called in each process before its first item.
-        with_args: its arguments.
+        with_args: its arguments; each machine gets them once, so that they may be large.
 
     Raises:
         ConfigError: there is no such cluster, it has too few GPUs, or the worker of an item was killed again and again.
         MissingDependency: Ray is not installed.
     """
-    with needing("work on a Ray cluster", "ray"):
+    with connected(Cluster(address, jobs)):
         import ray
         from ray.exceptions import RayError, RayTaskError
 
-    with _cluster(address, jobs):
         has = int(ray.cluster_resources().get("GPU", 0))
         if has < gpus:  # an item would wait for one as long as the command runs
             raise ConfigError("the Ray cluster has too few GPUs", got=has, expected=f"at least {gpus}")
@@ -66,10 +81,11 @@ def on_ray(
         under_way: dict[Any, Item] = {}
         source = iter(items)
         try:
+            call, given = next(_calls), ray.put(with_args)
             while True:
                 room = jobs or max(int(ray.cluster_resources().get("CPU", 1)), 1)
                 for item in itertools.islice(source, max(room - len(under_way), 0)):
-                    under_way[task.remote(work, item, begin, with_args)] = item
+                    under_way[task.remote(work, item, begin, given, call)] = item
                 if not under_way:
                     break
                 ended, _ = ray.wait([*under_way])
@@ -96,10 +112,17 @@ def on_ray(
 
 
 @contextlib.contextmanager
-def _cluster(address: str, jobs: int | None) -> Iterator[None]:
-    """Connected to a cluster, unless this process is connected to one already."""
-    import ray
+def connected(cluster: Cluster) -> Iterator[None]:
+    """Connected to a cluster, unless this process is connected to one already; for several calls of `on_ray`.
 
+    Raises:
+        ConfigError: there is no such cluster.
+        MissingDependency: Ray is not installed.
+    """
+    with needing("work on a Ray cluster", "ray"):
+        import ray
+
+    address, jobs = cluster.address, cluster.jobs
     if ray.is_initialized():
         yield
         return
@@ -134,9 +157,11 @@ def _refuse_silent(address: str) -> None:
         ) from error
 
 
-def _done(work: Callable[[Item], Result], item: Item, begin: Callable[..., None], with_args: tuple[Any, ...]) -> Result:
-    if not _begun:
+def _done(
+    work: Callable[[Item], Result], item: Item, begin: Callable[..., None], with_args: tuple[Any, ...], call: int
+) -> Result:
+    if _begun != [call]:
         one_thread()
         begin(*with_args)
-        _begun.append(True)
+        _begun[:] = [call]
     return work(item)

@@ -7,6 +7,7 @@ from trueup.identify.config import IdentifyConfig as IdentifyConfig
 from trueup.identify.export import save_identification as save_identification
 from trueup.identify.identification import Identification as Identification
 from trueup.identify.identification import identify as identify
+from trueup.identify.identification import refuse_one_start as refuse_one_start
 from trueup.identify.inertial import Inertial as Inertial
 from trueup.identify.information import PlannedInformation as PlannedInformation
 from trueup.identify.knowledge import Knowledge as Knowledge
@@ -42,6 +43,7 @@ __all__ = [
     "identify",
     "judged",
     "make_segments",
+    "refuse_one_start",
     "save_identification",
     "solve",
 ]

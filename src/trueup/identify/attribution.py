@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from trueup.core.attribution import Attribution, AttributionStep
+from trueup.core.attribution import SHORT_OF_TIME, Attribution, AttributionStep
 from trueup.core.episode import Episode
 from trueup.core.parameters import ParameterSet
 from trueup.core.provenance import provenance
@@ -94,7 +94,7 @@ def explain(
         "each cause is taken away after those to its left; another order would share the gap differently",
     ]
     if nested.unfinished:
-        statements.append(f"the time limit ended the search for {', '.join(nested.unfinished)}")
+        statements.append(f"{SHORT_OF_TIME} {', '.join(nested.unfinished)}")
     if nested.split == "train":
         statements.insert(0, "scored on the motions that it was fitted to: there are no others")
     return Attribution.of(

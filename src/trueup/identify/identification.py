@@ -10,7 +10,9 @@ from trueup.core.episode import Episode
 from trueup.core.fit_result import FitResult
 from trueup.core.parameters import ParameterSet
 from trueup.core.provenance import provenance
+from trueup.core.ray_workers import Cluster
 from trueup.core.time_limit import TimeLimit
+from trueup.errors import ConfigError
 from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.config import IdentifyConfig
 from trueup.identify.model_search import ModelSearch
@@ -56,6 +58,7 @@ def identify(
     data_hash: str | None = None,
     on_progress: OnModel | None = None,
     limit: TimeLimit | None = None,
+    cluster: Cluster | None = None,
 ) -> Identification:
     """Estimate what the simulator has wrong.
 
@@ -74,16 +77,29 @@ def identify(
         data_hash: of the dataset, for the provenance.
         on_progress: called after every iteration of every model.
         limit: when searches have to end; richer models that would begin too late are not tried, which is said.
+        cluster: where the several starts of each search are searched from; its machines find model and checkpoints in
+            the same folders. The result is the same.
 
     Raises:
         NotIdentifiable: there is nothing to learn from these motions.
-        ConfigError: the configuration does not fit the robot.
+        ConfigError: the configuration does not fit the robot, it has one start and there is a cluster, no cluster
+            answers, or a worker of it was killed again and again.
         DataError: no motion can be simulated.
     """
+    if cluster is not None:
+        refuse_one_start(config)
     robot = judged(robot, config)
     nominal = Nominal(robot, model)
     search = ModelSearch(
-        nominal, episodes, config, jobs=jobs, seed=seed, checkpoints=checkpoints, on_progress=on_progress, limit=limit
+        nominal,
+        episodes,
+        config,
+        jobs=jobs,
+        seed=seed,
+        checkpoints=checkpoints,
+        on_progress=on_progress,
+        limit=limit,
+        cluster=cluster,
     )
     best, tried = search.climb()
     solution, problem, posterior = best.solution, search.problem_of(best), search.posterior_of(best).of_model()
@@ -105,7 +121,7 @@ def identify(
     result = FitResult(
         status=status,
         statements=statements,
-        solver={**solution.solver, "why": search.why},
+        solver={**solution.solver, "why": search.why, **_short_of_time([*search.short_of_time, *search.untried])},
         parameters=parameters,
         correlation=correlations(posterior),
         directions=open_directions(posterior),
@@ -120,6 +136,27 @@ def identify(
         ),
     )
     return Identification(result, nominal, posterior.parameters, posterior)
+
+
+def refuse_one_start(config: IdentifyConfig | None) -> None:
+    """A cluster works on several starts at a time; one of them has nothing to share.
+
+    Raises:
+        ConfigError: the configuration has one.
+    """
+    starts = (config or IdentifyConfig()).solver.starts
+    if starts < 2:
+        raise ConfigError(
+            "a Ray cluster searches from several starts side by side",
+            got=f"solver: {{starts: {starts}}}",
+            expected="2 or more",
+            hint="Write solver: {starts: 8} into the file that you give as --config, or leave --ray out.",
+        )
+
+
+def _short_of_time(models: Sequence[str]) -> dict[str, list[str]]:
+    """Which searches a time limit has ended or kept from beginning: without it, another fit may come of it."""
+    return {"short_of_time": list(models)} if models else {}
 
 
 def _untried(models: Sequence[str]) -> tuple[str, ...]:

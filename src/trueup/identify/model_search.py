@@ -11,6 +11,7 @@ from typing import Any
 from trueup.core.episode import Episode
 from trueup.core.fit_result import ModelRow
 from trueup.core.parameters import ParameterSet
+from trueup.core.ray_workers import Cluster
 from trueup.core.time_limit import TimeLimit
 from trueup.errors import NotIdentifiable
 from trueup.identify.candidate import Nominal
@@ -56,10 +57,12 @@ class ModelSearch:
         checkpoints: Path | None,
         on_progress: OnModel | None,
         limit: TimeLimit | None = None,
+        cluster: Cluster | None = None,
     ) -> None:
         self.nominal, self._jobs = nominal, jobs
-        self._limit = limit
+        self._limit, self._cluster = limit, cluster
         self.untried: list[str] = []
+        self.short_of_time: list[str] = []
         self.chosen_by_user = config is not None and bool(config.fit)
         self.config = (config or IdentifyConfig()).resolved(nominal)
         self._checkpoints, self._on_progress = checkpoints, on_progress
@@ -238,7 +241,10 @@ class ModelSearch:
             checkpoint=self._checkpoints / f"{name}.json" if self._checkpoints else None,
             on_progress=None if report is None else lambda progress: report(name, progress),
             limit=limit,
+            cluster=self._cluster,
         )
+        if solution.solver["stop"] == "time":
+            self.short_of_time.append(name)
         splits = self._scorer.splits
         if start is not None and "remark" in start.solver:
             # It holds for all that goes on from there.

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from trueup.core.protocols import Simulator
 from trueup.deploy.network import Network
 from trueup.identify.candidate import Candidate, Nominal
 from trueup.policy.arms import Arms, EngineArm, MujocoArms
@@ -84,7 +83,7 @@ def simulated(
 
 def _in_engine(config: PolicyConfig, nominal: Nominal, engine: str) -> Reaching:
     robot, friction = nominal.given, None
-    simulator: Simulator = make_simulator(engine, robot, nominal.path)
+    simulator = make_simulator(engine, robot, nominal.path)
     if config.friction == "thesis":
         friction = ThesisFriction()
         bare, _ = Individuals(nominal, (_without_friction,))(np.random.default_rng(0))

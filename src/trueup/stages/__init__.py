@@ -17,6 +17,7 @@ from trueup.stages.perturbing import robustness
 from trueup.stages.recording import RecordSummary, plans_named, record
 from trueup.stages.replaying import STOCK, ReplaySummary, replay
 from trueup.stages.rigs import CompensatedRig, EngineRig, LabRig, make_rig
+from trueup.stages.sweeping import sweep
 from trueup.stages.timing import time_steps
 
 __all__ = [
@@ -59,5 +60,6 @@ __all__ = [
     "record",
     "replay",
     "robustness",
+    "sweep",
     "time_steps",
 ]

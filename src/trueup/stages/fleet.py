@@ -15,10 +15,9 @@ from trueup.core.close_result import CLOSE_NAME, STEPS, StepName
 from trueup.core.fit_result import FitResult, FittedParameter
 from trueup.core.fleet_result import FLEET_NAME, FleetParameter, FleetResult, FleetUnit, UnitValue
 from trueup.core.provenance import provenance
-from trueup.core.ray_workers import on_ray
 from trueup.core.results import Ladder
 from trueup.core.sole_writer import sole_writer
-from trueup.core.workers import as_they_end
+from trueup.core.spread import here, spread
 from trueup.dataset import Dataset, DatasetWriter
 from trueup.errors import ConfigError, DataError, OutputExists, TrueupError
 from trueup.measure.population import population
@@ -229,17 +228,13 @@ def _part(dataset: Dataset, unit: str, path: Path) -> Path:
 
 
 def _ended(tasks: Sequence[_Task], jobs: int | None, ray: str | None) -> Iterator[tuple[_Task, _Outcome]]:
-    where = (str(Path.cwd()),)
-    if ray is not None:
-        return on_ray(_closed, tasks, address=ray, jobs=jobs, begin=_begin, with_args=where)
-    jobs = min(jobs or os.cpu_count() or 1, len(tasks))
-    if jobs == 1:
-        return ((task, _closed(task)) for task in tasks)
-    return as_they_end(_closed, tasks, jobs=jobs, begin=_begin, with_args=where)
+    if ray is None:
+        jobs = min(jobs or os.cpu_count() or 1, len(tasks))
+    return spread(_closed, tasks, jobs=jobs, ray=ray, begin=_begin, with_args=here())
 
 
 def _begin(folder: str) -> None:
-    """Paths mean what they mean for whoever has started it."""
+    """Paths mean what they mean for whoever has started it, where the folder is there."""
     if Path(folder).is_dir():
         os.chdir(folder)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 from collections.abc import Mapping
@@ -14,6 +15,7 @@ import numpy as np
 from trueup.core.atomic import json_hash, remove
 from trueup.core.attribution import Attribution
 from trueup.core.fit_result import FitResult
+from trueup.core.ray_workers import Cluster, connected
 from trueup.core.results import Ladder
 from trueup.core.sole_writer import sole_writer
 from trueup.core.time_limit import TimeLimit
@@ -64,8 +66,10 @@ def fit(
     config: IdentifyConfig | None = None,
     seed: int = 0,
     jobs: int | None = None,
+    ray: str | None = None,
     overwrite: bool = False,
     resume: bool = False,
+    keep_gap: bool = False,
     track: Track = silent,
     on_progress: OnModel | None = None,
     limit: TimeLimit | None = None,
@@ -84,9 +88,12 @@ def fit(
         model: MJCF or URDF; looked for beside the data and in the package if None.
         config: what to fit, to what, and how; the default for the robot's controller if None.
         seed: of all draws.
-        jobs: threads; the number of cores if None.
+        jobs: threads; the number of cores if None. On a cluster, starts at a time, too; its processors if None.
+        ray: address of a Ray cluster, `local` for one on this machine, whose machines find model and `out` in the same
+            folders: it takes the starts of each search, of which there are several. This process if None.
         overwrite: replace the results that are in `out`.
         resume: go on where an earlier call was interrupted; what is finished is not done again.
+        keep_gap: leave the files of `gap` and the ladder that are in `out` as they are, since they are of more runs.
         track: shows progress of the replays.
         on_progress: called after every iteration of every model.
         limit: when the searches have to end; see `identify.identify`.
@@ -95,14 +102,20 @@ def fit(
         OutputExists: `out` holds results, and neither `overwrite` nor `resume` is given; or it holds a finished fit
             that was made from other inputs, and `overwrite` is not given.
         NotIdentifiable: there is nothing to learn from these motions.
+        ConfigError: no cluster answers, or there is one and a single start.
         TrueupError: what any step raises.
     """
-    from trueup.identify import identify, judged, save_identification
+    from trueup.identify import identify, judged, refuse_one_start, save_identification
 
     out = Path(out)
-    with sole_writer(out):
+    cluster = None if ray is None else Cluster(ray, jobs)
+    if cluster is not None:
+        refuse_one_start(config)
+    with sole_writer(out), contextlib.ExitStack() as stack:
         if any(out.iterdir()) and not (overwrite or resume):
             raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
+        if cluster is not None:
+            stack.enter_context(connected(cluster))
         checkpoints = out / _CHECKPOINTS
         if overwrite and not resume:
             shutil.rmtree(checkpoints, ignore_errors=True)
@@ -126,6 +139,7 @@ def fit(
                 data_hash=dataset.hash,
                 on_progress=on_progress,
                 limit=limit,
+                cluster=cluster,
             )
             data = {
                 **found.result.data,
@@ -141,9 +155,10 @@ def fit(
         measurement = gap(dataset, runs=[STOCK, FITTED], seed=seed, blocks=False, track=track)
         seconds = sum(row.seconds for row in result.models) + fitted.seconds
         ladder = ladder_of(measurement, {"stock": (STOCK, stock.seconds), "fitted": (FITTED, seconds)})
-        forget_explanation(out, unless_of=None if overwrite else dataset.hash)
-        measurement.save(out)
-        ladder.save(out / "ladder.json")
+        if not keep_gap:
+            forget_explanation(out, unless_of=None if overwrite else dataset.hash)
+            measurement.save(out)
+            ladder.save(out / "ladder.json")
         # Only here is nothing left that an interruption could cost.
         shutil.rmtree(checkpoints, ignore_errors=True)
         notes = (*_left_out_notes(result), *_window_note(given, robot), *graybox, *measurement.gap.settings["warnings"])
