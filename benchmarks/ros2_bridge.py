@@ -1,8 +1,18 @@
 """A bridge on ROS 2's topics at 1 kHz: what it adds, and whether anything is lost.
 
 A publisher of joint states, `trueup deploy ros2` with a network of the size of Realeasy's, and a listener on both
-topics, each a process of its own, on this computer. Added is the time from when the listener had the message of the
-simulator to when it had the answer.
+topics, each a process of its own, on this computer. DDS stamps every message when it is written (its source timestamp;
+it keeps no stamp of when a message was received), and the listener looks at the clock at each message that it takes,
+one by one. Of each message there are three times:
+
+- direct: from the publisher's stamp until the listener has taken the message itself;
+- whole: from the same stamp until it has taken the answer;
+- added: from when the message was written to when the answer was. Both have the way to a listener before them then, so
+  this is how much later the answer is than the message, for any listener. The way from the publisher to the bridge is
+  in it, and all that messages waited there.
+
+How much later this one listener took the answer than the message would be less than that whenever it was busy, or
+asleep, while both came: it takes them together then. Its own delays are in direct and whole, which are never too small.
 """
 
 from __future__ import annotations
@@ -10,15 +20,18 @@ from __future__ import annotations
 import json
 import math
 import os
+import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int64
 
 from benchmarks.networks import JOINTS, real_time
 from benchmarks.table import Row, at_most, rounded, shown
@@ -26,6 +39,7 @@ from trueup.core.atomic import write_json
 from trueup.core.provenance import provenance
 from trueup.ros2 import JointState, Network, Node
 from trueup.ros2.messages import Header, Time
+from trueup.ros2.node import Inbox
 from trueup.stages.timing import machine_name
 
 RESULT = Path(__file__).parent / "results" / "ros2_bridge.json"
@@ -33,8 +47,11 @@ RATE_HZ, SECONDS = 1000.0, 60.0
 BAR_MS = 1.0
 DOMAIN = 211
 STATES, ANSWERS = "/joint_states", "/joint_states_corrected"
-# Until processes have found each other, and until the last message is through [s].
-START_S, REST_S = 6.0, 3.0
+# Columns of what the listener writes down of each message.
+STAMP, WRITTEN, TAKEN = range(3)
+QUANTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
+# Processes may take so long to start and find each other; where nothing has come for so long, that was all [s].
+START_S, REST_S = 120.0, 5.0
 
 
 def run() -> list[Row]:
@@ -50,36 +67,38 @@ def rows(result: Mapping[str, Any]) -> list[Row]:
     return [
         shown("published", result["published"], "messages"),
         at_most("delivered by DDS and not answered", result["lost"], 0, "messages"),
+        at_most("answers out of order, or twice", result["out_of_order"], 0, "messages"),
         shown("added, p50", added["p50"], "ms"),
         at_most("added, p99", added["p99"], BAR_MS, "ms"),
         shown("added, p99.9", added["p999"], "ms"),
         shown("added, longest", added["max"], "ms"),
+        shown("from the publisher to the listener, p50", result["direct_ms"]["p50"], "ms"),
+        shown("from the publisher to the listener, p99", result["direct_ms"]["p99"], "ms"),
+        shown("from the publisher through the bridge to the listener, p50", result["whole_ms"]["p50"], "ms"),
+        shown("from the publisher through the bridge to the listener, p99", result["whole_ms"]["p99"], "ms"),
         shown("bridge: from taken to sent, p50", bridge["added"]["p50_us"], "us"),
         shown("bridge: from taken to sent, p99", bridge["added"]["p99_us"], "us"),
         shown("publisher to bridge, p50", bridge["way"]["p50_us"], "us"),
     ]
 
 
-def measured(seconds: float) -> dict[str, Any]:
+def measured(seconds: float, *, domain: int = DOMAIN) -> dict[str, Any]:
     """What a publisher, a bridge and a listener say after so long [s]."""
     load = list(os.getloadavg())
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         real_time(folder / "network", rate_hz=RATE_HZ)
-        whole = seconds + START_S + REST_S
-        options = ("--domain", DOMAIN, "--localhost", "--seconds", whole, "--out", folder / "out")
-        bridge = _started("-m", "trueup.cli.main", "deploy", "ros2", folder / "network", *options)
-        listener = _started("-m", "benchmarks.ros2_bridge", "listen", whole, folder / "listened.json")
-        publisher = _started("-m", "benchmarks.ros2_bridge", "publish", seconds)
-        for process in (publisher, listener, bridge):
-            if process.wait(whole + 60.0) != 0:
-                raise RuntimeError(f"{process.args} ended with {process.returncode}")
+        bridge = ("-m", "trueup.cli.main", *bridge_options(folder, domain))
+        listener = ("-m", "benchmarks.ros2_bridge", "listen", domain, folder / "listened.json")
+        publisher = ("-m", "benchmarks.ros2_bridge", "publish", seconds, domain)
+        with processes(bridge, listener, publisher) as (bridging, listening, publishing):
+            ended(publishing, within_s=START_S + 2.0 * seconds)
+            ended(listening, within_s=START_S)
+            bridging.send_signal(signal.SIGTERM)
+            ended(bridging, within_s=START_S)
         heard = json.loads((folder / "listened.json").read_text())
         own = json.loads((folder / "out" / "bridge.json").read_text())
-    states = {int(stamp): came for stamp, came in heard["states"].items()}
-    answers = {int(stamp): came for stamp, came in heard["answers"].items()}
-    added = np.array([answers[stamp] - states[stamp] for stamp in answers if stamp in states]) / 1e6
-    quantiles = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
+    states, answers = (np.array(heard[name], np.int64).reshape(-1, 3) for name in ("states", "answers"))
     return {
         "provenance": provenance(config={"machine": {"name": machine_name(), "load_before": load}}, seed=0),
         "seconds": seconds,
@@ -88,27 +107,105 @@ def measured(seconds: float) -> dict[str, Any]:
         "delivered": len(states),
         "answered": len(answers),
         # What the bridge was given and no answer to it arrived; what only the listener was not given is none of its.
-        "lost": own["received"] - own["sent"] + len(states.keys() - answers.keys()),
-        "added_ms": {name: float(np.percentile(added, share)) for name, share in quantiles.items()},
+        "lost": own["received"] - own["sent"] + len(np.setdiff1d(states[:, STAMP], answers[:, STAMP])),
+        "out_of_order": int((np.diff(answers[:, STAMP]) <= 0).sum()),
+        **times_ms(states, answers),
         "bridge": {key: own[key] for key in ("received", "sent", "most_waiting", "counts")}
         | {key: {name: own[key][name] for name in own[key] if name != "bins"} for key in ("added", "way")},
     }
 
 
-def _started(*arguments: object) -> subprocess.Popen[bytes]:
-    return subprocess.Popen([sys.executable, *map(str, arguments)], stdout=subprocess.DEVNULL)
+def times_ms(states: Int64[np.ndarray, "N 3"], answers: Int64[np.ndarray, "M 3"]) -> dict[str, dict[str, float]]:
+    """Quantiles of the three times, of messages whose answer the listener had [ms].
+
+    Args:
+        states: of each message the publisher's stamp, DDS's of when it was written, and when the listener took it [ns].
+        answers: the same of the answers, whose first stamp is that of their message.
+    """
+    _, of_states, of_answers = np.intersect1d(states[:, STAMP], answers[:, STAMP], return_indices=True)
+    states, answers = states[of_states], answers[of_answers]
+    times_ns = {
+        "added_ms": answers[:, WRITTEN] - states[:, WRITTEN],
+        "direct_ms": states[:, TAKEN] - states[:, STAMP],
+        "whole_ms": answers[:, TAKEN] - answers[:, STAMP],
+    }
+    return {
+        title: {name: float(np.percentile(taken_ns / 1e6, share)) for name, share in QUANTILES.items()}
+        for title, taken_ns in times_ns.items()
+    }
 
 
-def _publish(seconds: float) -> None:
+def bridge_options(folder: Path, domain: int) -> tuple[object, ...]:
+    """The command of a bridge that runs until it is stopped."""
+    return ("deploy", "ros2", folder / "network", "--domain", domain, "--localhost", "--out", folder / "out")
+
+
+@contextmanager
+def processes(*commands: Sequence[object]) -> Iterator[list[subprocess.Popen[bytes]]]:
+    """Pythons side by side; those that have not ended by themselves are ended."""
+    with ExitStack() as stack:
+        yield [stack.enter_context(_process(command)) for command in commands]
+
+
+@contextmanager
+def _process(command: Sequence[object]) -> Iterator[subprocess.Popen[bytes]]:
+    process = subprocess.Popen([sys.executable, *map(str, command)], stdout=subprocess.DEVNULL)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def ended(process: subprocess.Popen[bytes], *, within_s: float) -> None:
+    """Wait for the good end of a process.
+
+    Raises:
+        RuntimeError: it ended with an error.
+        TimeoutExpired: it did not end.
+    """
+    if process.wait(within_s) != 0:
+        raise RuntimeError(f"{process.args!r} ended with {process.returncode}")
+
+
+@contextmanager
+def listening(domain: int) -> Iterator[tuple[Node, dict[str, Inbox[JointState]]]]:
+    """A listener to messages and answers; a publisher that sees it may begin, since it hears the answers by then."""
+    with Node(Network(domain, localhost=True)) as node:
+        answers = node.listen(ANSWERS, JointState)
+        wait_for(lambda: answers.writers > 0)
+        yield node, {"states": node.listen(STATES, JointState), "answers": answers}
+
+
+def wait_for(what: Callable[[], bool]) -> None:
+    """Until processes have started and found each other.
+
+    Raises:
+        RuntimeError: that takes too long.
+    """
+    until = time.monotonic() + START_S
+    while not what():
+        if time.monotonic() > until:
+            raise RuntimeError(f"processes did not find each other within {START_S:g} s")
+        time.sleep(0.05)
+
+
+def until_quiet(node: Node) -> Iterator[None]:
+    """Whenever something has come, until there has been nothing for a while after the first."""
+    wait_for(node.wait)
+    last = time.monotonic()
+    while time.monotonic() - last < REST_S:
+        if node.wait():
+            last = time.monotonic()
+            yield
+
+
+def _publish(seconds: float, domain: int = DOMAIN) -> None:
     """Joint states of slow waves, each at its time."""
-    with Node(Network(DOMAIN, localhost=True)) as node:
+    with Node(Network(domain, localhost=True)) as node:
         out = node.publish(STATES, JointState)
-        until = time.monotonic() + 30.0
-        while out.readers < 2:
-            if time.monotonic() > until:
-                raise RuntimeError("nobody listens")
-            time.sleep(0.05)
-        time.sleep(1.0)  # the bridge's own listener is found meanwhile
+        wait_for(lambda: out.readers >= 2)
+        time.sleep(1.0)  # those who listen to the bridge are found by it meanwhile
         names, began = list(JOINTS), time.monotonic()
         for number in range(round(seconds * RATE_HZ)):
             time_s = number / RATE_HZ
@@ -122,23 +219,21 @@ def _publish(seconds: float) -> None:
         time.sleep(0.5)
 
 
-def _listen(seconds: float, path: Path) -> None:
-    """When messages and answers came, by their stamps [ns]."""
-    heard: dict[str, dict[int, int]] = {"states": {}, "answers": {}}
-    with Node(Network(DOMAIN, localhost=True)) as node:
-        inboxes = {"states": node.listen(STATES, JointState), "answers": node.listen(ANSWERS, JointState)}
-        until = time.monotonic() + seconds - REST_S
-        while time.monotonic() < until:
-            if node.wait():
-                for name, inbox in inboxes.items():
-                    messages = inbox.take()
-                    now = time.perf_counter_ns()
-                    heard[name] |= {message.header.stamp.ns: now for message in messages}
+def _listen(domain: int, path: Path) -> None:
+    """Of messages and answers: their stamp, when they were written, and when they were taken [ns]."""
+    heard: dict[str, list[tuple[int, int, int]]] = {"states": [], "answers": []}
+    with listening(domain) as (node, inboxes):
+        for _ in until_quiet(node):
+            for name, inbox in inboxes.items():
+                while messages := inbox.take(1):
+                    now_ns = time.time_ns()
+                    written_ns = messages[0].sample_info.source_timestamp  # type: ignore[attr-defined]
+                    heard[name].append((messages[0].header.stamp.ns, written_ns, now_ns))
     path.write_text(json.dumps(heard))
 
 
 if __name__ == "__main__":
     if sys.argv[1] == "publish":
-        _publish(float(sys.argv[2]))
+        _publish(float(sys.argv[2]), *map(int, sys.argv[3:]))
     else:
-        _listen(float(sys.argv[2]), Path(sys.argv[3]))
+        _listen(int(sys.argv[2]), Path(sys.argv[3]))

@@ -6,6 +6,7 @@ Publisher and bridge of `ros2_bridge`, a listener that counts, and a look at the
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 import tempfile
@@ -16,13 +17,13 @@ from typing import Any
 
 import numpy as np
 import psutil
+from jaxtyping import Float64
 
 from benchmarks.networks import real_time
-from benchmarks.ros2_bridge import ANSWERS, DOMAIN, RATE_HZ, REST_S, START_S, STATES
+from benchmarks.ros2_bridge import DOMAIN, RATE_HZ, START_S, bridge_options, ended, listening, processes, until_quiet
 from benchmarks.table import Row, at_most, rounded, shown
 from trueup.core.atomic import write_json
 from trueup.core.provenance import provenance
-from trueup.ros2 import JointState, Network, Node
 from trueup.stages.timing import machine_name
 
 RESULT = Path(__file__).parent / "results" / "ros2_hour.json"
@@ -59,20 +60,15 @@ def measured(seconds: float) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         real_time(folder / "network", rate_hz=RATE_HZ)
-        whole = seconds + START_S + REST_S
-        options = ("--domain", DOMAIN, "--localhost", "--seconds", whole, "--out", folder / "out")
-        bridge = _started("-m", "trueup.cli.main", "deploy", "ros2", folder / "network", *options)
-        listener = _started("-m", "benchmarks.ros2_hour", whole, folder / "answers.json")
-        publisher = _started("-m", "benchmarks.ros2_bridge", "publish", seconds)
-        began, memory = time.monotonic(), []
-        process = psutil.Process(bridge.pid)
-        while publisher.poll() is None:
-            time.sleep(_EVERY_S)
-            if time.monotonic() - began > _SETTLED_S and bridge.poll() is None:
-                memory.append(process.memory_info().rss / 1e6)
-        for one in (publisher, listener, bridge):
-            if one.wait(whole + 60.0) != 0:
-                raise RuntimeError(f"{one.args} ended with {one.returncode}")
+        bridge = ("-m", "trueup.cli.main", *bridge_options(folder, DOMAIN))
+        listener = ("-m", "benchmarks.ros2_hour", folder / "answers.json")
+        publisher = ("-m", "benchmarks.ros2_bridge", "publish", seconds)
+        with processes(bridge, listener, publisher) as (bridging, counting, publishing):
+            memory = _memory_mb(bridging.pid, publishing)
+            ended(publishing, within_s=START_S)
+            ended(counting, within_s=START_S)
+            bridging.send_signal(signal.SIGTERM)
+            ended(bridging, within_s=START_S)
         own = json.loads((folder / "out" / "bridge.json").read_text())
         answers = json.loads((folder / "answers.json").read_text())
     return {
@@ -81,28 +77,31 @@ def measured(seconds: float) -> dict[str, Any]:
         "rate_hz": RATE_HZ,
         "published": round(seconds * RATE_HZ),
         "answers": answers,
-        "memory_mb": np.array(memory)[np.linspace(0, len(memory) - 1, min(60, len(memory))).astype(int)].tolist(),
+        "memory_mb": memory[np.linspace(0, len(memory) - 1, min(60, len(memory))).astype(int)].tolist(),
         "bridge": {key: own[key] for key in ("received", "sent", "most_waiting", "counts")}
         | {key: {name: own[key][name] for name in own[key] if name != "bins"} for key in ("added", "way")},
     }
 
 
-def _started(*arguments: object) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(
-        [sys.executable, *map(str, arguments)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
+def _memory_mb(pid: int, publishing: subprocess.Popen[bytes]) -> Float64[np.ndarray, "N"]:
+    """Of a bridge, every so often while messages are published, from a minute after the beginning on [MB]."""
+    began, memory, process = time.monotonic(), [], psutil.Process(pid)
+    while publishing.poll() is None:
+        time.sleep(_EVERY_S)
+        if time.monotonic() - began > _SETTLED_S:
+            memory.append(process.memory_info().rss / 1e6)
+    return np.array(memory, np.float64)
 
 
-def _count(seconds: float, path: Path) -> None:
-    with Node(Network(DOMAIN, localhost=True)) as node:
-        inbox, until, came = node.listen(ANSWERS, JointState), time.monotonic() + seconds - REST_S, 0
-        states = node.listen(STATES, JointState)  # the publisher waits for two
-        while time.monotonic() < until:
-            if node.wait():
-                came += len(inbox.take())
-                states.take()
+def _count(path: Path) -> None:
+    """How many answers came."""
+    came = 0
+    with listening(DOMAIN) as (node, inboxes):
+        for _ in until_quiet(node):
+            came += len(inboxes["answers"].take())
+            inboxes["states"].take()
     path.write_text(json.dumps(came))
 
 
 if __name__ == "__main__":
-    _count(float(sys.argv[1]), Path(sys.argv[2]))
+    _count(Path(sys.argv[1]))

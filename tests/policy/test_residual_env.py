@@ -10,6 +10,15 @@ import pytest
 from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import (
+    DelayObservation,
+    FlattenObservation,
+    FrameStackObservation,
+    MaxAndSkipObservation,
+    RescaleAction,
+    TimeLimit,
+    TransformObservation,
+)
 
 from augment.evaluation_cases import card_of, shift_folder
 from trueup.core.model_card import Input, Output
@@ -112,6 +121,57 @@ def test_a_network_without_corrections_changes_nothing(xml, tmp_path):
         np.testing.assert_allclose(env.step(np.ones(2))[0], plain.step(np.ones(2))[0], atol=1e-6)
 
 
+class Fast(Arm):
+    """It is rewarded for how fast its tip was, which it reads before its step and after it, as Ant and Walker do."""
+
+    def step(self, action):
+        before = self.data.site("tip").xpos.copy()
+        self.do_simulation(action, self.frame_skip)
+        speed = np.linalg.norm(self.data.site("tip").xpos - before) / self.dt
+        return self._get_obs(), float(speed), bool(speed > 1.0), False, {"tip": before}
+
+
+def test_rewards_of_bodies_are_those_of_the_plain_environment(xml, network):
+    """MuJoCo leaves positions of bodies and sensors a physics step behind the joints; they are left so, bit by bit."""
+    plain, env = Fast(xml), ResidualEnv(Fast(xml), network)
+    rng = np.random.default_rng(1)
+    plain.reset(seed=0)
+    env.reset(seed=0)
+    rewards = []
+    for _ in range(50):
+        action = rng.uniform(-1, 1, 2)
+        _, reward, ended, _, info = plain.step(action)
+        _, own, also, _, seen = env.step(action)
+        assert (own, also) == (reward, ended)
+        np.testing.assert_array_equal(seen["tip"], info["tip"])
+        rewards.append(reward)
+    assert max(rewards) > 0.1
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.01])
+def test_gymnasium_s_own_environment_is_rewarded_as_without_a_network(tmp_path, shift):
+    """Ant, whose contacts and speed of the body are in its rewards."""
+    plain, inner = gymnasium.make("Ant-v5"), gymnasium.make("Ant-v5")
+    joints = tuple(f"{part}_{number}" for number in range(1, 5) for part in ("hip", "ankle"))
+    rate_hz = 1.0 / plain.unwrapped.dt
+    env = ResidualEnv(inner, shifting(tmp_path / "ant", np.full(16, shift), joints=joints, rate_hz=rate_hz))
+    before, _ = plain.reset(seed=3)
+    seen, _ = env.reset(seed=3)
+    rng = np.random.default_rng(2)
+    for _ in range(40):
+        np.testing.assert_allclose(seen[:5], before[:5], atol=1e-6)  # the trunk is none of the network's joints
+        np.testing.assert_allclose(seen[5:13] - before[5:13], shift, atol=1e-6)
+        action = rng.uniform(-1, 1, 8)
+        before, reward, *ends, info = plain.step(action)
+        seen, own, *also, told = env.step(action)
+        assert own == reward
+        assert also == ends
+        assert told["residual"] == "ok"
+        assert {name: told[name] for name in info} == info
+        for name in ("qpos", "qvel", "xpos", "cfrc_ext", "qacc_warmstart", "sensordata"):
+            np.testing.assert_array_equal(getattr(env.unwrapped.data, name), getattr(plain.unwrapped.data, name), name)
+
+
 def test_observations_in_parts_are_corrected_part_by_part(xml, network):
     class InParts(Arm):
         def _get_obs(self):
@@ -178,6 +238,48 @@ def test_a_network_that_does_not_fit_is_refused(xml, tmp_path, about, error, wor
     folder = shifting(tmp_path / "other", shift, **about)
     with pytest.raises(error, match=words):
         ResidualEnv(Arm(xml), folder)
+
+
+def tenfold(env):
+    """Another unit, in a space of the same limits."""
+    return TransformObservation(env, lambda seen: 10.0 * seen, env.observation_space)
+
+
+class OfItsOwn(gymnasium.Wrapper):
+    """Nobody's class; only its space says that it changes something."""
+
+    def __init__(self, env):
+        super().__init__(env)
+        self.observation_space = Box(-1.0, 1.0, (7,), np.float64)
+
+
+@pytest.mark.parametrize(
+    ("wrap", "told"),
+    [
+        (tenfold, "TransformObservation"),
+        (lambda env: FrameStackObservation(env, 3), "FrameStackObservation"),
+        (lambda env: TimeLimit(FlattenObservation(env), 20), "FlattenObservation"),
+        (lambda env: DelayObservation(env, 1), "DelayObservation"),
+        (lambda env: MaxAndSkipObservation(env, 2), "MaxAndSkipObservation"),
+        (OfItsOwn, "OfItsOwn"),
+    ],
+)
+def test_observations_that_are_no_longer_the_environment_s_are_refused(xml, network, wrap, told):
+    with pytest.raises(ConfigError, match=told) as refused:
+        ResidualEnv(wrap(Arm(xml)), network)
+    assert "innermost" in refused.value.hint
+    wrap(ResidualEnv(Arm(xml), network)).reset(seed=0)  # the other way around it goes
+
+
+def test_two_networks_one_after_the_other_are_refused(xml, network):
+    """The second would correct what the simulator says, not what the first makes of it."""
+    with pytest.raises(ConfigError, match="ResidualEnv"):
+        ResidualEnv(ResidualEnv(Arm(xml), network), network)
+
+
+def test_wrappers_that_leave_observations_alone_are_welcome(xml, network):
+    env = ResidualEnv(RescaleAction(TimeLimit(Arm(xml), 20), np.float32(-2), np.float32(2)), network)
+    np.testing.assert_allclose(env.reset(seed=0)[0][:4], np.array([0.3, -0.2, 0, 0]) + SHIFT, atol=1e-6)
 
 
 def test_an_environment_without_mujoco_is_refused(network):

@@ -7,6 +7,9 @@ import threading
 import time
 
 import numpy as np
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
 
 from trueup.ros2 import JointState, Network, Node, run_bridge
 from trueup.ros2.messages import Header, Time
@@ -46,6 +49,17 @@ def send_all(outbox, messages, *, every_s=0.0):
             time.sleep(every_s)
 
 
+def asking(node, topic, type_=JointState, *, reliable=True, policies=()):
+    """A reader as ROS 2's nodes have them; one with the system's defaults is reliable under rmw_cyclonedds."""
+    reliability = Policy.Reliability.Reliable(max_blocking_time=0) if reliable else Policy.Reliability.BestEffort
+    participant = node._participant
+    return DataReader(
+        participant,
+        Topic(participant, f"rt{topic}", type_),
+        qos=Qos(reliability, Policy.History.KeepLast(10), *policies),
+    )
+
+
 def received(inbox, node, count, seconds=10.0):
     """So many messages, or as many as came in so long."""
     messages, until = [], time.monotonic() + seconds
@@ -53,6 +67,29 @@ def received(inbox, node, count, seconds=10.0):
         node.wait(0.1)
         messages += inbox.take()
     return messages
+
+
+class Publishing:
+    """Joint states on a topic, again and again, as long as it is entered."""
+
+    def __init__(self, node, topic="/joint_states", names=JOINTS, every_s=0.01):
+        outbox, self._stop = node.publish(topic, JointState), threading.Event()
+
+        def speak():
+            began = time.monotonic()
+            while not self._stop.wait(every_s):
+                outbox.send(state(time.monotonic() - began, names=names))
+
+        self._thread = threading.Thread(target=speak, daemon=True)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._stop.set()
+        self._thread.join(10.0)
+        assert not self._thread.is_alive()
 
 
 class Bridge:

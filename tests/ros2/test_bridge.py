@@ -6,7 +6,7 @@ from benchmarks.networks import inputs_of, outputs_of, real_time
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from ros2.ros2_cases import JOINTS, Bridge, arrays, network, received, send_all, state, wait_for
+from ros2.ros2_cases import JOINTS, Bridge, arrays, asking, network, received, send_all, state, wait_for
 from trueup.dataset import Dataset
 from trueup.deploy import Stream
 from trueup.errors import ConfigError, MissingSignal
@@ -31,11 +31,11 @@ def augmented(folder):
     return Augmented(Stream.load(folder, rate_hz=RATE_HZ, joints=JOINTS))
 
 
-def through(where, folder, messages):
-    """What a bridge of its own answers to messages that are published as fast as can be."""
+def through(where, folder, messages, *, others=0):
+    """What a bridge of its own answers to messages that are published as fast as can be; so many hear each topic, too."""
     with Bridge(where, augmented(folder)) as bridge, Node(where) as node:
         source, answers = node.publish("/joint_states", JointState), node.listen("/corrected", JointState)
-        wait_for(lambda: source.readers and answers.writers and bridge.outbox.readers)
+        wait_for(lambda: source.readers > others and answers.writers and bridge.outbox.readers > others)
         send_all(source, messages, every_s=0.001)
         return received(answers, node, len(messages))
 
@@ -104,21 +104,16 @@ def test_a_listener_that_comes_late_gets_what_comes_then(folder):
 
 
 def test_a_listener_that_asks_for_reliable_messages_hears_a_reliable_bridge_only(folder):
-    from cyclonedds.qos import Policy, Qos
-    from cyclonedds.sub import DataReader
-    from cyclonedds.topic import Topic
-
-    wanted = Qos(Policy.Reliability.Reliable(max_blocking_time=0))
     for reliable in (False, True):
         where = network(reliable=reliable)
-        with Node(where) as offering, Node(where) as asking:
+        with Node(where) as offering, Node(where) as other:
             outbox = offering.publish("/corrected", JointState)
-            plain = asking.listen("/corrected", JointState)
-            participant = asking._participant
-            reader = DataReader(participant, Topic(participant, "rt/corrected", JointState), qos=wanted)
+            plain, reader = other.listen("/corrected", JointState), asking(other, "/corrected")
             wait_for(lambda: plain.writers)  # noqa: B023 - it is over before the next
+            wait_for(lambda: outbox.readers == 2 if reliable else outbox.refused)  # noqa: B023 - likewise
             assert bool(reader.get_matched_publications()) == reliable
             assert outbox.readers == 1 + reliable
+            assert outbox.refused == (None if reliable else "reliability")
 
 
 def test_other_topics_are_heard_beside(folder, tmp_path):
@@ -182,8 +177,26 @@ def test_a_domain_has_one_reach_in_a_process():
         Node(type(where)(where.number, localhost=False))
 
 
+class Recorder:
+    """Joint states as they came off DDS, as `ros2 bag record` hears them."""
+
+    def __init__(self, where, topic):
+        self._node = Node(where)
+        self._inbox = self._node.listen(topic, JointState)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._node.close()
+
+    def taken(self, count):
+        """So many messages."""
+        return received(self._inbox, self._node, count)
+
+
 def written(path, messages):
-    """The messages in a bag, as `ros2 bag record` would have kept them."""
+    """What a recorder has taken, in a bag."""
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection("/joint_states", TYPE, typestore=STORE)
         for message in messages:
@@ -198,16 +211,19 @@ def played(path):
 
 
 def test_a_bag_of_a_run_plays_back_to_the_same_result(folder, tmp_path):
-    """What was live goes into a bag; played into another bridge, faster and on another day, it is answered the same."""
-    messages = [state(number / RATE_HZ, names=("b", "gripper", "a")) for number in range(200)]
-    live = through(network(), folder, messages)
-    bag = written(tmp_path / "states", messages)
+    """What came off DDS goes into a bag; played into another bridge, faster and on another day, it is answered the same."""
+    messages, where = [state(number / RATE_HZ, names=("b", "gripper", "a")) for number in range(200)], network()
+    with Recorder(where, "/joint_states") as states, Recorder(where, "/corrected") as answers:
+        live = through(where, folder, messages, others=1)
+        came, answered = states.taken(len(messages)), answers.taken(len(messages))
+    assert len(came) == len(answered) == len(messages)
+    bag = written(tmp_path / "states", came)
     again = through(network(), folder, played(bag))
     assert [answer.serialize(use_version_2=False) for answer in again] == [
         answer.serialize(use_version_2=False) for answer in live
     ]
     # And a bag of the answers is data like any other.
-    written(tmp_path / "answers", live)
+    written(tmp_path / "answers", answered)
     import_logs(tmp_path / "answers", tmp_path / "data")
     (episode,) = Dataset(tmp_path / "data")
     order = [list(live[0].name).index(joint) for joint in episode.measured.joints]

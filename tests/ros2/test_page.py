@@ -27,14 +27,22 @@ def command(*words):
     return shlex.split(line)[1:]
 
 
+def wait_for_states(where, seconds=90.0):
+    """Until somebody publishes joint states: a person looks at the first terminal before the third is opened."""
+    with Node(where) as node:
+        states = node.listen("/joint_states", JointState)
+        wait_for(states.take, seconds)
+
+
 def test_three_terminals(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    domain = network().number
-    arm = started(*command("deploy serve"), domain=domain)
-    bridge = started(*command("deploy ros2", "zoo:"), domain=domain)
+    where = network()
+    arm = started(*command("deploy serve"), domain=where.number)
+    bridge = started(*command("deploy ros2", "zoo:"), domain=where.number)
+    wait_for_states(where)
     record = command("record", "--scale 0.001")
     record[record.index("0.001")] = "0.0003"
-    code, out, err = ended(started(*record, domain=domain), seconds=120)
+    code, out, err = ended(started(*record, domain=where.number), seconds=120)
     assert code == 0, err
     assert "motions recorded" in out
     assert (tmp_path / "data" / "live").is_dir()
@@ -72,12 +80,13 @@ def test_corrected_commands(tmp_path, monkeypatch):
 
 def test_a_robot_of_ros2_control(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    domain = network().number
+    where = network()
     record = command("record", "--form array")
     record[record.index("0.01")] = "0.0003"
     topics = ("--commands", record[record.index("--commands") + 1], "--form", "array")
-    arm = started("deploy", "serve", "--robot", "panda", "--hz", 500, *topics, domain=domain)
-    code, _, err = ended(started(*record, domain=domain), seconds=120)
+    arm = started("deploy", "serve", "--robot", "panda", "--hz", 500, *topics, domain=where.number)
+    wait_for_states(where)
+    code, _, err = ended(started(*record, domain=where.number), seconds=120)
     assert code == 0, err
     assert (tmp_path / "data" / "robot").is_dir()
     assert ended(arm, number=signal.SIGINT)[0] == 0
@@ -99,6 +108,51 @@ def test_what_it_adds_is_what_was_measured():
     from benchmarks.pages.__main__ import ROOT, with_parts
 
     assert with_parts("ros2.md") == (ROOT / "docs" / "ros2.md").read_text()
+
+
+HOUR = {
+    "provenance": {"config": {"machine": {"name": "a computer"}}},
+    "seconds": 3600.0,
+    "rate_hz": 1000.0,
+    "published": 3600000,
+    "answers": 3599990,
+    "memory_mb": [150.04, 150.1, 150.3],
+    "bridge": {"received": 3600000, "sent": 3599999, "added": {"p99_us": 412.0, "max_us": 22800.0}},
+}
+
+
+def test_an_hour_is_a_part_of_the_page():
+    from benchmarks.pages import ros2_hour
+    from benchmarks.pages.markdown import with_section
+
+    page = with_section(TEXT, ros2_hour.part(HOUR))
+    part = page[page.index("## For an hour") :]
+    assert "for 60 minutes at 1000 Hz on a computer" in part
+    cells = dict(re.findall(r"^\| (.+?) \| (.+?) \|$", part, re.M))
+    assert cells["messages published"] == cells["of these delivered to the bridge"] == "3600000"
+    assert cells["of these answered"] == "3599999"
+    assert cells["longest"] == "22.80 ms"
+    assert cells["memory of the bridge after a minute"] == "150.0 MB"
+    assert cells["memory at the end"] == "150.3 MB"
+    assert page.split("## For an hour")[0] == TEXT.split("## For an hour")[0]
+
+
+def test_the_table_of_what_it_adds_has_a_row_for_each_time():
+    from benchmarks.pages import ros2_bridge
+
+    quantiles = ("p50", "p99", "p999", "max")
+    result = {
+        **{name: HOUR[name] for name in ("provenance", "seconds", "rate_hz", "published")},
+        **{name: dict.fromkeys(quantiles, value) for name, value in (("added_ms", 0.3), ("direct_ms", 0.2))},
+        "whole_ms": dict.fromkeys(quantiles, 0.5),
+        "delivered": 3600000,
+        "lost": 0,
+        "bridge": {name: dict.fromkeys((f"{at}_us" for at in quantiles), 100.0) for name in ("added", "way")},
+    }
+    part = ros2_bridge.part(result)
+    firsts = dict(re.findall(r"^\| (.+?) \| ([\d.]+) \|", part, re.M))
+    assert list(firsts.values()) == ["0.30", "0.10", "0.10", "0.20", "0.50"]
+    assert "all of these were answered" in part
 
 
 @pytest.mark.parametrize("option", ["--states", "--publish", "--hz", "--measured", "--reliable", "--domain"])

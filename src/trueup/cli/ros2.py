@@ -13,7 +13,7 @@ import typer
 from rich.table import Table
 
 from trueup.cli import options
-from trueup.cli.console import note, out, problem, status_line
+from trueup.cli.console import note, out, problem, status_line, warning
 
 if TYPE_CHECKING:
     from trueup.ros2 import BridgeReport
@@ -95,6 +95,7 @@ def ros2(
             seconds=seconds,
             on_open=_opened,
             on_progress=lambda report: line(_progress(report)),
+            on_warning=warning,
         )
     _show(done)
     if not done.report.sent:

@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium
 import mujoco
 import numpy as np
+from gymnasium.wrappers import FrameStackObservation, MaxAndSkipObservation
 
 from trueup.augment.correction import refuse_other_joints
 from trueup.deploy import Network, Status, Stream, StreamSettings
@@ -16,6 +17,8 @@ from trueup.errors import ConfigError
 
 # Signals of a joint in a MuJoCo state; what a network reads or corrects besides cannot be put into an observation.
 _STATE = ("position", "velocity")
+# Wrappers of gymnasium that change observations and are none of its `ObservationWrapper`.
+_OBSERVERS = (gymnasium.ObservationWrapper, FrameStackObservation, MaxAndSkipObservation)
 
 
 class ResidualEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -26,8 +29,12 @@ class ResidualEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     For environments over MuJoCo that have `model`, `data`, `dt` and `_get_obs()`, as Gymnasium's `MujocoEnv` and what
     others derive from it. The physics inside goes on as if there were no network (Realeasy, II-B: no hard-setting
     of states); after each step the corrected positions and velocities are put into the state, the environment is asked
-    what it observes then, and the state is put back, so that what follows from joints (site positions, distances) is
-    corrected, too. Rewards and ends of episodes are the environment's own, of its physics.
+    what it observes then, and all of `data` is put back bit by bit, so that what follows from joints (site positions,
+    distances) is corrected, too. Rewards and ends of episodes are the environment's own, of its physics.
+
+    `_get_obs()` is called twice more per step, with the simulated and with the corrected state, and the difference of
+    the two is added: one that counts its calls counts three, and the noise of one that adds it is in the difference.
+    Wrappers that change observations belong around this one, since they would be given a difference of raw ones.
 
     The network sees one sample per step of the environment. Inputs outside of what it was trained on are not corrected,
     as beside a robot: `info["residual"]` says `ok`, `warming`, `fallback` or `held`.
@@ -38,8 +45,9 @@ class ResidualEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         warmup: leave the first `card.warmup_steps` observations of an episode uncorrected, as a control loop does.
 
     Raises:
-        ConfigError: the environment has no MuJoCo state, the network looks into the future, reads commands or sensors,
-            corrects neither position nor velocity, or is for another rate than the environment's.
+        ConfigError: the environment has no MuJoCo state, or a wrapper inside changes its observations; the network
+            looks into the future, reads commands or sensors, corrects neither position nor velocity, or is for another
+            rate than the environment's.
         NameMismatch: joints of the network are not in the model, or are no hinges or slides.
     """
 
@@ -53,6 +61,7 @@ class ResidualEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
                 got=f"without {', '.join(lacking) or 'an MjModel'}",
                 expected="model, data, dt and _get_obs(), as gymnasium's MujocoEnv has them",
             )
+        _refuse_other_observations(env)
         network = network if isinstance(network, Network) else Network.load(network)
         self._inner, self._model, self._data = inner, inner.model, inner.data
         joints = _sliding_or_turning(self._model)
@@ -82,7 +91,7 @@ class ResidualEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
             )
             for signal in _STATE
         }
-        self._state = np.empty(mujoco.mj_stateSize(self._model, mujoco.mjtState.mjSTATE_INTEGRATION))
+        self._kept = mujoco.MjData(self._model)
         self._steps = 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -111,8 +120,8 @@ class ResidualEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         answer = self._stream.step(simulated, time_s=self._steps / self._stream.card.rate_hz)
         if answer.status is not Status.OK:
             return observation, answer.status.name.lower()
-        kind = mujoco.mjtState.mjSTATE_INTEGRATION
-        mujoco.mj_getState(self._model, data, self._state, kind)
+        # All of it: positions of bodies and sensors are a physics step behind the joints, and rewards are made of them.
+        mujoco.mj_copyData(self._kept, self._model, data)
         # MujocoEnv observes sites and bodies as they were before its last physics step: a difference is added to that.
         mujoco.mj_forward(self._model, data)
         fresh = self._inner._get_obs()  # noqa: SLF001 - the one name that MujocoEnv has for it
@@ -121,9 +130,22 @@ class ResidualEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
             target[place[joints]] = answer.values[columns]
         mujoco.mj_forward(self._model, data)
         corrected = self._inner._get_obs()  # noqa: SLF001 - likewise
-        mujoco.mj_setState(self._model, data, self._state, kind)
-        mujoco.mj_forward(self._model, data)
+        mujoco.mj_copyData(data, self._model, self._kept)
         return _moved(observation, fresh, corrected), answer.status.name.lower()
+
+
+def _refuse_other_observations(env: gymnasium.Env[Any, Any]) -> None:
+    """No wrapper between here and the environment may change what it observes."""
+    own = env.unwrapped.observation_space
+    while isinstance(env, gymnasium.Wrapper):
+        if isinstance(env, (*_OBSERVERS, ResidualEnv)) or env.observation_space != own:
+            raise ConfigError(
+                "the observations are no longer the environment's own",
+                got=f"{type(env).__name__} inside",
+                expected="only wrappers that leave observations alone, as TimeLimit and RescaleAction",
+                hint="Put ResidualEnv innermost, and only one of them.",
+            )
+        env = env.env
 
 
 def _moved(observation: Any, fresh: Any, corrected: Any) -> Any:

@@ -26,6 +26,18 @@ _LAST_DOMAIN = 232
 # A reader keeps this many messages: four seconds of a robot at 1 kHz. ROS keeps five of a sensor, which a loop that is
 # late once by 6 ms has lost; how much a reader keeps is its own affair and agrees with every writer.
 _KEPT = 4096
+# A reliable writer keeps this many commands for readers that have missed some, as ROS does by default: who has missed
+# more has no use for the older ones.
+_COMMANDS_KEPT = 10
+# DDS's numbers of what a reader may ask for and a writer may not offer (DDS 1.4, 2.2.3).
+_POLICIES = {
+    2: "durability",
+    4: "deadlines",
+    6: "ownership",
+    8: "liveliness",
+    11: "reliability",
+    23: "another encoding",
+}
 # Once around in a wait, so that signals are seen [s].
 _WAIT_S = 0.1
 _NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
@@ -47,8 +59,8 @@ class Network:
         domain: ROS 2's domain, 0 to 232; `ROS_DOMAIN_ID`, or 0, if None.
         localhost: this computer only, as `ROS_LOCALHOST_ONLY=1`; what the environment says if None. Where
             `CYCLONEDDS_URI` is set, its settings count, and this must not be asked for.
-        reliable: what is published is offered again to readers that ask for it, and kept for them meanwhile. Readers
-            that expect it of commands need it; without, as of sensors in ROS 2, a message is sent once.
+        reliable: joint states that are published are offered again to readers that ask for it, and kept for them
+            meanwhile; without, as of sensors in ROS 2, a message is sent once. Commands are always reliable.
 
     Raises:
         ConfigError: there is no such domain, or two settings contradict each other.
@@ -133,9 +145,9 @@ class Inbox(Generic[Message]):
         """Something has come."""
         return self._unread
 
-    def take(self) -> list[Message]:
-        """All that has come since it was asked last; writers that came or went are no messages."""
-        samples: list[Any] = self._reader.take(N=_KEPT)
+    def take(self, most: int = _KEPT) -> list[Message]:
+        """What has come since it was asked last, all of it or so much; writers that came or went are no messages."""
+        samples: list[Any] = self._reader.take(N=most)
         return [sample for sample in samples if not isinstance(sample, InvalidSample)]
 
     @property
@@ -147,16 +159,21 @@ class Inbox(Generic[Message]):
 class Outbox(Generic[Message]):
     """A topic that is published to.
 
+    A reader never holds up whoever sends: the last messages are kept for readers that ask for reliable ones, newer
+    messages take the place of older ones, and nobody is waited for.
+
     Attributes:
         topic: its name in ROS 2.
     """
 
-    def __init__(self, participant: DomainParticipant, topic: str, type_: type[Message], *, reliable: bool) -> None:
+    def __init__(
+        self, participant: DomainParticipant, topic: str, type_: type[Message], *, reliable: bool, kept: int
+    ) -> None:
         self.topic = topic
         qos = Qos(
             Policy.Reliability.Reliable(max_blocking_time=0) if reliable else Policy.Reliability.BestEffort,
             Policy.Durability.Volatile,
-            Policy.History.KeepLast(_KEPT if reliable else 1),
+            Policy.History.KeepLast(kept if reliable else 1),
             Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
         )
         self._writer = DataWriter(participant, _topic(participant, topic, type_), qos=qos)
@@ -169,6 +186,13 @@ class Outbox(Generic[Message]):
     def readers(self) -> int:
         """How many listen there now."""
         return len(self._writer.get_matched_subscriptions())
+
+    @property
+    def refused(self) -> str | None:
+        """What a listener has asked for that is not offered, so that it hears nothing; None if nobody has."""
+        writer: Any = self._writer  # cyclonedds gives its status no type
+        status = writer.get_offered_incompatible_qos_status()
+        return _POLICIES.get(status.last_policy_id, "something else") if status.total_count else None
 
 
 class Node:
@@ -204,13 +228,20 @@ class Node:
         self._watched.append(inbox.condition)
         return inbox
 
-    def publish(self, topic: str, type_: type[Message]) -> Outbox[Message]:
+    def publish(self, topic: str, type_: type[Message], *, commands: bool = False) -> Outbox[Message]:
         """Offer a topic.
+
+        Args:
+            topic: its name.
+            type_: of its messages.
+            commands: that a robot follows. Its controllers may ask for reliable ones, as those of ros2_control do, and
+                they are offered so; listeners that do not ask hear them, too. Joint states are as the network says.
 
         Raises:
             ConfigError: no name of a topic.
         """
-        return Outbox(self._participant, topic, type_, reliable=self.network.reliable)
+        reliable, kept = commands or self.network.reliable, _COMMANDS_KEPT if commands else _KEPT
+        return Outbox(self._participant, topic, type_, reliable=reliable, kept=kept)
 
     def wait(self, seconds: float = _WAIT_S) -> bool:
         """Until something has come to one of the inboxes, at most so long [s]; whether it has."""

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from trueup.errors import ConfigError, NameMismatch, RobotStopped
 from trueup.ros2.joints import FIELDS, JointColumns
+from trueup.ros2.listeners import refusal_hint
 from trueup.ros2.messages import Float64MultiArray, Header, JointState, Time
 from trueup.ros2.node import Network, Node, Outbox
 
@@ -81,7 +82,7 @@ class Ros2Robot:
         self._joints, self._columns = tuple(joints), JointColumns(joints)
         self._node = Node(self.topics.network)
         self._states = self._node.listen(self.topics.states, JointState)
-        self._commands: Outbox[Any] = self._node.publish(self.topics.commands, FORMS[self.topics.form])
+        self._commands: Outbox[Any] = self._node.publish(self.topics.commands, FORMS[self.topics.form], commands=True)
         self._started_s = self._heard_s = time.monotonic()
         self._reading: dict[str, np.ndarray] = {}
         self._others: tuple[str, ...] = ()
@@ -182,6 +183,12 @@ class Ros2Robot:
                 f"no joint states on {self.topics.states} within {patience_s:g} s",
                 got=found,
                 hint="`ros2 topic list` shows what there is; --states names another topic, --domain another domain.",
+            )
+        if refused := self._commands.refused:
+            raise RobotStopped(
+                f"nobody listens to {self.topics.commands}",
+                got=f"{found}; a listener asks for {refused}, which is not offered",
+                hint=refusal_hint(self.topics.commands, refused),
             )
         raise RobotStopped(
             f"nobody listens to {self.topics.commands}",

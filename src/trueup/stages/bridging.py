@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from trueup.core.atomic import write_json
 from trueup.core.model_card import ModelCard
+from trueup.core.sole_writer import writes_alone
 from trueup.errors import ConfigError, OutputExists
 from trueup.stages.rigs import position_limits
 
@@ -58,6 +59,7 @@ class Bridged:
     file: Path | None = field(default=None)
 
 
+@writes_alone()
 def bridge(
     folder: Path,
     *,
@@ -73,6 +75,7 @@ def bridge(
     seconds: float | None = None,
     on_open: Callable[[BridgeTopics, bool], None] = lambda *_: None,
     on_progress: Callable[[BridgeReport], None] = lambda _: None,
+    on_warning: Callable[[str, str], None] = lambda *_: None,
 ) -> Bridged:
     """Let a network answer messages until it is stopped. What it corrects, states or commands, is in its card.
 
@@ -90,6 +93,8 @@ def bridge(
         seconds: ends it after so long [s].
         on_open: told when all topics are open: their names, and whether it is a compensation.
         on_progress: told once per second.
+        on_warning: told once of each kind of listener that hears nothing, and that nobody listens to commands: what is
+            wrong, and what to do.
 
     Raises:
         OutputExists: `bridge.json` is there.
@@ -102,6 +107,7 @@ def bridge(
     from trueup.deploy.compensator import calls_per_step
     from trueup.ros2 import Augmented, Compensated, JointState, Node, run_bridge
     from trueup.ros2.answers import signals_read
+    from trueup.ros2.listeners import Listeners
     from trueup.ros2.robot import FORMS
 
     topics = topics or BridgeTopics()
@@ -151,10 +157,17 @@ def bridge(
     with Node(network) as node:
         inbox = node.listen(inbox_topic, JointState)
         others = [(node.listen(topic, JointState), hear) for topic, hear in beside]
-        outbox: Outbox[Any] = node.publish(topics.publish, FORMS[form] if compensation else JointState)
+        type_ = FORMS[form] if compensation else JointState
+        outbox: Outbox[Any] = node.publish(topics.publish, type_, commands=compensation)
+        listeners = Listeners(outbox, commands=compensation, tell=on_warning)
         on_open(topics, compensation)
+
+        def progress(report: BridgeReport) -> None:
+            listeners.look(report.seconds)
+            on_progress(report)
+
         report = run_bridge(
-            node, inbox, outbox, answer, beside=others, stop=stop, seconds=seconds, on_progress=on_progress
+            node, inbox, outbox, answer, beside=others, stop=stop, seconds=seconds, on_progress=progress
         )
     if file is not None:
         content = {"model": card.name, "rate_hz": card.rate_hz, "message_hz": rate_hz, "topics": vars(topics)}
