@@ -1,6 +1,6 @@
 """Which of my robots is not like the others?
 
-Four small arms are recorded, the last with a worn joint; each is identified by itself, and compared.
+Four small arms are recorded, the last of which hears its commands late; each is identified by itself, and compared.
 
     python examples/which_robot_is_different.py OUT
 """

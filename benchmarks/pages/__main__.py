@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from benchmarks.pages import kinds, laws
+from benchmarks.pages import choosing, gallery, kinds, laws, peers
 from benchmarks.pages.markdown import with_section
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,10 +28,16 @@ PARTS = {
         "what-compensation-brings.md",
     ),
     "whole_body": "whole-body.md",
-    "ros2_bridge": "ros2.md",
+    **dict.fromkeys(("ros2_bridge", "ros2_hour"), "ros2.md"),
     "fleet": "fleet.md",
+    "close": "close.md",
     **dict.fromkeys(("policy_transfer", "policy_going_on", "policy_algorithms", "policy_grid"), "policy-transfer.md"),
 }
+
+
+def from_several() -> dict[str, str]:
+    """Page -> its text with what is made from the code or from several results: tables, sections, the whole page."""
+    return {name: text for module in (kinds, laws, peers, choosing, gallery) for name, text in module.pages().items()}
 
 
 def is_stored(name: str) -> bool:
@@ -83,7 +89,7 @@ def main() -> None:
     for name in filter(is_stored, PARTS):
         for path, content in figures(name).items():
             (ROOT / "docs" / path).write_text(content)
-    for file, content in {**kinds.pages(), **laws.pages()}.items():
+    for file, content in from_several().items():
         (ROOT / "docs" / file).write_text(content)
 
 

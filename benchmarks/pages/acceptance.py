@@ -10,8 +10,11 @@ from benchmarks.pages.markdown import table
 
 TEXT = """# What was asked, and what is reached
 
-Every promise of the parts that stand, with the command that measures it, the figure and the bar that was set before the
-part was built. All of it was measured on one commit, `{commit}`, on {date}, in {hours:.1f} hours, by
+Every promise of the first {count} parts
+({names}),
+as they stood on {date}, with the command that measures it, the figure and the bar that was set before the part was
+built. What came later, and newer figures of these, stand in the [table of all benchmarks](benchmarks.md), which
+`python -m benchmarks` makes. All of this was measured on one commit, `{commit}`, in {hours:.1f} hours, by
 
 ```sh
 make acceptance
@@ -22,16 +25,21 @@ which writes this page. A figure without a bar is shown for comparison. {verdict
 {parts}
 """
 
+_COUNTS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
+
 
 def page(result: Mapping[str, Any]) -> str:
     """The page as Markdown."""
     lines: Sequence[Mapping[str, Any]] = result["lines"]
     made = result["provenance"]
+    names = list(dict.fromkeys(line["part"] for line in lines))
     parts = [
         f"## {part}\n\n{_table(list(own))}{_reasons(lines, part)}"
         for part, own in groupby(lines, lambda line: line["part"])
     ]
     return TEXT.format(
+        count=_COUNTS.get(len(names), len(names)),
+        names=", ".join(names[:1] + [name.lower() for name in names[1:]]),
         commit=made["git"],
         date=made["created"][:10],
         hours=made["config"]["seconds"] / 3600,

@@ -60,7 +60,7 @@ def part(result: Mapping[str, Any]) -> str:
         seeds=f"{len(seeds)} seeds" if len(seeds) > 1 else "One seed",
         minutes=minutes,
         tau=result["tau_rad"],
-        rougher=span(_rougher(tests), 1),
+        rougher=span(rougher_by(tests), 1),
         unseen=span(_unseen(tests)),
         spread=_spread(seeds),
         tables="\n\n".join(
@@ -92,7 +92,8 @@ def _spread(seeds: Mapping[str, Any]) -> str:
     return f"From seed to seed, the mean error to the simulator is {said}."
 
 
-def _rougher(tests: Mapping[str, Any]) -> list[float]:
+def rougher_by(tests: Mapping[str, Any]) -> list[float]:
+    """How many times rougher accelerations are with a network, by test, payload and metric."""
     return [
         found["simulator"][metric]["compensated"] / found["simulator"][metric]["plain"]
         for own in tests.values()

@@ -1,4 +1,4 @@
-"""Tables of the docs that list what there is: formats, metrics and methods, from the tables in the code."""
+"""Tables of the docs that list what there is: formats, metrics, methods, quantities, from the tables in the code."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -6,6 +6,7 @@ from pathlib import Path
 from benchmarks.pages.markdown import with_rows
 from trueup.augment.networks import METHODS, method
 from trueup.dataset.importers.detect import FORMATS, importer
+from trueup.identify import QUANTITIES
 from trueup.measure import METRICS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -18,6 +19,7 @@ def pages() -> Mapping[str, str]:
     return {
         "logs.md": _with_table("logs.md", ("name", "looks for", "one episode is", "what is assumed"), _formats()),
         "metrics.md": _with_table("metrics.md", ("name", "formula", "unit", "better", "signals", "source"), _metrics()),
+        "good-data.md": _with_table("good-data.md", ("with the joint, or the body", "tells"), _motions()),
         "augmentation.md": _with_table("augmentation.md", ("method", "what it is", "in a control loop"), _methods()),
     }
 
@@ -39,6 +41,15 @@ def _methods() -> Iterable[Sequence[str]]:
     for name in METHODS:
         item = method(name)
         yield f"`{name}`", item.about, "no" if item.config.network.bidirectional else "yes"
+
+
+def _motions() -> Iterable[Sequence[str]]:
+    """What shows a quantity, in the words in which a fit asks for it."""
+    by_motion: dict[str, list[str]] = {}
+    for name, item in QUANTITIES.items():
+        by_motion.setdefault(item.excite.format(target="it"), []).append(f"`{name}`")
+    for motion, names in by_motion.items():
+        yield motion, ", ".join(names)
 
 
 def _with_table(page: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

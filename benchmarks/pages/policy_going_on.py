@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchmarks.pages.markdown import table
-from benchmarks.pages.policy_transfer import DRAWS, SIMULATORS
+from benchmarks.pages.policy_transfer import DRAWS, EARLIER, SIMULATORS
+from benchmarks.policy_going_on import table as tabulated
 
 PLACES = {
     "stock": "MuJoCo, as it comes",
@@ -15,6 +16,7 @@ PLACES = {
     "own robot": "its robot",
     "other robots": "robots 4 to 6",
 }
+_SIMULATORS = {"stock": "in the simulator as it comes", "identified": "in the one that was identified"}
 MINUTES = (1, 2, 3, 4, 6, 8, 10)
 TEXT = """## Going on after identification
 
@@ -23,9 +25,10 @@ one is there before anything is identified, and what it does on the robot is wha
 each of robots 1 to 3 has a seed. Its first policy is trained as the simulator comes (`--config laptop`), and drives it
 to {driven} goals (`trueup deploy run --out`); from these logs the robot is identified, all within a few minutes; and
 the policy goes on from where it was (`trueup policy train --start`, as many control steps again, {minutes:.0f} min of
-one core), in the simulator as it comes or as it was identified, with each randomization. Judged on 100 goals that
-nobody has driven to.
-
+one core),
+{where}.
+Judged on 100 goals that nobody has driven to.
+{note}
 ```sh
 python -m benchmarks policy_going_on
 ```
@@ -35,7 +38,9 @@ Mean distance from the goal at the end [cm], the median, the worst, and how many
 {distances}
 
 The same against policies that went on in the simulator as it comes, without randomization: mean over goals of the
-difference [cm] with its 95 % interval, paired by goal and robot. Below zero is nearer.
+difference [cm], paired by goal and robot. Below zero is nearer. The first interval (95 %) is over goals: of these
+policies on these robots. The second is over goals and robots, each of which has a seed of its own: of such robots and
+trainings; with three it is wide.
 
 {differences}
 
@@ -58,7 +63,7 @@ after minutes of one core.
 
 def part(result: Mapping[str, Any]) -> str:
     """The section as Markdown."""
-    found = result["table"]
+    found = tabulated(result["policies"])
     minutes = [
         own["training"]["cpu_minutes"]
         for by_draws in result["policies"].values()
@@ -68,6 +73,8 @@ def part(result: Mapping[str, Any]) -> str:
     return TEXT.format(
         driven=result["provenance"]["config"]["driven"],
         minutes=sum(minutes) / len(minutes),
+        where=_where(found),
+        note="" if result["provenance"]["config"].get("delayed") else EARLIER,
         distances=_each(found, _distance),
         differences=_each(found, _difference, but=("stock", "none")),
         manners=_manners(found),
@@ -75,6 +82,18 @@ def part(result: Mapping[str, Any]) -> str:
         curve=_curve(result["before"]),
         bar=_bar(result["before"]),
     )
+
+
+_WORDS = {"none": "without randomization", "thesis": "with the thesis's", "posterior": "with draws from its posterior"}
+
+
+def _where(found: Mapping[str, Any]) -> str:
+    """In which simulators policies went on, and what was drawn there: what was measured, nothing else."""
+    said = []
+    for simulator, by_draws in found.items():
+        draws = " or ".join(_WORDS[name] for name in by_draws)
+        said.append(f"{_SIMULATORS[simulator]} {draws}")
+    return "; or ".join(said)
 
 
 def _each(found: Mapping[str, Any], cell: Any, but: tuple[str, str] | None = None) -> str:
@@ -94,7 +113,9 @@ def _distance(own: Mapping[str, Any]) -> str:
 
 def _difference(own: Mapping[str, Any]) -> str:
     value, low, high = (100 * item for item in own["minus_stock"])
-    return f"{value:+.2f}<br>[{low:+.2f}, {high:+.2f}]".replace("-", "\N{MINUS SIGN}")
+    _, least, most = (100 * item for item in own["minus_stock_robots"])
+    said = f"{value:+.2f}<br>[{low:+.2f}, {high:+.2f}]<br>[{least:+.2f}, {most:+.2f}]"
+    return said.replace("-", "\N{MINUS SIGN}")
 
 
 def _manners(found: Mapping[str, Any]) -> str:
@@ -123,11 +144,12 @@ def _words(found: Mapping[str, Any]) -> str:
     """The bars, as they came out."""
     own = found["identified"]["posterior"]["own robot"]
     value, low, high = (f"{100 * item:+.2f}".replace("-", "\N{MINUS SIGN}") for item in own["minus_stock"])
+    least, most = (f"{100 * item:+.2f}".replace("-", "\N{MINUS SIGN}") for item in own["minus_stock_robots"][1:])
     said = "beat" if own["minus_stock"][2] < 0 else "are worse than" if own["minus_stock"][1] > 0 else "do not beat"
     return (
         f"Policies that went on in the identified simulator, with draws from its posterior, {said} those that went on "
-        f"in it as it came: {value} cm [{low}, {high}] on their robots, which they bring within "
-        f"{100 * own['median']:.1f} cm (median)."
+        f"in it as it came: {value} cm [{low}, {high}] on their robots, over goals, and within "
+        f"[{least}, {most}] over goals and robots. They bring them within {100 * own['median']:.1f} cm (median)."
     )
 
 

@@ -18,6 +18,7 @@ TITLES = {
     "td3-gamma": "TD3, discount",
     "tqc-rate": "TQC, learning rate",
     "tqc-gamma": "TQC, discount",
+    "tqc-tau": "TQC, following of the target networks",
 }
 # What the thesis says of its figures.
 THESIS = {
@@ -26,6 +27,7 @@ THESIS = {
     "td3-gamma": "hardly learns; worse below 0.99",
     "tqc-rate": "0.0001 and 0.001 alike; 0.01 worse",
     "tqc-gamma": "0.95 no worse than 0.99, 0.9 a little better",
+    "tqc-tau": "0.9 in its list of the best; 0.9 and more poor, in its text (2.3.1)",
 }
 TEXT = """## What their numbers do
 
@@ -44,7 +46,7 @@ Reward of a control step in the best round, mean over seeds (least and largest),
 {rows}
 
 Seeds are few and trainings short: differences smaller than the ranges say nothing. [`trueup policy
-grid`](policies.md#grid-search) searches the thesis's whole grid, and [`trueup policy
+grid`](policies.md#grid-search) searches the grid of the thesis's 2.3.2, and [`trueup policy
 curves`](policies.md#curves-of-trainings) draws such figures of it.
 """
 

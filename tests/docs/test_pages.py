@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 from benchmarks.acceptance.lines import LINES, REASONS
-from benchmarks.pages import curves_figure, kinds, laws, thesis
-from benchmarks.pages.__main__ import NAMES, PARTS, figures, is_stored, text, with_parts
+from benchmarks.pages import acceptance, choosing, curves_figure, peers, policy_going_on, thesis
+from benchmarks.pages.__main__ import NAMES, PARTS, figures, from_several, is_stored, text, with_parts
 from benchmarks.pages.markdown import with_section
 
 ROOT = Path(__file__).parent.parent.parent
@@ -51,10 +51,57 @@ def test_a_section_has_one_place_in_its_page():
             with_section(broken, "## B\n\nnew")
 
 
-def test_the_tables_of_what_there_is_are_made_from_the_code():
-    """`make pages` writes them."""
-    for page, content in {**kinds.pages(), **laws.pages()}.items():
-        assert (ROOT / "docs" / page).read_text() == content
+@pytest.mark.parametrize("page", from_several())
+def test_what_is_made_from_the_code_or_several_results_is_as_they_are(page):
+    """`make pages` writes it."""
+    assert (ROOT / "docs" / page).read_text() == from_several()[page]
+
+
+def test_going_on_says_what_was_measured_and_nothing_else():
+    result = stored("policy_going_on")
+    measured = {(simulator, draws) for simulator, own in result["policies"].items() for draws in own}
+    assert measured == {("stock", "none"), ("identified", "posterior")}
+    said = " ".join(policy_going_on.part(result).split())
+    assert "in the simulator as it comes without randomization; or in the one that was identified with draws" in said
+    result["policies"]["stock"]["thesis"] = result["policies"]["stock"]["none"]
+    said = " ".join(policy_going_on.part(result).split())
+    assert "as it comes without randomization or with the thesis's; or in" in said
+
+
+def test_what_was_asked_says_which_parts_it_covers():
+    said = " ".join(acceptance.page(stored("acceptance")).split())
+    assert "first four parts (Foundation, identification, virtual hardware and recording, learned residuals)" in said
+    assert "(benchmarks.md)" in said
+
+
+def test_the_page_of_choices_follows_the_results(monkeypatch):
+    shown = choosing.pages()[choosing.NAME]
+    result = stored("policy_algorithms")
+    assert f"| `ddpg` | {100 * result['algorithms']['ddpg']['median']:.1f} (" in shown
+    result["algorithms"]["ddpg"]["median"] = 0.123
+    rows = list(choosing._policies(result["algorithms"]))
+    assert rows[-1][1].startswith("12.3 (")
+    for name in (
+        "gauss-newton",
+        "cma-es",
+        "evolution",
+        "realeasy",
+        "mlp",
+        "linear",
+        "transformer",
+        "sat",
+        "sat-bodies",
+    ):
+        assert re.search(rf"^\| .*`{name}`", shown, re.M), name
+
+
+def test_others_are_compared_by_ratios_of_which_below_one_is_ours():
+    assert peers._ratio(0.5, "time") == "0.50"
+    assert peers._ratio(0.5, "speed") == "2.00"
+    assert peers._ratio(1.0024, "error") == "1.002"
+    shown = peers.section()
+    for other in ("mujoco.sysid", "scipy.optimize.least_squares", "PACE", "rosbags"):
+        assert other in shown
 
 
 def test_the_table_of_what_was_asked_has_every_line():

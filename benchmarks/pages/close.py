@@ -1,0 +1,72 @@
+"""The section "On a real arm" of docs/close.md, from what `python -m benchmarks close` has measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from benchmarks.pages.markdown import table
+
+TEXT = """## On a real arm
+
+SAGE's recording of the SO-101 by the command at the top of this page, with its defaults, on {machine}: {seconds}
+from logs to report.
+
+{ladder}
+
+Position RMSE [mrad], 95 % intervals over motions; *seconds* as above. **{best}** is the best on val.
+
+{steps}
+
+The fit says `{fit}` of itself. `trueup demo`, with its defaults, takes {demo} there, the recording included.
+
+```sh
+python -m benchmarks close
+```
+"""
+_SPLITS = ("train", "val", "test")
+
+
+def part(result: Mapping[str, Any]) -> str:
+    """The part of the page that belongs to a result."""
+    so101 = result["so101"]
+    return TEXT.format(
+        machine=result["provenance"]["config"]["machine"]["name"],
+        seconds=_minutes(so101["seconds"]),
+        ladder=_ladder(so101["ladder"]),
+        best=next(rung["name"] for rung in so101["ladder"] if rung["chosen"]),
+        steps=_steps(so101),
+        fit=so101["fit"],
+        demo=_minutes(result["demo"]["seconds"]),
+    )
+
+
+def _ladder(rungs: list[dict[str, Any]]) -> str:
+    rows = []
+    for rung in rungs:
+        name = f"**{rung['name']}**" if rung["chosen"] else rung["name"]
+        rows.append([name, *(_error(rung["errors"].get(split)) for split in _SPLITS), f"{rung['seconds']:.0f}"])
+    return table(["rung", *_SPLITS, "seconds"], rows)
+
+
+def _error(estimate: Mapping[str, Any] | None) -> str:
+    if estimate is None:
+        return ""
+    ends = [estimate.get(end) for end in ("low", "high")]
+    interval = (
+        "" if None in ends else " [{:.1f}, {:.1f}]".format(*(1e3 * float(end) for end in ends if end is not None))
+    )
+    return f"{1e3 * estimate['value']:.1f}{interval}"
+
+
+def _steps(call: Mapping[str, Any]) -> str:
+    rows = [
+        [step["name"], step["status"], step["what"].replace("|", "\\|"), f"{step['seconds']:.0f}"]
+        for step in call["steps"]
+    ]
+    rows.append(["", "", "measuring all runs at the end", f"{call['measuring_s']:.0f}"])
+    return table(["step", "status", "what came of it", "seconds"], rows, left=3)
+
+
+def _minutes(seconds: float) -> str:
+    return f"{seconds / 60:.1f} min"
