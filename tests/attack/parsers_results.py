@@ -35,8 +35,11 @@ from trueup.core.analysis import Analysis
 from trueup.core.atomic import file_hash
 from trueup.core.attribution import Attribution
 from trueup.core.augment_result import AugmentResult
+from trueup.core.close_result import CLOSE_NAME, STEPS, CloseResult, Step
+from trueup.core.design_result import DESIGN_NAME, DesignResult, Foreseen
 from trueup.core.engines import EngineComparison
 from trueup.core.fit_result import FitResult
+from trueup.core.fleet_result import FLEET_NAME, FleetParameter, FleetResult, FleetUnit, UnitValue
 from trueup.core.graybox_result import BlockFit, Coefficient, GrayboxResult, JointFit, Score
 from trueup.core.quality import Quality
 from trueup.core.results import Estimate, GapResult, Ladder
@@ -191,6 +194,34 @@ def make_graybox(folder: Path) -> None:
 def make_latency(folder: Path) -> None:
     """Times of a loop."""
     TIMES.save(folder / "latency.json")
+
+
+def make_design(folder: Path) -> None:
+    rows = (
+        Foreseen("kp[elbow]", 31.0, "Nm/rad", "log", 0.4, 0.1, 0.2),
+        Foreseen("delay_s", 0.02, "s", "linear", 0.01, 0.001, None),
+    )
+    DesignResult(rows, {"trueup": "1"}).save(folder / DESIGN_NAME)
+
+
+def make_close(folder: Path) -> None:
+    """One that did all steps, and one of them too late."""
+    steps = tuple(Step(name, "done", 1.5, f"{name} was done", "abc") for name in STEPS[:-1])
+    last = Step("augment", "cut short", 9.0, "the time was up")
+    networks = {"mujoco/fitted+net": "networks/net"}
+    CloseResult((*steps, last), "augment", 60.0, networks, {"robot": "abc"}, 2.0, {"trueup": "1"}).save(
+        folder / CLOSE_NAME
+    )
+
+
+def make_fleet(folder: Path) -> None:
+    """A unit that was fitted, one that failed, and a parameter."""
+    units = (
+        FleetUnit("one", "one", "ok", 3, 1.5, "", {"stock": {"test": 0.1}}, {"damping[a]": UnitValue(1.0, 0.9, 1.1, "yes")}),
+        FleetUnit("other", "other", "failed", reason="no motion"),
+    )  # fmt: skip
+    parameter = FleetParameter("damping[a]", "Nm s/rad", "damping", True, 1, 1.0, 0.9, 1.1, None, 0.1, 0.05, ("one",))
+    FleetResult(units, (parameter,), "position [rad]", "identify", {"trueup": "1"}).save(folder / FLEET_NAME)
 
 
 def reader(kind: Any, name: str) -> Callable[[Path], Iterator[Exception]]:
@@ -409,6 +440,9 @@ PARSERS = [
         reader(RobustnessResult, ROBUSTNESS_NAME),
     ),
     Parser(CELLS_NAME, lambda folder: _only(make_robustness, folder, CELLS_NAME), reader(Cells, CELLS_NAME)),
+    Parser(CLOSE_NAME, make_close, reader(CloseResult, CLOSE_NAME)),
+    Parser(DESIGN_NAME, make_design, reader(DesignResult, DESIGN_NAME)),
+    Parser(FLEET_NAME, make_fleet, reader(FleetResult, FLEET_NAME)),
     Parser("latency.json", make_latency, reader(StepTimes, "latency.json")),
     Parser("traces", lambda folder: make_traces(_world()).save(folder), read_traces, change_traces),
     Parser("report", make_report, read_report, rename),

@@ -1,6 +1,7 @@
 """Run folders as a comparison would write them: a robot with delay and friction, and two simulators of it."""
 
 import itertools
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -9,8 +10,10 @@ import numpy as np
 from trueup.core.analysis import Analysis, BinnedCurve, HorizonCurve, Lag
 from trueup.core.atomic import write_json
 from trueup.core.attribution import Attribution, AttributionStep
+from trueup.core.close_result import CloseResult, Step
 from trueup.core.episode import Flag
 from trueup.core.fit_result import Direction, FitResult, FittedParameter, ModelRow, Whiteness
+from trueup.core.model_card import Input, ModelCard, Output
 from trueup.core.quality import EpisodeQuality, Quality
 from trueup.core.results import Estimate, GapResult, Ladder, MetricResult, PairedDifference, Rung
 from trueup.core.timeseries import TimeSeries, same_units
@@ -22,7 +25,10 @@ STEP_S = 0.02
 
 @dataclass
 class World:
-    """What `make_run` writes; tests change a copy of it."""
+    """What `make_run` writes; tests change a copy of it.
+
+    The first two runs are simulators, further ones come nearer and nearer to the second one's robot.
+    """
 
     joints: tuple[str, ...] = ("shoulder_pan", "elbow_flex", "gripper")
     scored: tuple[str, ...] = ("shoulder_pan", "elbow_flex")
@@ -67,7 +73,9 @@ def simulate(world):
         measured = _lagged(command, 3, droops * scale) + noise
         stock = _lagged(command, 2, droops * 0.1) + rng.normal(0, 0.004, command.shape).cumsum(axis=0) * 0.05
         fitted = _lagged(command, 3, droops * 0.8) + rng.normal(0, 0.0005, command.shape)
-        runs = dict(zip(world.runs, (stock, fitted), strict=True))
+        shares = np.linspace(0.0, 0.6, len(world.runs) - 1)[1:]
+        corrected = [fitted + share * (measured - fitted) for share in shares]
+        runs = dict(zip(world.runs, (stock, fitted, *corrected), strict=True))
         world.series[name] = (
             _series(world, time_s, measured),
             TimeSeries(time_s, world.joints, {"position": command}, same_units({"position": "rad"}, world.joints)),
@@ -126,7 +134,9 @@ def _metrics(world, errors, ids, rng):
 
 def _pairs(world, errors, ids_of, rng):
     pairs = []
-    for run, baseline in [(label, "command") for label in world.runs] + [(world.runs[1], world.runs[0])]:
+    compared = [(label, "command") for label in world.runs] + [(label, world.runs[0]) for label in world.runs[1:]]
+    compared += [(label, base) for label in world.runs[2:] if (base := label.rpartition("+")[0]) != world.runs[0]]
+    for run, baseline in compared:
         for split, ids in ids_of.items():
             means = [
                 [np.mean([errors[label][name]["position"]["rmse"][joint] for joint in world.scored]) for name in ids]
@@ -190,14 +200,19 @@ def make_gap(world):
 
 
 def make_ladder(world, gap):
-    names = dict(zip(("command", *world.runs), ("command", "stock", "fitted"), strict=True))
-    rungs = [
-        Rung(
-            names[label], seconds, {split: gap.runs[label][split] for split in ("train", "val", "test")}, chosen=chosen
-        )
-        for label, seconds, chosen in zip(names, (0.02, 3.1, 186.0), (False, False, True), strict=True)
-    ]
-    return Ladder(rungs)
+    """A rung for every run; the last one is chosen."""
+    labels = ("command", *world.runs)
+    return Ladder(
+        [
+            Rung(
+                label.split("/")[-1].removeprefix("stock+"),
+                seconds,
+                {split: gap.runs[label][split] for split in ("train", "val", "test")},
+                chosen=label == labels[-1],
+            )
+            for label, seconds in zip(labels, (0.02, 3.1, 186.0, 190.0, 230.0, 260.0, 290.0), strict=False)
+        ]
+    )
 
 
 def make_analysis(world):
@@ -208,7 +223,7 @@ def make_analysis(world):
                 curve = _binned(world, label, column, against)
                 bins.setdefault(label, {}).setdefault("position", {}).setdefault(joint, {})[against] = curve
             seconds = np.linspace(0.02, 0.5, 25)
-            growth = {"command": 0.05, world.runs[0]: 0.035, world.runs[1]: 0.012}[label] * np.sqrt(seconds)
+            growth = {"command": 0.05, world.runs[0]: 0.035}.get(label, 0.012) * np.sqrt(seconds)
             curve = HorizonCurve(tuple(seconds), tuple(growth * (1 + column / 4)), "rad")
             horizon.setdefault(label, {}).setdefault("position", {})[joint] = curve
     for column, joint in enumerate(world.joints):
@@ -430,7 +445,11 @@ def make_fit(joints, status="ok", parameters=None):
             "flagged": {"train": {"square_wave": "saturation"}},
             "refused": {},
         },
-        provenance={"trueup": "0.1.0", "seed": 0, "config": {"identify": {"fit": {"kp": "all"}}}},
+        provenance={
+            "trueup": "0.1.0",
+            "seed": 0,
+            "config": {"robot": {"name": "so101"}, "identify": {"fit": {"kp": "all"}}},
+        },
     )
 
 
@@ -507,7 +526,58 @@ def add_identification(folder: Path, fit, joints) -> Path:
     make_attribution(joints).save(folder / "explain.json")
     write_json(folder / "graybox.json", make_graybox(joints))
     (folder / "robot.fitted.yaml").write_text("schema: trueup.robot/1\n")
-    (folder / "isaac.actuators.yaml").write_text("actuators: {}\n")
+    entry = {
+        "stiffness": 31.0,
+        "damping": 1.5,
+        "armature": 0.02,
+        "friction": 0.3,
+        "dynamic_friction": 0.3,
+        "viscous_friction": 0.9,
+        "effort_limit": 12.0,
+        "delay_s": 0.02,
+    }
+    # A YAML file too.
+    (folder / "isaac.actuators.yaml").write_text(json.dumps({"actuators": dict.fromkeys(joints, entry)}))
     (folder / "model.fitted.xml").write_text("<mujoco><worldbody/></mujoco>")
     np.savez(folder / "fit.samples.npz", **{item.name: np.zeros(3) for item in fit.parameters})
+    return folder
+
+
+# What a close with all networks leaves: many rungs, with long names.
+CLOSE_RUNS = (
+    "mujoco/stock",
+    "mujoco/fitted",
+    "mujoco/stock+moving-average",
+    "mujoco/fitted+moving-average",
+    "mujoco/fitted+realeasy-rt",
+    "mujoco/fitted+realeasy",
+)
+STEPS = (
+    Step("import", "done", 1.2, "8 motions"),
+    Step("replay", "kept", 3.1, "8 motions simulated by the model as it came"),
+    Step("gap", "done", 2.0, "position rmse 0.0407 rad on test"),
+    Step("explain", "failed", 0.4, "nothing was moved that could be fitted"),
+    Step("identify", "cut short", 186.0, "17 of 21 parameters determined, status ok, model 'load'"),
+    Step("augment", "done", 90.0, "fitted+realeasy-rt: 6 of 9 corrections help on val"),
+)
+
+
+def make_card(name, joints, *, causal=True):
+    """A network that reads positions and velocities and corrects positions; nothing of it but its card."""
+    signals = (("position", "rad"), ("velocity", "rad/s"))
+    inputs = tuple(Input(signal, joint, unit, low=-2.0, high=2.0) for signal, unit in signals for joint in joints)
+    outputs = tuple(Output("position", joint, "rad", base=place) for place, joint in enumerate(joints))
+    return ModelCard(name, name, "SO-101", tuple(joints), CLOSE_RUNS[1], 50.0, causal, inputs, outputs)
+
+
+def make_close(folder: Path, status="not-identifiable") -> Path:
+    """A folder as `trueup close` leaves it, after all its steps."""
+    world = World(runs=CLOSE_RUNS, samples=600)
+    make_run(folder, world)
+    add_identification(folder, make_fit(world.joints, status), world.joints)
+    networks = {label: f"networks/{label.split('/')[1].replace('+', '/')}" for label in CLOSE_RUNS[2:]}
+    for label, name in networks.items():
+        (folder / name).mkdir(parents=True)
+        make_card(label.rpartition("+")[2], world.joints, causal=label.endswith("rt")).save(folder / name)
+    CloseResult(STEPS, "augment", budget_s=900.0, networks=networks).save(folder / "close.json")
     return folder

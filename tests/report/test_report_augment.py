@@ -14,6 +14,7 @@ from report.run_folders import World, simulate
 from trueup.augment.evaluation import Candidate, EvaluationBuilder
 from trueup.core.attention import AttentionProfile
 from trueup.core.augment_result import ALL_JOINTS, ANY_CONDITION, AugmentResult, Cut, ModelPair, Pooled, Reliability
+from trueup.core.close_result import CloseResult
 from trueup.core.episode import EpisodeMeta
 from trueup.core.results import Estimate
 from trueup.core.step_times import StepTimes
@@ -32,7 +33,7 @@ from trueup.report.augment_words import against, factor_interval, lead, off_sent
 from trueup.report.folder import RunFolder
 from trueup.report.palette import run_styles
 from trueup.report.sections.attention import attention_sentences
-from trueup.report.sections.augmentation import augmentation_section, shown_traces, typical_motion
+from trueup.report.sections.augmentation import augmentation_section, shown_traces, told_signal, typical_motion
 
 FAR = {"far": 0.02, "far_correction": (0.0, 0.05), "far_probability": (0.0, 1.0)}
 CONDITIONS = ["multi-joint", "multi-joint", "cartesian"]
@@ -85,6 +86,15 @@ def test_the_page_has_the_section_only_with_its_file(folder, run_folder):
     assert "good-net leaves torque of shoulder_pan as simulated: no better on val." in page
     assert build_report(folder) == page
     assert '<section id="augmentation"' not in build_report(run_folder)
+
+
+def test_after_a_close_the_signal_comes_first_that_its_rungs_are_chosen_by(run, result):
+    assert told_signal(run, result) == "torque"
+    closed = replace(run, close=CloseResult((), "augment"))
+    assert told_signal(closed, result) == "position"
+    context = augmentation_section(closed).context
+    assert "position error" in context["lead"] or "position goes" in context["lead"]
+    assert context["cuts"].default[1] == "position"
 
 
 def test_tables_hold_the_numbers_of_the_file(folder, result):

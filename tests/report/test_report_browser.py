@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 
 from report.run_folders import (
+    CLOSE_RUNS,
     World,
     add_identification,
     fit_parameters,
+    make_close,
     make_fit,
     make_run,
     many_parameters,
@@ -479,3 +481,144 @@ def test_learned_corrections_are_drawn_and_follow_their_menus(driver, run_folder
     show(driver, page, 390, mobile=True)
     wide, narrow = driver.execute_script("const e = document.documentElement; return [e.scrollWidth, e.clientWidth]")
     assert wide <= narrow == 390
+
+
+# --- a close ---
+
+
+@pytest.fixture(scope="module")
+def closed_page(tmp_path_factory) -> Path:
+    folder = make_close(tmp_path_factory.mktemp("closed") / "run")
+    evaluation(simulate(World(samples=600))).save(folder / "augment.json")
+    return write_report(folder)
+
+
+def themed(driver, theme):
+    driver.execute_cdp_cmd(
+        "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": theme}]}
+    )
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("width", [1280, 390])
+def test_a_close_fits_desktop_and_phone(driver, closed_page, tmp_path, width, theme):
+    themed(driver, theme)
+    try:
+        show(driver, closed_page, width, mobile=width < 640)
+        wide, narrow = driver.execute_script(
+            "const e = document.documentElement; return [e.scrollWidth, e.clientWidth]"
+        )
+        assert wide <= narrow <= width
+        assert sticking_out(driver) == []
+        anchors = driver.execute_script("return [...document.querySelectorAll('section')].map((e) => e.id)")
+        reading = ["verdict", "ladder", "attribution", "parameters", "augmentation", "traces", "open", "usage"]
+        assert [name for name in anchors if name in reading] == reading == anchors[: len(reading)]
+        drawn = driver.execute_script(
+            "return [...document.querySelectorAll('.figure')].map((e) => [e.dataset.figure || e.id, e.data ? e.data.length : 0])"
+        )
+        assert all(traces for _, traces in drawn), drawn
+        rungs = driver.execute_script("return document.querySelectorAll('[data-table=ladder] tbody tr').length")
+        assert rungs == 1 + len(CLOSE_RUNS)
+        screenshot(driver, tmp_path / "close.png")
+        assert problems(driver) == []
+        assert all(url.startswith(("file:", "data:", "blob:")) for url in requests(driver))
+    finally:
+        driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+
+
+def test_of_many_runs_before_and_after_are_drawn_first(driver, closed_page):
+    show(driver, closed_page)
+    best = CLOSE_RUNS[-1]
+    drawn = [name for name, axis, *_ in curves(driver) if axis == "y"]
+    assert drawn == ["measured", "command", CLOSE_RUNS[0], best]
+    driver.find_element("css selector", "#trace-runs input[value='mujoco/fitted']").click()
+    assert "mujoco/fitted" in [name for name, *_ in curves(driver)]
+
+
+def focused(driver, script="e.outerHTML.slice(0, 120)"):
+    return driver.execute_script(f"const e = document.activeElement; return {script}")
+
+
+def press(driver, *keys):
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    ActionChains(driver).send_keys(*keys).perform()
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_the_keyboard_reaches_what_scrolls_and_what_is_copied(driver, closed_page, width):
+    from selenium.webdriver.common.keys import Keys
+
+    show(driver, closed_page, width, mobile=width < 640)
+    driver.execute_script("document.querySelectorAll('details').forEach((e) => { e.open = true; })")
+    regions = "[...document.querySelectorAll('.scroll, .copy pre')].filter((e) => e.offsetParent)"
+    wait_for(
+        driver,
+        f"return {regions}.every((e) => (e.tabIndex === 0) === (e.scrollWidth > e.clientWidth + 1"
+        " || e.scrollHeight > e.clientHeight + 1))",
+    )
+    unnamed = driver.execute_script(
+        f"return {regions}.filter((e) => e.getAttribute('role') !== 'region' || !e.getAttribute('aria-label')).length"
+    )
+    assert unnamed == 0
+    names = driver.execute_script(f"return {regions}.map((e) => e.getAttribute('aria-label'))")
+    assert {"Table: ladder", "Lines: In Isaac Lab"} <= set(names)
+    # From the section's heading on, the tab key comes to each button and to the lines that are too long.
+    driver.execute_script(
+        "const h = document.querySelector('#usage h2'); h.tabIndex = -1; h.focus({ preventScroll: true })"
+    )
+    buttons = driver.find_elements("css selector", "#usage .copy-button")
+    wanted = [button.get_attribute("aria-label") for button in buttons]
+    reached = []
+    for _ in range(3 * len(buttons)):
+        press(driver, Keys.TAB)
+        if not focused(driver, "e.closest('#usage') !== null"):
+            break
+        reached.append(focused(driver, "e.getAttribute('aria-label')"))
+    assert [name for name in reached if name in wanted] == wanted
+    if width == 390:
+        assert "Lines: In Isaac Lab" in reached
+        # Which the arrow keys then scroll.
+        lines = driver.find_element("css selector", "pre[aria-label='Lines: In Isaac Lab']")
+        driver.execute_script("arguments[0].focus()", lines)
+        press(driver, Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
+        wait_for(driver, "return document.activeElement.scrollLeft > 0")
+
+
+def test_enter_copies_the_lines_or_selects_them(driver, closed_page):
+    from selenium.webdriver.common.keys import Keys
+
+    show(driver, closed_page)
+    permission = {"permissions": ["clipboardReadWrite", "clipboardSanitizedWrite"]}
+    driver.execute_cdp_cmd("Browser.grantPermissions", permission)
+    for button in driver.find_elements("css selector", ".copy-button")[:2]:
+        block = button.find_element("xpath", "..")
+        lines = block.find_element("css selector", "pre").get_property("textContent")
+        driver.execute_script("arguments[0].focus()", button)
+        press(driver, Keys.ENTER)
+        said = block.find_element("css selector", ".copied")
+        wait_for(driver, "return [...document.querySelectorAll('.copied')].some((e) => e.textContent)")
+        assert said.text == "Copied."
+        assert driver.execute_async_script("navigator.clipboard.readText().then(arguments[0])") == lines
+        driver.execute_script("arguments[0].textContent = ''", said)
+    # Without a clipboard the lines are selected, for the keys of the system.
+    driver.execute_script(
+        "Object.defineProperty(navigator, 'clipboard', { value: undefined, configurable: true });"
+        "document.execCommand = () => false"
+    )
+    press(driver, Keys.ENTER)
+    wait_for(driver, "return [...document.querySelectorAll('.copied')].some((e) => e.textContent)")
+    assert said.text.startswith("Selected: copy with")
+    assert driver.execute_script("return window.getSelection().toString()").strip() == lines.strip()
+    assert problems(driver) == []
+
+
+def test_lines_are_there_without_an_identification(driver, tmp_path):
+    """A close that ended before it: networks for the model as it came."""
+    folder = make_close(tmp_path / "run")
+    for name in ("fit.json", "explain.json", "robot.fitted.yaml", "model.fitted.xml"):
+        (folder / name).unlink()
+    show(driver, write_report(folder))
+    block = driver.find_element("css selector", "#usage .copy pre")
+    assert block.value_of_css_property("user-select") == "all"
+    assert driver.find_element("css selector", "#usage .copy-button").is_displayed()

@@ -12,13 +12,15 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from report.run_folders import World, make_gap, make_run, simulate
+from report.run_folders import CLOSE_RUNS, World, make_close, make_gap, make_run, simulate
 from trueup.core.results import GapResult
 from trueup.errors import DataError, FormatError, TrueupError
 from trueup.report import build_report, write_report
-from trueup.report.builder import script_json
+from trueup.report.builder import breakable, script_json
+from trueup.report.folder import RunFolder
+from trueup.report.sections.traces import hidden_first
 
-SECTIONS = ["verdict", "ladder", "joints", "groups", "traces", "causes", "flags", "episodes", "provenance"]
+SECTIONS = ["verdict", "ladder", "traces", "joints", "groups", "causes", "flags", "episodes", "provenance"]
 
 
 @pytest.fixture(scope="module")
@@ -258,3 +260,33 @@ def test_changed_files_give_a_page_or_a_clear_error(small_folder, tmp_path, file
             errors += 1
     assert errors > 0
     assert pages + errors == 15
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("mujoco/fitted+net", "mujoco/<wbr>fitted+<wbr>net"),
+        ("kp[elbow]", "kp<wbr>[elbow]"),
+        ("a<b>/&c", "a&lt;b&gt;/<wbr>&amp;c"),
+        ("plain", "plain"),
+    ],
+)
+def test_long_names_may_break_where_their_parts_meet(text, shown):
+    assert breakable(text) == shown
+
+
+def test_a_close_is_told_in_the_order_of_the_questions_and_the_same_each_time(tmp_path):
+    folder = make_close(tmp_path / "run")
+    html = build_report(folder)
+    first = ["verdict", "ladder", "attribution", "parameters", "traces", "open", "usage"]
+    assert sections(html)[: len(first)] == first
+    assert "Against the model as it came" in html
+    assert build_report(folder) == html
+    elsewhere = shutil.copytree(folder, tmp_path / "other" / "place")
+    assert build_report(elsewhere) == html
+
+
+def test_of_many_runs_the_first_and_the_judged_one_are_drawn(tmp_path, run_folder):
+    run = RunFolder.load(make_close(tmp_path / "run"))
+    assert set(CLOSE_RUNS) - set(hidden_first(run)) == {CLOSE_RUNS[0], CLOSE_RUNS[-1]}
+    assert hidden_first(RunFolder.load(run_folder)) == []

@@ -47,17 +47,19 @@ from trueup.report.interval_figures import factor_span, factor_ticks, interval_p
 from trueup.report.numbers import plain
 from trueup.report.open_words import direction_rows, direction_words, gain_words, strongest, suggestions
 from trueup.report.palette import KIND_STYLES, cause_styles
+from trueup.report.recipes import fit_recipes
 from trueup.report.sections.attribution import attribution_sentence, cause_titles, stacked
 from trueup.report.sections.graybox import ALL_MOTIONS, graybox_chooser, payload_bars, reductions_table, scores_of
 from trueup.report.sections.left import above_zero, left_summary, models_chooser, tried_models
 from trueup.report.sections.parameters import parameter_groups
-from trueup.report.sections.usage import recipes
 from trueup.report.share_figures import share_range, shares_figure
 from trueup.robots.friction import MARK
 
 JOINTS = World().joints
 STATUSES = ("ok", "not-identifiable", "at-bound", "not-converged", "no-better")
-NEW = ["attribution", "parameters", "open", "left", "graybox", "usage"]
+# What stands before the curves, and behind them.
+BEFORE, AFTER = ["attribution", "parameters"], ["open", "usage", "left", "graybox"]
+NEW = [*BEFORE, *AFTER]
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +94,7 @@ def test_the_sections_stand_after_the_ladder_and_only_with_their_file(copied):
     before = sections(build_report(copied))
     assert not set(NEW) & set(before)
     add_identification(copied, make_fit(JOINTS), JOINTS)
-    assert sections(build_report(copied)) == [*before[:2], *NEW, *before[2:]]
+    assert sections(build_report(copied)) == [*before[:2], *BEFORE, *before[2:3], *AFTER, *before[3:]]
     for file, gone in (("explain.json", {"attribution"}), ("graybox.json", {"graybox"})):
         (copied / file).unlink()
         assert not gone & set(sections(build_report(copied)))
@@ -627,8 +629,8 @@ def test_the_gray_box_shows_payloads_and_what_a_block_is_worth(tmp_path):
 def test_the_lines_to_copy_suit_the_files_that_are_there(copied):
     fit = make_fit(JOINTS)
     run = RunFolder.load(add_identification(copied, fit, JOINTS))
-    found = {recipe.title: recipe for recipe in recipes(run, fit)}
-    assert len(found) == 5
+    found = {recipe.title: recipe for recipe in fit_recipes(run, fit)}
+    assert len(found) == 6
     plain_mujoco = found["In plain MuJoCo"]
     assert "install_friction" not in plain_mujoco.lines
     assert "shoulder_pan 20.0\N{NO-BREAK SPACE}ms" in plain_mujoco.text
@@ -639,7 +641,7 @@ def test_the_lines_to_copy_suit_the_files_that_are_there(copied):
     (copied / "model.fitted.xml").write_text(law)
     run = RunFolder.load(copied)
     assert run.friction_laws
-    assert "install_friction()" in next(r for r in recipes(run, fit) if r.title == "In plain MuJoCo").lines
+    assert "install_friction()" in next(r for r in fit_recipes(run, fit) if r.title == "In plain MuJoCo").lines
     for name in run.fitted_files:
         (copied / name).unlink()
     assert "usage" not in sections(build_report(copied))
@@ -650,8 +652,8 @@ def test_the_samples_are_read_as_the_page_says(copied, monkeypatch):
     run = RunFolder.load(add_identification(copied, fit, JOINTS))
     monkeypatch.chdir(copied)
     names = {}
-    for recipe in recipes(run, fit):
-        if recipe.title in ("Randomization", "The numbers with their intervals", "In Isaac Lab"):
+    for recipe in fit_recipes(run, fit):
+        if recipe.title in ("Randomization", "The numbers with their intervals"):
             exec(compile(recipe.lines, recipe.title, "exec"), names)
     assert set(names["draw"]) == set(fit.values)
     assert names["sure"]["kp[shoulder_pan]"] == pytest.approx(31.0)

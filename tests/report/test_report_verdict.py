@@ -9,7 +9,15 @@ from trueup.core.episode import Flag
 from trueup.core.quality import EpisodeQuality, Quality
 from trueup.core.results import Estimate, GapResult, Ladder, MetricResult, PairedDifference, Rung
 from trueup.report.sections.verdict import quality_sentence, tiles
-from trueup.report.verdict import compare, extreme_joints, find_headline, gap_sentence, joints_sentence, turned
+from trueup.report.verdict import (
+    compare,
+    extreme_joints,
+    find_headline,
+    gap_sentence,
+    joints_sentence,
+    stock_label,
+    turned,
+)
 
 
 def result(value, low=None, high=None, episodes=6, joints=(0.5, 1.5)):
@@ -94,6 +102,40 @@ def test_one_motion_has_no_interval_and_decides_nothing():
     assert "decides nothing" in sentence
     assert "clearly" not in sentence
     assert tiles(headline, [], None)[0].note.endswith("no interval")
+
+
+def test_tiles_say_what_the_best_rung_brings_with_the_interval_that_it_rests_on():
+    runs = {
+        **SO101.runs,
+        "mujoco/fitted": {"test": result(0.0146, 0.009, 0.021), "val": result(0.0110, episodes=4)},
+    }
+    paired = (
+        difference("mujoco/fitted", "mujoco/stock", -0.0219, -0.0301, -0.0137, -0.6, "better"),
+        difference("mujoco/fitted", "command", -0.0237, -0.05, 0.002, -0.62, "undecided"),
+    )
+    judged = replace(SO101, runs=runs, paired=paired)
+    headline = find_headline(judged)
+    shown = tiles(headline, [compare(headline, label, judged) for label in ("command", "mujoco/stock")], None)
+    stock, command = shown[1:]
+    assert (stock.title, plain(stock.value), stock.tone) == ("Against the model as it came", "−60 %", "better")
+    assert plain(stock.note) == "▼ better · −0.0301 to −0.0137 rad"
+    assert (command.title, command.tone) == ("Against the command", "undecided")
+    assert plain(command.note) == "≈ undecided · −0.0500 to +0.0020 rad"
+    # The model as it came is not compared with itself.
+    own = find_headline(SO101)
+    assert [tile.title for tile in tiles(own, [compare(own, "command", SO101)], None)][1:] == ["Against the command"]
+
+
+@pytest.mark.parametrize(
+    ("run", "labels", "found"),
+    [
+        ("dart/fitted+net", ["command", "mujoco/stock", "dart/stock"], "dart/stock"),
+        ("sage/fitted", ["mujoco/stock", "dart/stock"], "mujoco/stock"),
+        ("mujoco/fitted", ["command", "mujoco/stock+net"], ""),
+    ],
+)
+def test_the_model_as_it_came_is_that_of_the_same_engine(run, labels, found):
+    assert stock_label(run, labels) == found
 
 
 def test_without_a_paired_comparison_nothing_is_claimed():

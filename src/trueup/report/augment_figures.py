@@ -174,7 +174,7 @@ def reliability_figure(curves: Mapping[str, Reliability], styles: Mapping[str, S
         )
     layout = {
         "height": 420,
-        "xaxis": {"title": {"text": "predicted probability that the simulator is far off [%]"}, "range": [-2, 102]},
+        "xaxis": {"title": {"text": "predicted probability of far off [%]"}, "range": [-2, 102]},
         "yaxis": {"title": {"text": "share of samples in which it was [%]"}, "range": [-2, 102]},
     }
     return {"data": data, "layout": layout}

@@ -32,9 +32,9 @@ def factor_interval(factor: Estimate) -> str:
     return f"{significant(factor.low)} to {significant(factor.high)}"
 
 
-def lead(result: AugmentResult, model: ModelEvaluation) -> str:
-    """What the best network makes of the main signal, over all motions."""
-    signal = result.main_signal
+def lead(result: AugmentResult, model: ModelEvaluation, signal: str = "") -> str:
+    """What the best network makes of a signal, the main one if not given, over all motions."""
+    signal = signal or result.main_signal
     cut = model.cuts[ANY_CONDITION].get(signal, {}).get(ALL_JOINTS)
     before = result.simulated[ANY_CONDITION].get(signal, {}).get(ALL_JOINTS)
     if cut is None or before is None:
@@ -48,9 +48,9 @@ def lead(result: AugmentResult, model: ModelEvaluation) -> str:
     return f"It is not decided whether {model.name}, the best network, helps: {signal} goes from {ends} RMSE."
 
 
-def sentences(result: AugmentResult, model: ModelEvaluation) -> list[str]:
-    """Cut by group of motions, against the other networks, harm, and what is switched off."""
-    signal = result.main_signal
+def sentences(result: AugmentResult, model: ModelEvaluation, signal: str = "") -> list[str]:
+    """Cut of a signal, the main one if not given, by group of motions, against other networks, and harm."""
+    signal = signal or result.main_signal
     lines = [line for name in result.conditions if (line := _group_sentence(result, model, name, signal))]
     lines += _rival_sentence(result, model, signal)
     lines.append(_harm_sentence(result, model))

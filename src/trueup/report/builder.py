@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib import resources
@@ -10,7 +11,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from trueup.core.atomic import write_text
 from trueup.report.folder import GAP_NAME, RunFolder, evaluation_of, robustness_of
@@ -109,6 +110,12 @@ def script_json(value: Any) -> Markup:
     return Markup(text)  # noqa: S704  # escaped above
 
 
+def breakable(text: str) -> Markup:
+    """A name that may go on in the next line: after `/` and `+`, as labels of runs, and before `[`, as parameters."""
+    parts = [str(escape(part)) for part in re.split(r"(?<=[/+])|(?=\[)", text)]
+    return Markup("<wbr>".join(parts))  # noqa: S704  # escaped above
+
+
 def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader("trueup.report"),
@@ -118,6 +125,7 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters["script_json"] = script_json
+    environment.filters["breakable"] = breakable
     return environment
 
 

@@ -70,7 +70,7 @@ def bars_figure(
     axis: dict[str, Any] = {"title": {"text": plot_text(title)}, "rangemode": "tozero"}
     limit = _whisker_limit([item for values in bars.values() for item in values.values()])
     if limit is not None:
-        axis |= {"range": [0, limit], "title": {"text": plot_text(f"{title}, whiskers cut at the edge")}}
+        axis |= {"range": [0, limit], "title": {"text": f"{plot_text(title)}<br>whiskers cut at the edge"}}
     height = 96 + len(groups) * (14 + 17 * len(bars))
     layout = {
         "barmode": "group",

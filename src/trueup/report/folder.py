@@ -13,6 +13,7 @@ from trueup.core.atomic import is_inside
 from trueup.core.attribution import Attribution
 from trueup.core.augment_result import AUGMENT_NAME, AugmentResult
 from trueup.core.close_result import CLOSE_NAME, CloseResult
+from trueup.core.design_result import DESIGN_NAME, DesignResult
 from trueup.core.engines import EngineComparison
 from trueup.core.fit_result import FitResult
 from trueup.core.graybox_result import GrayboxResult
@@ -38,6 +39,10 @@ Loaded = TypeVar("Loaded")
 GAP_NAME = "gap.json"
 # What an identification writes beside fit.json for other programs.
 FITTED_FILES = ("robot.fitted.yaml", "model.fitted.xml", "isaac.actuators.yaml", "fit.samples.npz")
+# Where a close imports logs to, and where the page proposes to put designed motions.
+OWN_DATASET, PLANS = "dataset", "plans"
+# Limits that a model states for the planning of motions.
+_STATED_LIMIT = re.compile(rb'<numeric[^>]*\sname="(velocity|acceleration)_limit"')
 # Friction laws beyond MuJoCo's own stand in a model file as user data of a joint that begin with this mark.
 _FRICTION_LAW = re.compile(rb'<joint[^>]*\suser="20261[\s"]')
 
@@ -62,6 +67,9 @@ class RunFolder:
         networks: label of a corrected run -> the card of its network, as close.json says.
         fitted_files: those of `FITTED_FILES` that are there.
         friction_laws: whether the fitted model carries friction laws that MuJoCo does not know.
+        stated_limits: those of `velocity` and `acceleration` that the fitted model states.
+        own_dataset: whether the imported logs lie in the folder.
+        design: plans/design.json.
     """
 
     gap: GapResult
@@ -79,6 +87,9 @@ class RunFolder:
     networks: Mapping[str, ModelCard] = field(default_factory=dict)
     fitted_files: tuple[str, ...] = ()
     friction_laws: bool = False
+    stated_limits: tuple[str, ...] = ()
+    own_dataset: bool = False
+    design: DesignResult | None = None
 
     @property
     def identified(self) -> bool:
@@ -129,6 +140,7 @@ class RunFolder:
             check_augment(augment, gap, folder / AUGMENT_NAME)
         ladder = _optional(folder / "ladder.json", Ladder.load)
         model = folder / "model.fitted.xml"
+        text = model.read_bytes() if model.is_file() else b""
         close = _optional(folder / CLOSE_NAME, CloseResult.load)
         return RunFolder(
             gap=gap_for_people(gap),
@@ -139,7 +151,10 @@ class RunFolder:
             close=close,
             networks=_cards(folder, close),
             fitted_files=tuple(name for name in FITTED_FILES if (folder / name).is_file()),
-            friction_laws=model.is_file() and _FRICTION_LAW.search(model.read_bytes()) is not None,
+            friction_laws=_FRICTION_LAW.search(text) is not None,
+            stated_limits=tuple(sorted({name.decode() for name in _STATED_LIMIT.findall(text)})),
+            own_dataset=(folder / OWN_DATASET).is_dir(),
+            design=_optional(folder / PLANS / DESIGN_NAME, DesignResult.load),
             traces=_optional(folder / "traces.json", lambda path: TraceSet.load(path.parent)),
             quality=_optional(folder / "quality.json", Quality.load),
             analysis=_optional(folder / "analysis.json", Analysis.load),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from trueup.core.results import Estimate, GapResult, Ladder, MetricResult, PairedDifference, Verdict
@@ -47,12 +47,14 @@ class Comparison:
         ratio: difference over the baseline's error; negative is better.
         tone: `better`, `worse`, `undecided`; or `untested` when only two means are known.
         sentence: the same in words.
+        ends: 95 % interval of the difference with its unit; empty where there is none.
     """
 
     baseline: str
     ratio: float
     tone: str
     sentence: str
+    ends: str = ""
 
 
 @dataclass(frozen=True)
@@ -187,10 +189,11 @@ def _tested(pair: PairedDifference, reference: Estimate) -> Comparison:
     ends = with_unit(interval(pair.difference, sign=True), pair.difference.unit)
     what = f"the 95\N{NO-BREAK SPACE}% interval of the difference, {ends},"
     if pair.verdict == "undecided":
-        return Comparison(pair.baseline, pair.relative, "undecided", f"{start}, but undecided: {what} includes zero.")
-    return Comparison(
-        pair.baseline, pair.relative, pair.verdict, f"{start}, clearly {pair.verdict}: {what} excludes zero."
-    )
+        return Comparison(
+            pair.baseline, pair.relative, "undecided", f"{start}, but undecided: {what} includes zero.", ends
+        )
+    sentence = f"{start}, clearly {pair.verdict}: {what} excludes zero."
+    return Comparison(pair.baseline, pair.relative, pair.verdict, sentence, ends)
 
 
 def _paired(headline: Headline, baseline: str, gap: GapResult) -> PairedDifference | None:
@@ -230,6 +233,13 @@ def _more_or_less(ratio: float) -> str:
 def _baseline_words(baseline: str, reference: Estimate) -> str:
     words = "taking the command as the motion" if baseline == COMMAND else baseline
     return f"{words} ({quantity(reference.value, reference.unit)})"
+
+
+def stock_label(run: str, labels: Iterable[str]) -> str:
+    """The model as it came that a run is compared with, of its own engine if there is one; empty without any."""
+    stock = [label for label in labels if label.split("/")[-1] == "stock"]
+    own = f"{run.partition('/')[0]}/stock"
+    return own if own in stock else "".join(stock[:1])
 
 
 def extreme_joints(headline: Headline, gap: GapResult) -> tuple[JointError, JointError] | None:

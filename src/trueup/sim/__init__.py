@@ -2,6 +2,7 @@
 
 from trueup.sim.blocks import blocks_of as blocks_of
 from trueup.sim.dart_engine import DartSimulator as DartSimulator
+from trueup.sim.delayed import DelayedSimulator as DelayedSimulator
 from trueup.sim.engines import ENGINES as ENGINES
 from trueup.sim.engines import make_simulator as make_simulator
 from trueup.sim.friction import friction_of as friction_of
@@ -19,6 +20,7 @@ from trueup.sim.replay_settings import ReplaySettings as ReplaySettings
 __all__ = [
     "ENGINES",
     "DartSimulator",
+    "DelayedSimulator",
     "MujocoSimulator",
     "Perturbation",
     "ReplayPlan",

@@ -8,14 +8,16 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float64
 
-from trueup.core.atomic import write_json
+from trueup.core.design_result import DESIGN_NAME, DesignResult
+from trueup.core.design_result import Foreseen as Foreseen
 from trueup.core.fit_result import FitResult
 from trueup.core.provenance import provenance
+from trueup.core.sole_writer import writes_alone
 from trueup.errors import ConfigError, NoPlan
 from trueup.record import (
     DesignSettings,
@@ -31,32 +33,6 @@ from trueup.robots import RobotSpec, find_model
 
 if TYPE_CHECKING:
     from trueup.identify import IdentifyConfig, Knowledge, PlannedInformation
-
-DESIGN_NAME = "design.json"
-DESIGN_SCHEMA = "trueup.design/1"
-
-
-@dataclass(frozen=True)
-class Foreseen:
-    """How well one parameter would be known; standard deviations, of the logarithm for those on the scale `log`.
-
-    Attributes:
-        name: `QUANTITY[TARGET]`.
-        value: around which the motions are designed.
-        unit: of the value, and of the deviations on the scale `linear`.
-        transform: `log` (0.1 is about 10 %) or `linear`.
-        before: without new motions.
-        designed: with the designed ones.
-        random: with as many random ones of the same duration; None if there are none.
-    """
-
-    name: str
-    value: float
-    unit: str
-    transform: Literal["linear", "log"]
-    before: float
-    designed: float
-    random: float | None
 
 
 @dataclass(frozen=True)
@@ -80,6 +56,7 @@ class Designed:
         return float(np.exp(np.mean(np.log(ratios)))) if ratios else None
 
 
+@writes_alone()
 def design(
     robot: RobotSpec,
     out: Path | str,
@@ -185,11 +162,7 @@ def design(
         progress=progress,
     )
     found = Designed(plans, designer.foreseen(plans), time.perf_counter() - began)
-    rows = [asdict(item) for item in found.parameters]
-    write_json(
-        out / DESIGN_NAME,
-        {"schema": DESIGN_SCHEMA, "parameters": rows, "provenance": provenance(config=origin, seed=seed)},
-    )
+    DesignResult(found.parameters, provenance(config=origin, seed=seed)).save(out / DESIGN_NAME)
     return found
 
 

@@ -20,7 +20,7 @@ const Report = (() => {
       margin: { l: 10, r: 12, t: 8, b: 10, ...layout.margin },
       legend: { orientation: "h", x: 0, y: 1.02, xanchor: "left", yanchor: "bottom", ...layout.legend },
       hoverlabel: { bgcolor: colors.paper, bordercolor: colors.line, font: { color: colors.ink }, namelength: -1 },
-      modebar: { bgcolor: "rgba(0,0,0,0)", color: colors.muted, activecolor: colors.ink },
+      modebar: { orientation: "v", bgcolor: "rgba(0,0,0,0)", color: colors.muted, activecolor: colors.ink },
       autosize: true,
     };
     for (const [key, axis] of Object.entries(layout)) {
@@ -61,6 +61,12 @@ const Report = (() => {
     return element;
   }
 
+  // Names are long: they may go on in the next line after / and +, and before [.
+  function breakable(element, text) {
+    text.split(/(?<=[/+])|(?=\[)/).forEach((part, number) => element.append(...(number ? [node("wbr"), part] : [part])));
+    return element;
+  }
+
   function fillTable(container, table) {
     container.hidden = !table;
     container.replaceChildren();
@@ -69,12 +75,12 @@ const Report = (() => {
     const caption = element.createCaption();
     caption.append(node("span", table.caption));
     const head = element.createTHead().insertRow();
-    table.columns.forEach((text) => head.append(node("th", text, { scope: "col" })));
+    table.columns.forEach((text) => head.append(breakable(node("th", undefined, { scope: "col" }), text)));
     const body = element.createTBody();
     for (const row of table.rows) {
       const line = body.insertRow();
       if (row.strong) line.className = "strong";
-      const heading = node("th", row.head, { scope: "row" });
+      const heading = breakable(node("th", undefined, { scope: "row" }), row.head);
       if (row.note) heading.append(node("span", row.note, { class: "note" }));
       line.append(heading);
       for (const item of row.cells) {
@@ -86,6 +92,40 @@ const Report = (() => {
       }
     }
     container.append(element);
+    reach(container);
+  }
+
+  // A region that needs no scrolling is no stop of the tab key.
+  function reach(region) {
+    const more = region.scrollWidth > region.clientWidth + 1 || region.scrollHeight > region.clientHeight + 1;
+    region.tabIndex = more ? 0 : -1;
+  }
+
+  function select(element) {
+    const selection = window.getSelection();
+    selection.removeAllRanges();
+    const range = document.createRange();
+    range.selectNodeContents(element);
+    selection.addRange(range);
+  }
+
+  // Without a clipboard (an old browser, no permission) the lines are selected, and the keys say the rest.
+  async function copy(lines) {
+    try {
+      await navigator.clipboard.writeText(lines.textContent);
+      return "Copied.";
+    } catch {
+      select(lines);
+      return document.execCommand("copy") ? "Copied." : "Selected: copy with Ctrl+C.";
+    }
+  }
+
+  function setUpCopying(container) {
+    const button = container.querySelector("button"), lines = container.querySelector("pre");
+    button.hidden = false;
+    button.addEventListener("click", async () => {
+      container.querySelector(".copied").textContent = await copy(lines);
+    });
   }
 
   function fillOptions(select, options, wanted) {
@@ -156,6 +196,9 @@ const Report = (() => {
   }
 
   document.querySelectorAll(".chooser").forEach(setUpChooser);
+  document.querySelectorAll(".copy").forEach(setUpCopying);
+  const watch = new ResizeObserver((entries) => entries.forEach(({ target }) => reach(target)));
+  document.querySelectorAll(".scroll, .copy pre").forEach((region) => watch.observe(region));
   document.querySelectorAll("table.sortable thead th button").forEach((button) =>
     button.addEventListener("click", () => sortBy(button.closest("th"))));
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);

@@ -8,7 +8,7 @@
   const data = JSON.parse(byId("data").textContent);
   const episodeSelect = byId("episode"), jointSelect = byId("joint"), signalSelect = byId("signal");
   const degrees = byId("degrees"), figure = byId("figure");
-  const hidden = new Set();
+  const hidden = new Set(data.hidden);
   const decoded = new Map();
   const plain = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
   const isMotion = (signal) => signal === "position" || signal === "velocity";

@@ -47,11 +47,12 @@ def augmentation_section(run: RunFolder) -> Section | None:
     result = run.augment
     if result is None or not result.models or not result.signals:
         return None
-    best = result.best(result.main_signal)
+    signal = told_signal(run, result)
+    best = result.best(signal)
     assert best is not None
     context = {
-        "lead": lead(result, best),
-        "sentences": sentences(result, best),
+        "lead": lead(result, best, signal),
+        "sentences": sentences(result, best, signal),
         "notes": result.notes,
         "networks": network_table(result),
         "cuts": cuts_chooser(run, result),
@@ -64,6 +65,13 @@ def augmentation_section(run: RunFolder) -> Section | None:
         "latency": latency_chooser(run, result),
     }
     return Section("augmentation", "Learned correction: what it is worth", context)
+
+
+def told_signal(run: RunFolder, result: AugmentResult) -> str:
+    """The signal that comes first: after a close the one that its rungs are chosen by, where a network corrects it."""
+    corrected = {signal for model in result.models for signal in model.signals}
+    chosen = run.close is not None and "position" in corrected.intersection(result.signals)
+    return "position" if chosen else result.main_signal
 
 
 def network_table(result: AugmentResult) -> Chooser:
@@ -103,7 +111,7 @@ def cuts_chooser(run: RunFolder, result: AugmentResult) -> Chooser | None:
         cuts = {model.name: model.cuts[condition].get(signal, {}) for model in result.models}
         return Variant(tables=tables, figures={"cuts": factor_figure(joints, cuts, styles, signal)})
 
-    preferred = (next(iter(result.conditions)), result.main_signal, "mse")
+    preferred = (next(iter(result.conditions)), told_signal(run, result), "mse")
     return make_chooser("cuts-chooser", menus, make, preferred=preferred)
 
 
@@ -203,7 +211,7 @@ def motion_chooser(run: RunFolder, result: AugmentResult, best: ModelEvaluation)
     """One typical motion of each group."""
     if run.traces is None:
         return None
-    signal, styles = result.main_signal, run.styles
+    signal, styles = told_signal(run, result), run.styles
     networks = {model.name: model.run for model in result.models}
     found: dict[str, tuple[str, float]] = {}
     for condition in result.conditions[:-1] or result.conditions:
@@ -311,7 +319,7 @@ def confidence_chooser(run: RunFolder, result: AugmentResult) -> Chooser | None:
             figures["reliability"] = reliability_figure(curves, styles)
         return Variant(tables=tables, figures=figures) if tables else None
 
-    preferred = (next(iter(result.conditions)), result.main_signal)
+    preferred = (next(iter(result.conditions)), told_signal(run, result))
     return make_chooser("confidence-chooser", menus, make, preferred=preferred)
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from trueup.report.chooser import Chooser, Variant
 from trueup.report.fit_words import as_sentence
 from trueup.report.folder import RunFolder
+from trueup.report.next_motions import design_recipe, promise_table, promised
 from trueup.report.numbers import fixed
 from trueup.report.open_words import correlation_words, direction_rows, strongest, suggestions
 from trueup.report.sections.base import Section
@@ -19,6 +21,8 @@ def open_section(run: RunFolder) -> Section | None:
     pairs = strongest(run.fit.correlation)
     context = {
         "record": suggestions(run.fit.parameters),
+        "design": design_recipe(run, run.fit),
+        "promise": promise_chooser(run),
         "directions": [(as_sentence(words), gain) for words, gain in directions[:MAX_ROWS]],
         "more_directions": max(0, len(directions) - MAX_ROWS),
         "pairs": [
@@ -26,4 +30,12 @@ def open_section(run: RunFolder) -> Section | None:
         ],
         "more_pairs": max(0, len(pairs) - MAX_ROWS),
     }
-    return Section("open", "Open questions: what these motions do not tell", context)
+    return Section("open", "Record next: what these motions leave open", context)
+
+
+def promise_chooser(run: RunFolder) -> Chooser | None:
+    """What designed motions promise, where there are any for this fit."""
+    design = promised(run)
+    if design is None:
+        return None
+    return Chooser("promise-chooser", [], Variant(tables={"promise": promise_table(design)}), [])

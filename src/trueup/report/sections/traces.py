@@ -12,11 +12,13 @@ from trueup.report.labels import SIGNALS, SPLITS, ordered, run_title, split_titl
 from trueup.report.numbers import plural, quantity_with_degrees
 from trueup.report.sections.base import Section
 from trueup.report.sections.episodes import joint_errors, scored_mean
-from trueup.report.verdict import extreme_joints, find_headline
+from trueup.report.verdict import extreme_joints, find_headline, stock_label
 
 # What the section of learned corrections takes, and every network in all sections.
 _AUGMENT_BYTES = 250_000
 _NETWORK_BYTES = 250_000
+# More simulated curves than these lie on each other.
+_MOST_RUNS = 3
 
 
 def traces_section(run: RunFolder) -> Section | None:
@@ -36,6 +38,7 @@ def traces_section(run: RunFolder) -> Section | None:
         "start": first_choice(run, worst_first),
         "command": COMMAND,
         "runs": list(run.styles),
+        "hidden": hidden_first(run),
     }
     context = {"data": data, "blobs": [to_base64(flat) for flat, _ in packed], "notes": size_notes(embedded)}
     return Section("traces", "Traces", context)
@@ -64,6 +67,15 @@ def first_choice(run: RunFolder, worst_first: list[EpisodeTraces]) -> dict[str, 
         "signal": headline.signal if headline else "",
         "joint": extremes[0].joint if extremes else "",
     }
+
+
+def hidden_first(run: RunFolder) -> list[str]:
+    """Runs that are drawn only when they are asked for: of many, all but the model as it came and the judged one."""
+    simulated = [label for label in run.runs if label != COMMAND]
+    headline = find_headline(run.gap, run.ladder)
+    if len(simulated) <= _MOST_RUNS or headline is None:
+        return []
+    return [label for label in simulated if label not in (headline.run, stock_label(headline.run, simulated))]
 
 
 def size_notes(embedded: Embedded) -> list[str]:

@@ -20,6 +20,7 @@ from trueup.report.verdict import (
     find_headline,
     gap_sentence,
     joints_sentence,
+    stock_label,
     tone_words,
 )
 
@@ -97,7 +98,7 @@ def fit_tile(fit: FitResult) -> Tile:
 def tiles(
     headline: Headline, comparisons: list[Comparison], extremes: tuple[JointError, JointError] | None
 ) -> list[Tile]:
-    """The gap, its change against the command, the worst and the best joint; what is not known is left out."""
+    """The gap, its change against the model as it came and the command, the worst and the best joint, if known."""
     total = headline.result.total
     ends = interval(total)
     note = with_unit(ends, total.unit) if ends else "no interval"
@@ -109,14 +110,20 @@ def tiles(
             f"{degrees} · {note}" if degrees else note,
         )
     ]
-    against = next((item for item in comparisons if item.baseline == COMMAND), None)
-    if against is not None:
-        result.append(Tile("Against the command", percent(against.ratio), tone_words(against.tone), against.tone))
+    stock = stock_label(headline.run, [item.baseline for item in comparisons])
+    for baseline, title in ((stock, "Against the model as it came"), (COMMAND, "Against the command")):
+        result += [comparison_tile(item, title) for item in comparisons if item.baseline == baseline]
     for title, item in zip(("Worst joint", "Best joint"), extremes or (), strict=False):
         value = quantity(item.error.value, item.error.unit)
         degrees = in_degrees(item.error.value, item.error.unit)
         result.append(Tile(title, item.joint, f"{value} · {degrees}" if degrees else value))
     return result
+
+
+def comparison_tile(item: Comparison, title: str) -> Tile:
+    """How much less or more, the verdict, and the paired interval that it rests on."""
+    note = tone_words(item.tone)
+    return Tile(title, percent(item.ratio), f"{note} · {item.ends}" if item.ends else note, item.tone)
 
 
 def quality_sentence(quality: Quality) -> str:
