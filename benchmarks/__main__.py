@@ -59,6 +59,7 @@ NAMES = (
     "ros2_bridge",
     "ros2_hour",
     "fleet",
+    "close",
 )
 
 # Hours each, or one hour at least: measured when they are named, or with --anew.
@@ -82,6 +83,7 @@ LONG = (
     "policy_algorithms",
     "policy_grid",
     "ros2_hour",
+    "close",
 )
 
 

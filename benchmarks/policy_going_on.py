@@ -167,6 +167,7 @@ def run() -> list[Row]:
         "driven": DRIVEN,
         "steps": LAPTOP.steps,
         "rate": RATE,
+        "delayed": True,
     }
     result = {
         "before": before,

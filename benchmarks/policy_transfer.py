@@ -191,7 +191,7 @@ def run() -> list[Row]:
     for cell, training, own in zip(every, trainings, found, strict=True):
         by_seed = results.setdefault(cell.simulator, {}).setdefault(cell.draws, {})
         by_seed[str(cell.seed)] = {"training": training, "places": own}
-    about = {"units": UNITS, "strangers": STRANGERS, "goals": GOALS, "steps": STEPS}
+    about = {"units": UNITS, "strangers": STRANGERS, "goals": GOALS, "steps": STEPS, "delayed": True}
     result = {"policies": results, "table": table(results), "provenance": provenance(config=about, seed=0)}
     write_json(RESULT, rounded(result))
     return rows(read_json(RESULT))

@@ -11,11 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 
-from trueup.augment import preset
-from trueup.core.attribution import Attribution
-from trueup.core.close_result import STEPS, CloseResult
-from trueup.core.fit_result import FitResult
+from trueup.cli.close import lacking
+from trueup.cli.main import main
+from trueup.core.atomic import as_read_back
+from trueup.core.close_result import STEPS, CloseResult, Step
 from trueup.core.results import GapResult, Ladder
 from trueup.core.time_limit import TimeLimit
 from trueup.dataset import Dataset, DatasetWriter
@@ -24,18 +25,16 @@ from trueup.errors import ConfigError, DataError, FormatError, MissingDependency
 from trueup.identify import IdentifyConfig
 from trueup.identify.config import DataChoice, SolverChoice
 from trueup.report import build_report
+from trueup.report.sections.steps import alone_words, steps_alert, time_words
 from trueup.robots import load_robot
 from trueup.stages import (
     FITTED,
     STOCK,
     Watch,
-    augment,
     close,
     close_networks,
     demo_dataset,
-    explain,
     export_dataset,
-    fit,
 )
 from trueup.stages.close_budget import Budget, fitted_motion
 
@@ -102,27 +101,25 @@ def test_everything_lies_in_one_folder_and_in_one_report(closed):
     assert [(rung.name, rung.chosen) for rung in kept.rungs] == [(r.name, r.chosen) for r in closed.ladder.rungs]
 
 
-def test_each_step_alone_gives_the_same(closed, recorded, tmp_path):
-    """`trueup gap --explain`, `identify` and `augment train`, on a copy of the data."""
-    data = Dataset(shutil.copytree(recorded, tmp_path / "data"))
-    out = closed.dataset.path.parent / "out"
-    alone = fit(data, ROBOT, tmp_path / "fit", config=QUICK, jobs=2)
-    kept = FitResult.load(out / "fit.json")
-    assert alone.fit.parameters == kept.parameters
-    assert alone.fit.status == kept.status
-    causes = explain(data, ROBOT, config=QUICK, jobs=2)
-    assert causes.shares_total == pytest.approx(Attribution.load(out / "explain.json").shares_total)
-    made = augment([data], tmp_path / "network", run=FITTED, config=preset("moving-average"), robot=ROBOT)
-    folder = out / closed.result.networks[f"{FITTED}+moving-average"]
-    assert (made.folder / "weights.safetensors").read_bytes() == (folder / "weights.safetensors").read_bytes()
-
-
 def test_a_second_call_keeps_what_is_there(closed, tmp_path):
     out = shutil.copytree(closed.dataset.path.parent, tmp_path / "copy") / "out"
     before = {name: (out / name).read_bytes() for name in ("fit.json", "explain.json")}
     with pytest.raises(OutputExists, match="not empty"):
         quick(out.parent / "data", out)
-    again = quick(out.parent / "data", out, resume=True)
+    # First to an earlier step: what is there of later ones stays, in the report as in the files.
+    less = quick(out.parent / "data", out, until="gap", resume=True)
+    assert [rung.name for rung in less.ladder.rungs] == ["command", "stock"]
+    assert steps_of(out) == {step.name: step for step in less.result.steps}
+    assert tuple(steps_of(out)) == STEPS[1:]
+    assert [rung.name for rung in Ladder.load(out / "ladder.json").rungs] == [r.name for r in closed.ladder.rungs]
+    assert (out / "augment.json").is_file()
+    assert CloseResult.load(out / "close.json").networks == closed.result.networks
+    fitted = quick(out.parent / "data", out, until="identify", resume=True)
+    assert [rung.name for rung in fitted.ladder.rungs] == ["command", "stock", "fitted"]
+    assert set(GapResult.load(out / "gap.json").runs) == set(closed.measurement.gap.runs)
+    assert '<section id="augmentation"' in build_report(out)
+    # And without time: nothing that is there is left out.
+    again = quick(out.parent / "data", out, resume=True, budget_s=0.001)
     assert {step.status for step in again.result.steps if step.name not in ("gap",)} == {"kept"}
     assert {name: (out / name).read_bytes() for name in before} == before
     assert [rung.name for rung in again.ladder.rungs] == [rung.name for rung in closed.ladder.rungs]
@@ -134,13 +131,14 @@ def test_a_second_call_keeps_what_is_there(closed, tmp_path):
 
 @pytest.mark.parametrize(
     ("until", "last", "rungs"),
-    [("replay", "gap", 2), ("gap", "gap", 2), ("explain", "explain", 2), ("identify", "identify", 3)],
+    [("replay", "replay", 0), ("gap", "gap", 2), ("explain", "explain", 2), ("identify", "identify", 3)],
 )
 def test_it_ends_where_it_was_asked_to_end(data, tmp_path, until, last, rungs):
     done = quick(data, tmp_path / "out", until=until)
     assert done.result.steps[-1].name == last
     assert len(done.ladder.rungs) == rungs
     assert (tmp_path / "out" / "fit.json").is_file() == (until == "identify")
+    assert (tmp_path / "out" / "gap.json").is_file() == (until != "replay")
     assert not (tmp_path / "out" / "networks").exists()
     # And goes on from there.
     if until == "explain":
@@ -148,18 +146,41 @@ def test_it_ends_where_it_was_asked_to_end(data, tmp_path, until, last, rungs):
         assert [step.status for step in whole.result.steps] == ["kept", "done", "kept", "done", "done"]
 
 
-def test_logs_are_imported_first(closed, tmp_path):
-    export_dataset(closed.dataset.path, tmp_path / "logs")
+def test_logs_are_imported_first(recorded, tmp_path):
+    export_dataset(recorded, tmp_path / "logs")
     mapping = ImportOptions(mapping=tmp_path / "logs" / "mapping.yaml")
-    seen = []
-    done = quick(tmp_path / "logs", tmp_path / "out", until="gap", options=mapping, watch=Watch(on_step=seen.append))
-    assert seen == ["import", "replay", "gap"]
+    logs, out, seen = tmp_path / "logs", tmp_path / "out", []
+    first = quick(logs, out, until="import", options=mapping, watch=Watch(on_step=seen.append))
+    assert seen == ["import"]
+    assert (first.replayed, first.measurement, first.ladder.rungs) == (None, None, ())
+    assert [step.name for step in first.result.steps] == ["import"]
+    assert not first.dataset.runs
+    done = quick(logs, out, until="gap", options=mapping, watch=Watch(on_step=seen.append), resume=True)
+    assert seen == ["import", "import", "replay", "gap"]
     assert done.imported is not None
-    assert done.result.step("import").what == "12 motions"
+    step = done.result.step("import")
+    assert (step.what, step.status, step.seconds) == ("12 motions", "kept", first.result.steps[0].seconds)
     assert done.dataset.path == tmp_path / "out" / "dataset"
+    # Another robot is refused before a motion is read.
+    with pytest.raises(OutputExists, match="another robot"):
+        close(logs, replace(ROBOT, name="other"), out, options=mapping, until="gap", resume=True, config=QUICK)
+    assert len(seen) == 4
 
 
-def test_a_step_that_fails_is_said_and_the_others_go_on(data, tmp_path):
+def test_what_is_lacking_decides_about_the_exit_code(closed):
+    assert lacking(closed) == []
+    steps = tuple(replace(step, status="failed") for step in closed.result.steps if step.name == "explain")
+    failed = replace(closed.result, steps=steps)
+    assert lacking(replace(closed, result=failed)) == ["explain failed"]
+    # A step of an earlier call, that this one did not have to do.
+    assert lacking(replace(closed, result=replace(failed, until="gap"))) == []
+    bad = replace(closed.identified, fit=replace(closed.identified.fit, status="not-converged"))
+    assert lacking(replace(closed, identified=bad)) == ["the fit is of no use (not-converged)"]
+    only_loud = replace(closed.identified, fit=replace(closed.identified.fit, status="not-identifiable"))
+    assert lacking(replace(closed, identified=only_loud)) == []
+
+
+def test_a_step_that_fails_is_said_and_the_others_go_on(data, tmp_path, capsys):
     """Nothing to fit, nothing to train on: all motions are for test."""
     given = Dataset(data)
     with DatasetWriter.create(tmp_path / "test-only", given.info) as writer:
@@ -170,7 +191,18 @@ def test_a_step_that_fails_is_said_and_the_others_go_on(data, tmp_path):
     assert [steps[name].status for name in ("explain", "identify", "augment")] == ["failed"] * 3
     assert "no train split to fit" in steps["identify"].what
     assert [rung.name for rung in done.ladder.rungs] == ["command", "stock"]
-    assert "no train split to fit" in build_report(tmp_path / "out")
+    assert [step.name for step in done.result.failed] == ["explain", "identify", "augment"]
+    page = build_report(tmp_path / "out")
+    assert "no train split to fit" in page
+    assert "did not go to the end: explain, identify and augment failed" in page
+    # And the command says so by its exit code.
+    config = tmp_path / "quick.yaml"
+    config.write_text(yaml.safe_dump(as_read_back(QUICK.to_json())))
+    given = ("--config", config, "--method", METHODS[0], "--budget", "none", "--resume")
+    with pytest.raises(SystemExit) as left:
+        main(["close", *map(str, (tmp_path / "test-only", "--robot", "demo_arm", "--out", tmp_path / "out", *given))])
+    assert left.value.code == 3
+    assert "error: explain failed; identify failed; augment failed" in capsys.readouterr().err
 
 
 def test_without_torch_the_networks_are_left_out_and_said_how_to_get(data, tmp_path, monkeypatch):
@@ -201,19 +233,59 @@ def test_a_method_that_fails_does_not_hide_the_others(data, tmp_path, monkeypatc
     assert [rung.name for rung in done.ladder.rungs][-1] == "fitted+moving-average"
 
 
-def test_results_of_other_inputs_are_not_replaced_unasked(closed, tmp_path):
+OTHER = replace(QUICK, data=DataChoice(budget_s=13.0))
+
+
+@pytest.mark.parametrize("budget_s", [None, 60.0])
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"config": OTHER}, "another configuration"),
+        ({"seed": 1}, "another seed.*got seed 1.*expected seed 0"),
+        ({"drop_flagged": True}, "another choice of motions"),
+        ({"robot": replace(ROBOT, name="other")}, "another robot"),
+    ],
+)
+def test_what_was_asked_otherwise_is_refused_and_nothing_is_replaced(closed, tmp_path, changed, said, budget_s):
+    shutil.copytree(closed.dataset.path.parent, tmp_path / "all")
+    data, out = tmp_path / "all" / "data", tmp_path / "all" / "out"
+    before = {path: path.read_bytes() for path in (tmp_path / "all").rglob("*") if path.is_file()}
+    asked = {"robot": ROBOT, "config": QUICK, "methods": METHODS, "budget_s": budget_s, **changed}
+    with pytest.raises(OutputExists, match=said) as error:
+        close(data, out=out, resume=True, **asked)
+    assert "--overwrite" in error.value.hint
+    assert {path: path.read_bytes() for path in (tmp_path / "all").rglob("*") if path.is_file()} == before
+
+
+def test_before_there_is_a_fit_another_question_is_refused_too(data, tmp_path):
+    out = tmp_path / "out"
+    quick(data, out, until="gap", budget_s=900.0)
+    with pytest.raises(OutputExists, match="another configuration"):
+        quick(data, out, config=None, until="gap", budget_s=900.0, resume=True)
+    given = Dataset(data)
+    with DatasetWriter.create(tmp_path / "fewer", given.info) as writer:
+        for name in given.ids[:-1]:
+            writer.append(given.episode(name))
+    with pytest.raises(OutputExists, match="another data or splits"):
+        quick(tmp_path / "fewer", out, until="gap", resume=True)
+
+
+def test_beginning_anew_leaves_nothing_of_another_configuration(closed, tmp_path):
     data = shutil.copytree(closed.dataset.path, tmp_path / "data")
     out = shutil.copytree(closed.dataset.path.parent / "out", tmp_path / "out")
-    other = replace(QUICK, data=DataChoice(budget_s=13.0))
-    with pytest.raises(OutputExists, match="fitted to other data"):
-        quick(data, out, config=other, resume=True)
-    assert FitResult.load(out / "fit.json") == FitResult.load(closed.dataset.path.parent / "out" / "fit.json")
-    done = quick(data, out, config=other, overwrite=True)
-    assert {step.status for step in done.result.steps} == {"done", "kept"}  # the replay is the same
-    assert done.result.step("identify").status == "done"
+    first = quick(data, out, config=OTHER, until="gap", overwrite=True)
+    assert {step.name: step.status for step in first.result.steps} == {"replay": "kept", "gap": "done"}
+    assert not {"fit.json", "identify.yaml", "explain.yaml", "networks"} & {path.name for path in out.iterdir()}
+    done = quick(data, out, config=OTHER, resume=True)  # the old networks are not in its way
+    assert {step.name: step.status for step in done.result.steps} == {
+        "replay": "kept",
+        "gap": "done",
+        **dict.fromkeys(("explain", "identify", "augment"), "done"),
+    }
+    assert IdentifyConfig.load(out / "identify.yaml") == OTHER
 
 
-@pytest.mark.parametrize("wrong", [{"budget_s": 0.0}, {"budget_s": -3.0}, {"methods": ("magic",)}])
+@pytest.mark.parametrize("wrong", [{"budget_s": 0.0}, {"budget_s": -3.0}, {"methods": ("magic",)}, {"until": "import"}])
 def test_what_makes_no_sense_is_refused_before_anything_is_written(data, tmp_path, wrong):
     with pytest.raises(ConfigError):
         quick(data, tmp_path / "out", **wrong)
@@ -284,12 +356,43 @@ def test_with_little_time_it_ends_with_what_it_has(data, tmp_path, monkeypatch):
     assert done.identified.fit.status == "not-converged"
     assert (tmp_path / "out" / "identify.yaml").is_file()  # what was fitted in that time
     assert [rung.name for rung in done.ladder.rungs] == ["command", "stock", "fitted", "fitted+realeasy-rt"]
-    # The same again, with whatever time, keeps what is there.
+    said = build_report(tmp_path / "out").partition("cut short by the time limit")[0][-50:]
+    assert "explain and identify" in said or "explain, identify and augment" in said
+    # The same again, with whatever time, keeps what is there, and it stays what it is.
     again = quick(data, tmp_path / "out", config=None, methods=("realeasy-rt",), budget_s=500.0, resume=True)
-    assert {step.status for step in again.result.steps if step.name != "gap"} == {"kept"}
+    assert [step.status for step in again.result.steps] == [
+        "kept",
+        "done",
+        *first[2:],
+        "kept" if last == "done" else last,
+    ]
+    assert again.result.step("explain").seconds == done.result.step("explain").seconds
 
 
 # --- close.json ---
+
+
+def test_the_report_says_how_long_all_of_it_took_and_what_did_not_go_to_the_end():
+    done = CloseResult((Step("gap", "done", 20.0, ""), Step("explain", "done", 30.0, "")), "explain", 90.0)
+    assert time_words(done) == "50\N{NO-BREAK SPACE}s in all, of 90\N{NO-BREAK SPACE}s that were given"
+    assert steps_alert(done) == ""
+    assert alone_words(done) == "The command of a step that is done gives the same alone."
+    measured = replace(done, measuring_s=10.0)
+    assert measured.seconds == 60.0
+    assert "60\N{NO-BREAK SPACE}s in all, the last measurement included, of 90" in time_words(measured)
+    # The time is that of one call, the steps are those of several.
+    again = replace(measured, steps=tuple(step.of_earlier_call for step in measured.steps))
+    assert [step.status for step in again.steps] == ["kept", "kept"]
+    assert time_words(again).endswith("included, in several calls")
+    bad = replace(done, steps=(*done.steps, Step("identify", "cut short", 9.0, ""), Step("augment", "failed", 1.0, "")))
+    assert steps_alert(bad) == (
+        "2\N{NO-BREAK SPACE}steps of this result did not go to the end: "
+        "augment failed; identify cut short by the time limit."
+    )
+    assert "had less time" in alone_words(bad)
+    learned = replace(done, networks={f"{STOCK}+moving-average": "a", f"{STOCK}+realeasy": "b"})
+    assert "under a budget" in alone_words(learned)
+    assert bad.steps[2].of_earlier_call == bad.steps[2]
 
 
 def test_close_json_is_read_back_and_refuses_what_it_is_not(closed, tmp_path):

@@ -15,9 +15,12 @@ from trueup.cli.console import err, note, out, problem, search_line, status_line
 from trueup.cli.convert import show_flags, show_import
 from trueup.cli.fit_tables import status_line as fit_status
 from trueup.cli.gap import hold_bars
+from trueup.cli.identify import UNUSABLE
 from trueup.cli.tables import ladder_table, steps_table, verdicts
 from trueup.core.close_result import StepName
+from trueup.core.results import GapResult
 from trueup.dataset.importers.base import ImportOptions
+from trueup.errors import ConfigError
 
 if TYPE_CHECKING:
     from trueup.augment import Progress as TrainingProgress
@@ -27,7 +30,7 @@ if TYPE_CHECKING:
 # A literal that typer can read; the same as `StepName`.
 UntilStep = Annotated[
     Literal["import", "replay", "gap", "explain", "identify", "augment"],
-    typer.Option("--until", help="The last step: replay, gap, explain, identify or augment."),
+    typer.Option("--until", help="The last step."),
 ]
 _BEGINS: dict[StepName, str] = {
     "import": "import: logs to a dataset",
@@ -37,6 +40,7 @@ _BEGINS: dict[StepName, str] = {
     "identify": "identify: the numbers that the model has wrong",
     "augment": "augment: networks for what is left",
 }
+_BEFORE_GAP: tuple[StepName, ...] = ("import", "replay")
 # What is said of a fit at the end of everything: the report says the rest.
 _MOST_NOTES = 8
 
@@ -76,7 +80,10 @@ def close(
     resume: options.Resume = False,
     skip_bad: options.SkipBad = False,
 ) -> int:
-    """From logs to a corrected simulator: import, replay, gap, explain, identify, augment, and a report of it all."""
+    """From logs to a corrected simulator: import, replay, gap, explain, identify, augment, and a report of it all.
+
+    Exit code 3 if a step failed, the fit is of no use, or a bar was not met.
+    """
     from trueup.identify import IdentifyConfig
     from trueup.measure import parse_bar, refuse_unknown
     from trueup.robots import load_robot
@@ -84,6 +91,10 @@ def close(
     from trueup.stages.close_networks import METHODS, possible_runs
 
     bars = [parse_bar(text) for text in fail_above or []]
+    if bars and until in _BEFORE_GAP:
+        raise ConfigError(
+            "--fail-above is held against the gap", got=f"--until {until}", hint="Give --until gap, or a later step."
+        )
     methods = tuple(method or METHODS)
     refuse_unknown(bars, runs=possible_runs(until, methods))
     with watching() as watch:
@@ -113,9 +124,18 @@ def close(
             watch=watch,
         )
     show(closed, out_dir)
-    hold_bars(closed.measurement.gap, bars)
-    refused = closed.replayed.failed or (closed.imported and closed.imported.refused)
-    return 2 if refused and not skip_bad else 0
+    if closed.measurement is not None:
+        hold_bars(closed.measurement.gap, bars)
+    refused = bool(closed.replayed and closed.replayed.failed) or bool(closed.imported and closed.imported.refused)
+    if refused and not skip_bad:
+        return 2
+    missing = lacking(closed)
+    if missing:
+        problem(
+            "; ".join(missing),
+            "The lines above say why. --resume tries failed steps again; it keeps a fit, --overwrite makes another.",
+        )
+    return 3 if missing else 0
 
 
 @contextlib.contextmanager
@@ -153,34 +173,55 @@ def _told(closed: Closed) -> dict[str, Any]:
     return {"of": {label for label in (best, FITTED) if label is not None}, "split": split}
 
 
+def lacking(closed: Closed) -> list[str]:
+    """What was asked for and is not there, or of no use."""
+    found = [f"{step.name} failed" for step in closed.result.failed]
+    if closed.identified is not None and closed.identified.fit.status in UNUSABLE:
+        found.append(f"the fit is of no use ({closed.identified.fit.status})")
+    return found
+
+
 def show(closed: Closed, out_dir: Path) -> None:
-    """Steps, ladder, verdicts, and the report's path."""
+    """Steps, ladder, verdicts, and the report's path; without a gap, where the motions are."""
     from trueup.report import write_report
 
-    if not closed.imported:
+    if closed.measurement is not None and not closed.imported:
         show_flags(closed.measurement.quality)
-    for name, error in closed.replayed.failed.items():
+    for name, error in closed.replayed.failed.items() if closed.replayed else ():
         problem(f"{name} was not replayed: {error.what}: {error.details}", error.hint)
+    if closed.measurement is None:
+        run = f", with the run {closed.replayed.label}" if closed.replayed else ""
+        out.print(f"dataset: {closed.dataset.path}{run}", markup=False)
+        return
     if len(closed.result.steps) > 2:
         out.print(steps_table(closed.result))
-    out.print(ladder_table(closed.ladder))
-    if any(rung.chosen for rung in closed.ladder.rungs):
-        out.print("* best on val", markup=False)
-    for line in verdicts(closed.measurement.gap, **_told(closed)):
-        out.print(line, markup=False)
-    for line in closed.measurement.gap.settings["warnings"]:
-        note(line)
-    if closed.identified is not None:
-        text, hint = fit_status(closed.identified.fit)
-        if closed.identified.fit.status == "ok":
-            out.print(text, markup=False)
-        else:
-            warning(text, hint)
+    _show_ladder(closed, closed.measurement.gap)
+    _show_fit(closed)
     for step in closed.result.steps:
-        if step.status in ("failed", "left out"):
+        if step.status in ("failed", "left out") and closed.result.is_asked(step.name):
             warning(f"{step.name} {step.status}: {step.what}")
     for line in closed.notes[:_MOST_NOTES]:
         note(line)
     if len(closed.notes) > _MOST_NOTES:
         note(f"{len(closed.notes) - _MOST_NOTES} more are in the report")
     out.print(f"report: {write_report(out_dir)}", markup=False)
+
+
+def _show_ladder(closed: Closed, gap: GapResult) -> None:
+    out.print(ladder_table(closed.ladder))
+    if any(rung.chosen for rung in closed.ladder.rungs):
+        out.print("* best on val", markup=False)
+    for line in verdicts(gap, **_told(closed)):
+        out.print(line, markup=False)
+    for line in gap.settings["warnings"]:
+        note(line)
+
+
+def _show_fit(closed: Closed) -> None:
+    if closed.identified is None:
+        return
+    text, hint = fit_status(closed.identified.fit)
+    if closed.identified.fit.status == "ok":
+        out.print(text, markup=False)
+    else:
+        warning(text, hint)

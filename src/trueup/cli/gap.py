@@ -15,6 +15,7 @@ from trueup.cli.fit_tables import attribution_table
 from trueup.cli.tables import gap_table, verdicts
 from trueup.core.atomic import make_folder
 from trueup.core.results import GapResult
+from trueup.core.sole_writer import writes_alone
 from trueup.errors import BarNotMet, ConfigError, OutputExists
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ def register(app: typer.Typer) -> None:
     app.command("gap")(gap)
 
 
+@writes_alone("out_dir")
 def gap(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset with runs.")],
     out_dir: Annotated[Path | None, typer.Option("--out", help="Folder for gap.json and report.html.")] = None,
@@ -38,6 +40,9 @@ def gap(
         bool,
         typer.Option("--explain", help="Fit cause after cause: how much is delay, gains, friction, gravity, inertia."),
     ] = False,
+    config: Annotated[
+        Path | None, typer.Option("--config", help="YAML that says what --explain fits; see docs/identification.md.")
+    ] = None,
     model: options.Model = None,
     jobs: options.Jobs = None,
     split: Annotated[str | None, typer.Option("--split", help="Measure only train, val or test.")] = None,
@@ -55,6 +60,7 @@ def gap(
 ) -> int:
     """Measure the gap between robot and simulation, with 95 % intervals; write gap.json and a report."""
     from trueup.dataset import Dataset
+    from trueup.identify import IdentifyConfig
     from trueup.measure import parse_bar, refuse_unknown
     from trueup.report import write_report
     from trueup.report.body_units import gap_for_people
@@ -67,6 +73,9 @@ def gap(
         raise ConfigError(
             "--explain simulates, so it needs to know the robot", hint="Give --robot NAME or a robot.yaml."
         )
+    if config is not None and not explain:
+        raise ConfigError("--config says what --explain fits", got="no --explain", hint="Give --explain, too.")
+    chosen = IdentifyConfig.load(config) if config else None
     bars = [parse_bar(text) for text in fail_above or []]
     if out_dir is not None and (out_dir / "gap.json").exists() and not overwrite:
         raise OutputExists(f"{out_dir / 'gap.json'} exists", hint="Give --overwrite, or choose another --out.")
@@ -108,7 +117,9 @@ def gap(
         report = write_report(out_dir)
     if explain and robot is not None:
         with iterations() as on_progress:
-            attribution = attribute(data, load_robot(robot), model=model, seed=seed, jobs=jobs, on_progress=on_progress)
+            attribution = attribute(
+                data, load_robot(robot), model=model, config=chosen, seed=seed, jobs=jobs, on_progress=on_progress
+            )
         out.print(attribution_table(attribution))
         for line in attribution.statements:
             note(line)

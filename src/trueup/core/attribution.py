@@ -16,6 +16,8 @@ from trueup.errors import DataError
 EXPLAIN_SCHEMA = "trueup.explain/1"
 # What no cause took away.
 UNEXPLAINED = "unexplained"
+# How the statement begins that names the searches that a time limit ended.
+SHORT_OF_TIME = "the time limit ended the search for"
 
 
 @dataclass(frozen=True)
@@ -138,6 +140,11 @@ class Attribution:
     def causes(self) -> tuple[str, ...]:
         """The causes in the order in which they were added."""
         return tuple(step.cause for step in self.steps[1:])
+
+    @property
+    def short_of_time(self) -> bool:
+        """Whether a time limit ended a search: without it, the shares may be others."""
+        return any(statement.startswith(SHORT_OF_TIME) for statement in self.statements)
 
     def to_json(self) -> dict[str, Any]:
         """The content of explain.json; a share that is not defined is null."""

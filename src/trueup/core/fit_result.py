@@ -122,7 +122,8 @@ class FitResult:
             `at-bound` (a parameter ended on a bound); `not-converged`; `no-better` (on motions that it was not
             fitted to, the fitted model is no better than the nominal one).
         statements: what a user must know before trusting the numbers, most important first.
-        solver: name, why it was chosen, why it stopped, iterations, evaluations, seconds, settings.
+        solver: name, why it was chosen, why it stopped, iterations, evaluations, seconds, settings; `short_of_time`:
+            models whose search a time limit has ended or kept from beginning, if any.
         parameters: all parameters, also the frozen ones.
         correlation: parameter -> parameter -> correlation after the fit, of the free ones; pairs above 0.3 only.
         directions: combinations that the data leave open, the worst first.
@@ -152,6 +153,11 @@ class FitResult:
             KeyError: there is none.
         """
         return {parameter.name: parameter for parameter in self.parameters}[name]
+
+    @property
+    def short_of_time(self) -> bool:
+        """Whether a time limit decided about a search: without it, another fit may come of it."""
+        return self.solver["stop"] == "time" or bool(self.solver.get("short_of_time"))
 
     @property
     def free(self) -> tuple[FittedParameter, ...]:

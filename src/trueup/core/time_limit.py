@@ -10,7 +10,8 @@ from dataclasses import dataclass
 class TimeLimit:
     """An end that work looks at between its steps: it ends with what it has then, a step late at most.
 
-    What work is asked to do does not depend on it, so that work that was cut short is gone on with under another limit.
+    It is no part of what work is asked to do: an interrupted work is gone on with under another limit. Work that it has
+    ended is finished, and says that it was cut short; with more time, other results may come of it.
 
     Attributes:
         began_at: on the clock of `time.monotonic` [s].

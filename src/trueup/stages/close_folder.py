@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from trueup.core.atomic import as_read_back, write_text
-from trueup.core.close_result import CLOSE_NAME, STEPS, CloseResult, Step, StepName
+from trueup.core.atomic import as_read_back, remove, write_text
+from trueup.core.close_result import CLOSE_NAME, STEPS, CloseResult, Step, StepName, StepStatus
+from trueup.core.results import Ladder
 from trueup.errors import MissingDependency, OutputExists, TrueupError
+from trueup.stages.close_asked import refuse_other
+from trueup.stages.folder import forget_fit
 
 if TYPE_CHECKING:
     from trueup.identify import IdentifyConfig
 
 NETWORKS = "networks"
-IDENTIFY_NAME = "identify.yaml"
+EXPLAIN_CONFIG, IDENTIFY_CONFIG = "explain.yaml", "identify.yaml"
+LADDER_NAME = "ladder.json"
+# Steps after which what was measured before is outdated.
+_MAKE_RUNS = ("replay", "identify", "augment")
 
 
 class StepOutcome:
@@ -27,38 +34,66 @@ class StepOutcome:
 
     Attributes:
         what: what came of it.
-        status: of `Step`.
+        status: of `Step`, or what it was when it was done.
+        kept: whether an earlier call has done it.
         inputs: of `Step`.
     """
 
     def __init__(self) -> None:
         self.what, self.inputs = "", ""
-        self.status: str = "done"
+        self.status: StepStatus = "done"
+        self.kept = False
 
 
 class CloseFolder:
     """Writes close.json after every step, so that a call that was interrupted can be told from one that ended.
 
+    What an earlier call has noted stays until a step is done again.
+
     Args:
         path: the folder.
         until: the last step.
         budget_s: of the call.
+        overwrite: begin anew.
         provenance: of the result.
     """
 
-    def __init__(self, path: Path, *, until: StepName, budget_s: float | None, provenance: Mapping[str, Any]) -> None:
-        self.path = path
+    def __init__(
+        self, path: Path, *, until: StepName, budget_s: float | None, overwrite: bool, provenance: Mapping[str, Any]
+    ) -> None:
+        self.path, self.overwrite = path, overwrite
         file = path / CLOSE_NAME
-        self._earlier = CloseResult.load(file) if file.is_file() else None
-        self.result = CloseResult((), until, budget_s, provenance=provenance)
+        known = CloseResult.load(file) if file.is_file() and not overwrite else CloseResult((), until)
+        self._earlier = known
+        self._made = False
+        self.result = replace(
+            known,
+            steps=tuple(step.of_earlier_call for step in known.steps),
+            until=until,
+            budget_s=budget_s,
+            provenance=provenance,
+        )
+
+    def agree(self, asked: Mapping[str, Any]) -> None:
+        """Note what decides about the results; it is written with the first step.
+
+        Raises:
+            OutputExists: an earlier call was asked for something else.
+        """
+        refuse_other(self.path, self._earlier.asked, asked)
+        self.result = replace(self.result, asked={**self.result.asked, **asked})
+
+    def begin_anew(self) -> None:
+        """Remove what other data, or another configuration, have left."""
+        forget_fit(self.path)
+        for name in (EXPLAIN_CONFIG, IDENTIFY_CONFIG, LADDER_NAME, "gap.json"):
+            remove(self.path / name)
+        shutil.rmtree(self.networks, ignore_errors=True)
 
     def earlier(self, name: StepName) -> Step | None:
-        """The step as an earlier call left it."""
-        return None if self._earlier is None else self._earlier.step(name)
-
-    def asked(self, name: StepName) -> bool:
-        """Whether a step is to be done."""
-        return STEPS.index(name) <= STEPS.index(self.result.until)
+        """The step as an earlier call has finished it."""
+        step = self._earlier.step(name)
+        return step if step is not None and step.finished else None
 
     @contextlib.contextmanager
     def step(self, name: StepName, *, may_fail: bool = False) -> Iterator[StepOutcome]:
@@ -77,26 +112,44 @@ class CloseFolder:
                 raise
             outcome.status = "left out" if isinstance(error, MissingDependency) else "failed"
             outcome.what = error.summary + (f" ({' '.join(error.hint.split())})" if error.hint else "")
-        self._note(Step(name, outcome.status, time.perf_counter() - began, outcome.what, outcome.inputs))  # type: ignore[arg-type]
+        done = Step(name, outcome.status, time.perf_counter() - began, outcome.what, outcome.inputs)
+        if outcome.kept:
+            earlier = self.earlier(name)  # the time that it took when it was done
+            seconds = done.seconds if earlier is None else earlier.seconds
+            done = replace(done, seconds=seconds).of_earlier_call
+        elif done.finished and name in _MAKE_RUNS:
+            self._made = True
+        self._note(done)
 
     @property
     def networks(self) -> Path:
         """Where networks are trained."""
         return self.path / NETWORKS
 
-    def identify_config(self, make: Callable[[], IdentifyConfig], *, anew: bool) -> IdentifyConfig:
+    def holds_more(self, rungs: Collection[str], data_hash: str) -> bool:
+        """Whether the folder has a ladder with these rungs and others, which nothing in this call has outdated."""
+        file = self.path / LADDER_NAME
+        if self._made or self.overwrite or not file.is_file() or not (self.path / "gap.json").is_file():
+            return False
+        there = Ladder.load(file)
+        same_data = there.provenance.get("data_hash") == data_hash
+        return same_data and {rung.name for rung in there.rungs} - {"command"} > set(rungs)
+
+    def identify_config(self, make: Callable[[], IdentifyConfig]) -> IdentifyConfig:
         """What is fitted: as an earlier call has chosen for its time, so that its fit is gone on with; else made now.
 
         It is kept in identify.yaml, for `trueup identify --config`.
         """
         from trueup.identify import IdentifyConfig
 
-        path = self.path / IDENTIFY_NAME
-        if path.is_file() and not anew:
+        path = self.path / IDENTIFY_CONFIG
+        if path.is_file():
             return IdentifyConfig.load(path)
-        config = make()
-        if self.result.budget_s is not None:
-            write_text(path, yaml.safe_dump(as_read_back(config.to_json()), sort_keys=False))
+        return self.keep_config(IDENTIFY_CONFIG, make())
+
+    def keep_config(self, name: str, config: IdentifyConfig) -> IdentifyConfig:
+        """The configuration, which is written for the command of its step alone."""
+        write_text(self.path / name, yaml.safe_dump(as_read_back(config.to_json()), sort_keys=False))
         return config
 
     def leave_out(self, name: StepName, why: str) -> None:
@@ -108,9 +161,16 @@ class CloseFolder:
         networks = {**self.result.networks, label: folder.relative_to(self.path).as_posix()}
         self.result = replace(self.result, networks=networks)
 
+    def measured(self, seconds: float) -> None:
+        """Note what the last measurement took [s]."""
+        self.result = replace(self.result, measuring_s=seconds)
+        self._save()
+
     def _note(self, step: Step) -> None:
-        kept = self.earlier(step.name)
-        if step.status == "kept" and kept is not None:  # the time that it took when it was done
-            step = replace(step, seconds=kept.seconds, inputs=step.inputs or kept.inputs)
-        self.result = replace(self.result, steps=(*self.result.steps, step))
+        steps = [item for item in self.result.steps if item.name != step.name]
+        steps = sorted([*steps, step], key=lambda item: STEPS.index(item.name))
+        self.result = replace(self.result, steps=tuple(steps))
+        self._save()
+
+    def _save(self) -> None:
         self.result.save(self.path / CLOSE_NAME)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trueup.core.close_result import STEPS, StepName
+from trueup.core.model_card import CARD_NAME
 from trueup.core.time_limit import TimeLimit
 from trueup.dataset import Dataset
 from trueup.errors import MissingDependency, OutputExists, TrueupError
@@ -50,6 +51,14 @@ class Planned:
         """Its name in the ladder."""
         return self.method if (self.base, self.method) == ("stock", _BASELINE) else f"{self.base}+{self.method}"
 
+    def folder_in(self, networks: Path) -> Path:
+        """Where it is trained."""
+        return networks / self.base / self.method
+
+    def is_there(self, networks: Path) -> bool:
+        """Whether it is trained already."""
+        return (self.folder_in(networks) / CARD_NAME).is_file()
+
 
 @dataclass(frozen=True)
 class Trained:
@@ -85,7 +94,9 @@ def plan_of(methods: Sequence[str], *, fitted: bool) -> list[Planned]:
 
 
 def possible_runs(until: StepName, methods: Sequence[str]) -> list[str]:
-    """The labels of all runs that a close may make."""
+    """The labels of all runs that a close may make and measure."""
+    if STEPS.index(until) < STEPS.index("gap"):
+        return []
     runs = [STOCK] + [FITTED] * (STEPS.index(until) >= STEPS.index("identify"))
     return runs + [f"{run}+{method}" for run in runs for method in methods if until == "augment"]
 
@@ -133,7 +144,7 @@ def train_each(
         try:
             made = augment(
                 [dataset],
-                folder / item.base / item.method,
+                item.folder_in(folder),
                 run=item.run,
                 config=preset(item.method),
                 robot=robot,

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from trueup.core.attribution import UNEXPLAINED, Attribution
+from trueup.core.attribution import Attribution
 from trueup.core.augment_result import AUGMENT_NAME
 from trueup.core.close_result import CloseResult, StepName
+from trueup.core.fit_result import FitResult
 from trueup.core.results import Ladder
+from trueup.core.time_limit import TimeLimit
 from trueup.dataset import Dataset
 from trueup.errors import TrueupError
 from trueup.robots import RobotSpec
+from trueup.stages import close_words as words
+from trueup.stages.close_asked import asked_of_data
 from trueup.stages.close_budget import Budget, fitted_motion
-from trueup.stages.close_folder import CloseFolder, StepOutcome
+from trueup.stages.close_folder import EXPLAIN_CONFIG, LADDER_NAME, CloseFolder
 from trueup.stages.close_networks import Trained, corrected_everywhere, plan_of, train_each
 from trueup.stages.evaluating import judge
-from trueup.stages.folder import forget_explanation, forget_fit, refuse_other_fit
+from trueup.stages.folder import forget_explanation, refuse_other_fit
 from trueup.stages.identifying import FITTED, Identified, explain, explain_inputs, fit
 from trueup.stages.importing import ImportSummary
-from trueup.stages.ladder import CHOICE, ladder_of
+from trueup.stages.ladder import ladder_of
 from trueup.stages.measuring import Measurement, gap
 from trueup.stages.progress import Track, silent
 from trueup.stages.replaying import STOCK, ReplaySummary, replay_unless_same
@@ -30,7 +35,8 @@ if TYPE_CHECKING:
     from trueup.augment import Progress
     from trueup.identify import IdentifyConfig, OnModel
 
-EXPLAIN_NAME = "explain.json"
+EXPLAIN_NAME, FIT_NAME = "explain.json", "fit.json"
+NO_TIME = "no time was left"
 # Less than this is no time for a step that searches or trains [s].
 _LEAST_S = 2.0
 
@@ -58,10 +64,10 @@ class Closed:
 
     Attributes:
         dataset: the dataset, imported if need be.
-        replayed: the replay of the stock model.
-        measurement: gap, analysis, traces, quality, of all runs.
-        ladder: the rungs.
         result: the steps, as in close.json.
+        ladder: the rungs; none before the step gap.
+        replayed: the replay of the stock model; None if that was not asked for.
+        measurement: gap, analysis, traces, quality, of all runs; likewise.
         imported: the import, None if the dataset was there.
         attribution: where the gap comes from; None if that was not asked for or failed.
         identified: the fit; likewise.
@@ -70,10 +76,10 @@ class Closed:
     """
 
     dataset: Dataset
-    replayed: ReplaySummary
-    measurement: Measurement
-    ladder: Ladder
     result: CloseResult
+    ladder: Ladder = field(default_factory=lambda: Ladder(()))
+    replayed: ReplaySummary | None = None
+    measurement: Measurement | None = None
     imported: ImportSummary | None = None
     attribution: Attribution | None = None
     identified: Identified | None = None
@@ -102,41 +108,43 @@ class CloseSteps:
 
     def climb(self) -> Closed:
         """All steps that were asked for, one after the other."""
-        out, asked = self.folder.path, self.folder.asked
+        out, asked = self.folder.path, self.folder.result.is_asked
         if not self.overwrite:
             refuse_other_fit(out, self.dataset.hash)
+        self.folder.agree(asked_of_data(self.dataset, self.robot, self.model))
         replayed = self._replay()
         forget_explanation(out, unless_of=None if self.overwrite else self.dataset.hash)
-        if self.overwrite:
-            forget_fit(out)
+        if not asked("gap"):
+            return Closed(self.dataset, self.folder.result, replayed=replayed)
         rungs = {"stock": (STOCK, replayed.seconds)}
         self.watch.on_step("gap")
         with self.folder.step("gap") as step:
-            measurement = self._measure(rungs)
-            step.what = _main_number(measurement, STOCK)
-            ladder = self._save(measurement, rungs)
+            measurement, ladder = self._measure(rungs)
+            step.what = words.main_number(measurement, STOCK)
         attribution = self._explain(replayed.seconds) if asked("explain") else None
         identified = self._identify(replayed) if asked("identify") else None
         trained = self._augment(identified) if asked("augment") else ()
         notes: list[str] = []
         if trained or identified is not None:
+            began = time.perf_counter()
             rungs |= _corrected(trained, "stock", replayed.seconds)
             if identified is not None:
                 seconds = sum(row.seconds for row in identified.fit.models) + identified.replayed[1].seconds
                 rungs |= {"fitted": (FITTED, seconds), **_corrected(trained, "fitted", seconds)}
-            measurement = self._measure(rungs)
-            ladder = self._save(measurement, rungs)
-            notes = self._judge(trained)
+            measurement, ladder = self._measure(rungs)
+            if not self._holds_more(rungs):
+                notes = self._judge(trained)
+            self.folder.measured(time.perf_counter() - began)
         if attribution is not None:
             notes += attribution.statements
         if identified is not None:
             notes += [*identified.fit.statements, *identified.notes]
         return Closed(
             dataset=self.dataset,
+            result=self.folder.result,
+            ladder=ladder,
             replayed=replayed,
             measurement=measurement,
-            ladder=ladder,
-            result=self.folder.result,
             attribution=attribution,
             identified=identified,
             networks=trained,
@@ -145,7 +153,7 @@ class CloseSteps:
 
     def _replay(self) -> ReplaySummary:
         robot = self.robot
-        if self.folder.asked("identify"):
+        if self.folder.result.is_asked("identify"):
             from trueup.identify import judged
 
             # In the windows of the fit, where it has some: nothing else can be compared with it.
@@ -156,11 +164,14 @@ class CloseSteps:
                 self.dataset, robot, model=self.model, label=STOCK, jobs=self.jobs, track=self.track
             )
             step.what = f"{done.replayed + done.kept} motions simulated by the model as it came"
-            step.status = "done" if done.replayed else "kept"
+            step.kept = not done.replayed
+            if self.overwrite:  # only now, when nothing speaks against data, robot and model
+                self.folder.begin_anew()
         return done
 
-    def _measure(self, rungs: dict[str, tuple[str, float]]) -> Measurement:
-        return gap(
+    def _measure(self, rungs: Mapping[str, tuple[str, float]]) -> tuple[Measurement, Ladder]:
+        """Measure these runs; what the folder has of them and of others stays."""
+        measurement = gap(
             self.dataset,
             runs=[label for label, _ in rungs.values()],
             drop_flagged=self.drop_flagged,
@@ -169,90 +180,95 @@ class CloseSteps:
             blocks=len(rungs) == 1,
             track=self.track,
         )
-
-    def _save(self, measurement: Measurement, rungs: dict[str, tuple[str, float]]) -> Ladder:
         ladder = ladder_of(measurement, rungs)
-        measurement.save(self.folder.path)
-        ladder.save(self.folder.path / "ladder.json")
-        return ladder
+        if not self._holds_more(rungs):
+            measurement.save(self.folder.path)
+            ladder.save(self.folder.path / LADDER_NAME)
+        return measurement, ladder
+
+    def _holds_more(self, rungs: Collection[str]) -> bool:
+        return self.folder.holds_more(rungs, self.dataset.hash)
 
     def _explain(self, replay_s: float) -> Attribution | None:
-        from trueup.identify import IdentifyConfig
-
-        path = self.folder.path / EXPLAIN_NAME
-        found: Attribution | None = None
-        limit = self.budget.of("explain")
-        if limit is not None and limit.left_s < _LEAST_S:
-            self.folder.leave_out("explain", "no time was left")
+        path, limit = self.folder.path / EXPLAIN_NAME, self.budget.of("explain")
+        inputs = explain_inputs(self.dataset, self.robot, model=self.model, config=self.config, seed=self.seed)
+        earlier = self.folder.earlier("explain")
+        kept = earlier is not None and earlier.inputs == inputs and path.is_file()
+        if _no_time(limit) and not kept:
+            self.folder.leave_out("explain", NO_TIME)
             return None
+        found: Attribution | None = None
         self.watch.on_step("explain")
         with self.folder.step("explain", may_fail=True) as step:
-            step.inputs = explain_inputs(self.dataset, self.robot, model=self.model, config=self.config, seed=self.seed)
-            earlier = self.folder.earlier("explain")
-            if earlier is not None and earlier.inputs == step.inputs and path.is_file() and not self.overwrite:
-                found, step.status = Attribution.load(path), "kept"
+            step.inputs, step.kept = inputs, kept
+            if kept:
+                found = Attribution.load(path)
             else:
                 found = explain(
                     self.dataset,
                     self.robot,
                     model=self.model,
-                    config=fitted_motion(self.config or IdentifyConfig(), self.robot, self.dataset, replay_s, limit),
+                    config=self.folder.keep_config(EXPLAIN_CONFIG, self._fitted_motion(replay_s, limit)),
                     seed=self.seed,
                     jobs=self.jobs,
                     on_progress=self.watch.on_fit,
                     limit=limit,
                 )
                 found.save(path)
-                step.status = "cut short" if limit is not None and limit.over else "done"
-            step.what = _shares(found)
+            step.status = "cut short" if found.short_of_time else "done"
+            step.what = words.shares(found)
         return found
 
-    def _identify(self, replayed: ReplaySummary) -> Identified | None:
+    def _fitted_motion(self, replay_s: float, limit: TimeLimit | None) -> IdentifyConfig:
         from trueup.identify import IdentifyConfig
 
-        limit = self.budget.of("identify")
-        if limit is not None and limit.left_s < _LEAST_S:
-            self.folder.leave_out("identify", "no time was left")
+        return fitted_motion(self.config or IdentifyConfig(), self.robot, self.dataset, replay_s, limit)
+
+    def _identify(self, replayed: ReplaySummary) -> Identified | None:
+        path, limit = self.folder.path / FIT_NAME, self.budget.of("identify")
+        earlier = FitResult.load(path) if path.is_file() else None
+        if _no_time(limit) and earlier is None:
+            self.folder.leave_out("identify", NO_TIME)
             return None
         found: Identified | None = None
         self.watch.on_step("identify")
         with self.folder.step("identify", may_fail=True) as step:
-            kept = (self.folder.path / "fit.json").is_file()
-            config = self.folder.identify_config(
-                lambda: fitted_motion(
-                    self.config or IdentifyConfig(), self.robot, self.dataset, replayed.seconds, limit
-                ),
-                anew=self.overwrite,
-            )
             found = fit(
                 self.dataset,
                 self.robot,
                 self.folder.path,
                 model=self.model,
-                config=config,
+                config=self.folder.identify_config(lambda: self._fitted_motion(replayed.seconds, limit)),
                 seed=self.seed,
                 jobs=self.jobs,
                 resume=True,
+                keep_gap=self._holds_more(("stock", "fitted")),
                 track=self.track,
                 on_progress=self.watch.on_fit,
                 limit=limit,
             )
-            _say_fit(step, found, kept=kept)
+            step.kept = earlier is not None and earlier.data.get("inputs") == found.fit.data["inputs"]
+            step.status = "cut short" if found.fit.short_of_time else "done"
+            step.what = words.of_fit(found.fit)
         return found
 
     def _augment(self, identified: Identified | None) -> tuple[Trained, ...]:
         limit = self.budget.of("augment")
-        if limit is not None and limit.left_s < _LEAST_S:
-            self.folder.leave_out("augment", "no time was left")
-            return ()
+        # A fit that is no better than the model as it came is nothing to build on.
+        fitted = identified is not None and identified.fit.status != "no-better"
+        plan, untried = plan_of(self.methods, fitted=fitted), []
+        if _no_time(limit):
+            untried = [item.rung for item in plan if not item.is_there(self.folder.networks)]
+            plan = [item for item in plan if item.rung not in untried]
+            if not plan:
+                self.folder.leave_out("augment", NO_TIME)
+                return ()
         trained: list[Trained] = []
         self.watch.on_step("augment")
         with self.folder.step("augment", may_fail=True) as step:
-            # A fit that is no better than the model as it came is nothing to build on.
-            fitted = identified is not None and identified.fit.status != "no-better"
             failed: dict[str, TrueupError] = {}
             for made in train_each(
-                plan_of(self.methods, fitted=fitted),
+                plan,
                 self.dataset,
                 self.robot,
                 self.folder.networks,
@@ -269,13 +285,9 @@ class CloseSteps:
                 self.folder.add_network(made.label, made.folder)
             if failed and not trained:
                 raise next(iter(failed.values()))
-            words = [network.words for network in trained]
-            words += [f"{name} failed: {error.summary}" for name, error in failed.items()]
-            step.what = "; ".join(words)
-            if all(network.kept for network in trained):
-                step.status = "kept"
-            elif any(network.cut_short for network in trained):
-                step.status = "cut short"
+            step.kept = all(network.kept for network in trained)
+            step.status = "cut short" if untried or any(network.cut_short for network in trained) else "done"
+            step.what = words.of_networks(trained, failed, untried)
         return tuple(trained)
 
     def _judge(self, trained: Sequence[Trained]) -> list[str]:
@@ -307,27 +319,5 @@ def _corrected(trained: Sequence[Trained], base: str, seconds: float) -> dict[st
     return {item.rung: (item.label, seconds + item.seconds) for item in trained if item.base == base}
 
 
-def _main_number(measurement: Measurement, run: str) -> str:
-    """The number by which rungs are chosen, on what is nearest to a test."""
-    signal, metric = CHOICE
-    splits = measurement.gap.runs.get(run, {})
-    for split in ("test", "val", "train", "all"):
-        if metric in splits.get(split, {}).get(signal, {}):
-            total = splits[split][signal][metric].total
-            return f"{signal} {metric} {total.value:.4g} {total.unit} on {split}"
-    return "no positions to compare"
-
-
-def _shares(attribution: Attribution) -> str:
-    labels = {step.cause: step.label for step in attribution.steps} | {UNEXPLAINED: UNEXPLAINED}
-    shares = sorted(attribution.shares_total.items(), key=lambda item: -item[1])
-    return ", ".join(f"{labels[cause]} {100 * share:.0f} %" for cause, share in shares if share >= 0.005)
-
-
-def _say_fit(step: StepOutcome, found: Identified, *, kept: bool) -> None:
-    fitted = found.fit
-    sure = sum(item.identified == "yes" for item in fitted.free)
-    stopped = fitted.solver["stop"] == "time"
-    step.status = "kept" if kept else "cut short" if stopped else "done"
-    chosen = next((row.name for row in fitted.models if row.chosen), "")
-    step.what = f"{sure} of {len(fitted.free)} parameters determined, status {fitted.status}, model {chosen!r}"
+def _no_time(limit: TimeLimit | None) -> bool:
+    return limit is not None and limit.left_s < _LEAST_S

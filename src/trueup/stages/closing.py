@@ -15,6 +15,7 @@ from trueup.dataset import Dataset, is_dataset
 from trueup.dataset.importers.base import ImportOptions
 from trueup.errors import ConfigError, OutputExists
 from trueup.robots import RobotSpec, find_model
+from trueup.stages.close_asked import asked_beforehand
 from trueup.stages.close_budget import Budget
 from trueup.stages.close_folder import CloseFolder
 from trueup.stages.close_networks import METHODS
@@ -53,7 +54,7 @@ def close(
     Every step is the command of its name, with the same results, and its files lie in `out`: those of `gap`, `explain`
     and `fit`, `networks/`, ladder.json with all rungs, close.json with the steps. Logs are imported into `out/dataset`.
     Everything is fitted on train and chosen on val. A step that fails (nothing can be learned from these motions, no
-    torch) is noted, and the others go on without it. What was done by an earlier call from the same inputs is kept.
+    torch) is noted, and the others go on without it. What an earlier call has done is kept, however little time it had.
 
     Args:
         source: a dataset, or logs of any known format.
@@ -65,7 +66,7 @@ def close(
         splits: split.json or fractions, for the import.
         drop_flagged: leave out episodes with warnings.
         metrics: names; a sensible set per signal if None.
-        until: the last step.
+        until: the last step; `import` for logs only.
         budget_s: time for this call [s]. Steps that search and train end with the best so far; with little time, less
             motion is fitted. What takes as long as it takes (reading, replays, measuring) is not cut.
         config: what is fitted; the default for the robot's controller if None.
@@ -73,13 +74,14 @@ def close(
         seed: of all draws.
         jobs: threads; the number of cores if None.
         overwrite: replace the results that are in `out`.
-        resume: go on where an earlier call was interrupted.
+        resume: go on where an earlier call was interrupted, or ended, that asked for the same robot, model,
+            configuration, seed and motions. Other methods add networks.
         track: shows progress.
         watch: who is told more.
 
     Raises:
         OutputExists: `out` holds results, and neither `overwrite` nor `resume` is given; or those of other inputs.
-        ConfigError: there is no such step or method, or the time is not positive.
+        ConfigError: there is no such step or method, nothing to import, or the time is not positive.
         TrueupError: what import, replay and gap raise.
     """
     if until not in STEPS:
@@ -93,14 +95,25 @@ def close(
     source, out, watch = Path(source), Path(out), watch or Watch()
     if not is_dataset(source):
         refuse_nesting(source, out / "dataset")
+    elif until == "import":
+        raise ConfigError(
+            f"{source} is a dataset: there is nothing to import", hint="Give --until replay, or a later step."
+        )
     if model is not None:
         find_model(robot, given=Path(model))
     with sole_writer(out):
         if any(out.iterdir()) and not (overwrite or resume):
             raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
         asked = {"until": until, "budget_s": budget_s, "methods": list(methods), "drop_flagged": drop_flagged}
-        folder = CloseFolder(out, until=until, budget_s=budget_s, provenance=provenance(config=asked, seed=seed))
-        budget = Budget(budget_s, [step for step in STEPS if folder.asked(step)])
+        folder = CloseFolder(
+            out,
+            until=until,
+            budget_s=budget_s,
+            overwrite=overwrite,
+            provenance=provenance(config=asked, seed=seed),
+        )
+        folder.agree(asked_beforehand(robot, config, seed=seed, drop_flagged=drop_flagged, metrics=metrics))
+        budget = Budget(budget_s, [step for step in STEPS if folder.result.is_asked(step)])
         imported, path = None, source
         if not is_dataset(source):
             path = out / "dataset"
@@ -119,7 +132,10 @@ def close(
                     track=track,
                 )
                 step.what = f"{len(Dataset(path))} motions"
+                step.kept = not imported.imported
             watch.on_import(imported)
+        if until == "import":
+            return Closed(Dataset(path), folder.result, imported=imported)
         steps = CloseSteps(
             dataset=Dataset(path),
             robot=robot,

@@ -13,6 +13,7 @@ from jaxtyping import Float64
 
 from trueup.align import JointMap
 from trueup.core.atomic import as_read_back, json_hash, make_folder
+from trueup.core.sole_writer import writes_alone
 from trueup.core.units import joint_unit
 from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, TrueupError, needing
@@ -135,6 +136,7 @@ def prepare(
     return Prepared(parts["train"], parts["val"], plants, control_s, dataset.hash, tuple(notes[:1]))
 
 
+@writes_alone()
 def compensate(
     dataset: Dataset,
     robot: RobotSpec,

@@ -8,6 +8,7 @@ from typing import Literal
 
 from trueup.core.close_result import STEPS, StepName
 from trueup.core.provenance import provenance
+from trueup.core.sole_writer import writes_alone
 from trueup.core.time_limit import TimeLimit
 from trueup.dataset import DatasetInfo, DatasetWriter
 from trueup.errors import ConfigError, OutputExists
@@ -42,6 +43,7 @@ def demo_dataset(out: Path | str, *, seed: int = 0, overwrite: bool = False, tra
     return out
 
 
+@writes_alone()
 def demo(
     out: Path | str,
     *,
@@ -70,7 +72,7 @@ def demo(
 
     Raises:
         OutputExists: `out` is not empty, and `overwrite` is not given.
-        ConfigError: there is no demo of this robot.
+        ConfigError: there is no demo of this robot, or nothing to import.
         MissingDependency: the extra `plan` is not installed.
     """
     out = Path(out)
@@ -78,6 +80,8 @@ def demo(
         raise ConfigError(f"there is no demo of {robot!r}", available=DEMO_ROBOTS)
     if out.is_dir() and any(out.iterdir()) and not overwrite:
         raise OutputExists(f"{out} is not empty", hint="Give --overwrite, or choose another --out.")
+    if until == "import":
+        raise ConfigError("a demo records its data: there is nothing to import", available=STEPS[1:])
     limit = None if budget_s is None else TimeLimit.after(budget_s)
     if robot == "demo_arm":
         data = demo_dataset(out / "dataset", seed=seed, overwrite=overwrite, track=track)

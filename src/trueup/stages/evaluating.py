@@ -13,6 +13,7 @@ from trueup.core.augment_result import ANY_CONDITION, AUGMENT_NAME, AugmentResul
 from trueup.core.model_card import ONNX_NAME, ModelCard
 from trueup.core.provenance import provenance
 from trueup.core.results import Ladder
+from trueup.core.sole_writer import writes_alone
 from trueup.core.step_times import LATENCY_NAME, StepTimes
 from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError, MissingSignal, OutputExists, TrueupError
@@ -63,6 +64,7 @@ class Judged:
     notes: tuple[str, ...]
 
 
+@writes_alone()
 def evaluate(
     dataset: Dataset,
     models: Sequence[Path | str],

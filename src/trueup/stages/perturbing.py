@@ -31,6 +31,7 @@ from trueup.core.robustness_result import (
     RobustnessResult,
     RobustnessRow,
 )
+from trueup.core.sole_writer import writes_alone
 from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError, MissingSignal, OutputExists, TrueupError
 from trueup.robots import RobotSpec
@@ -147,6 +148,7 @@ def _clones(simulator: MujocoSimulator, count: int) -> SimpleQueue[MujocoSimulat
     return free
 
 
+@writes_alone()
 def robustness(
     datasets: Sequence[Dataset],
     robot: RobotSpec,

@@ -151,6 +151,7 @@ def search_grid(
         MissingDependency: Stable-Baselines3, Optuna or Ray is not installed.
     """
     with needing("searching a grid", "rl"):
+        from trueup.augment.training import find_device
         from trueup.policy.config import PolicyConfig
         from trueup.policy.grid import THESIS
         from trueup.policy.learned import read_learned
@@ -164,6 +165,8 @@ def search_grid(
     simulated(config, robot, path, count=1, force=force)  # refuses what every trial would
     for point in points:
         read_learned(point.config, robot.joint_names)  # refuses what one trial would, hours later
+    if ray is None:
+        find_device(device)  # likewise; what a cluster has, its machines know
     axes = {axis.title: [list(row) for row in axis.rows] for axis in grid.axes}
     asked = json_hash({"policy": policy_question(robot, path, config, name="", seed=seed), "axes": axes})
     _prepare(out, overwrite=overwrite, resume=resume)
