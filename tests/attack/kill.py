@@ -21,6 +21,7 @@ import numpy as np
 
 from attack.harness import Writer, forking
 from attack.parsers_robots import make_robot
+from attack.writers_commands import COMMAND_WRITERS
 from attack.writers_results import RESULT_WRITERS
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries, same_units
@@ -166,7 +167,7 @@ _WRITERS = (
 )
 
 
-WRITERS = {writer.name: writer for writer in (*_WRITERS, *RESULT_WRITERS)}
+WRITERS = {writer.name: writer for writer in (*_WRITERS, *RESULT_WRITERS, *COMMAND_WRITERS)}
 
 
 def forked(what: Callable[[Path], object], base: Path, *, kill_after_s: float | None = None) -> tuple[str, float]:

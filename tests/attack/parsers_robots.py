@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import functools
 import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import asdict
+from importlib import resources
 from pathlib import Path
 
 import yaml
@@ -16,7 +18,7 @@ from trueup.core.config import read_yaml
 from trueup.identify import IdentifyConfig, Knowledge, Nominal
 from trueup.lab import LabSpec, draw_truth, load_lab
 from trueup.lab.truth import Truth
-from trueup.record import load_workspace
+from trueup.record import load_plans, load_workspace
 from trueup.record.urdf import urdf_velocity_limits
 from trueup.robots import find_model, load_robot
 from trueup.robots.model import compile_spec, load_spec
@@ -183,7 +185,59 @@ def read_identify(folder: Path) -> Iterator[Exception]:
     yield from ()
 
 
+PLANS = """
+schema: trueup.plans/1
+name: small
+workspace: {floor_m: 0.0, boxes: [{name: wall, center_m: [1.0, 0.0, 0.5], size_m: [0.1, 2.0, 1.0]}]}
+seed: 8
+fractions: {train: 0.84, val: 0.16}
+motion: {clock: {rate_hz: 200}}
+reference: {duration_s: 3.0, ramp_s: 1.0, degree: 7}
+groups:
+  - {name: goals, kind: joint, count: 3, moving: single, velocity_share: [0.02, 0.12]}
+  - {name: field, kind: random-field, count: 2, moving: all, duration_s: [2, 3], length_s: [0.25, 1.0], velocity_share: [0.3, 1.0]}
+  - {name: spline, kind: joint-b-spline, count: 2, moving: all, control_points: 8, pause_share: 0.25, span_s: 0.5, joints: [a, b]}
+  - {name: played, kind: animation, count: 1, split: test, speed: [0.85, 1.25], amplitude: [0.8, 1.05]}
+animations:
+  wave: {duration_s: 3.0, joints: {a: [[1.2, -0.5], [2.0, 0.5]], b: [[1.0, 0.2], [2.5, -0.2]]}}
+"""
+
+
+def make_plans_file(folder: Path) -> None:
+    """Every kind of motion that a description may ask for, nearly."""
+    (folder / "plans.yaml").write_text(PLANS)
+
+
+def read_plans_file(folder: Path) -> Iterator[Exception]:
+    """Names and splits of all motions."""
+    spec = load_plans(folder / "plans.yaml")
+    count = sum(group.count for group in spec.groups)
+    ids = [spec.id(number) for number in range(min(count, 100))]
+    if len(set(ids)) < len(ids):
+        raise Unsound("two motions of one name")
+    for number in range(len(ids)):
+        spec.split(number)
+    json.dumps(spec.to_dict(), allow_nan=False)
+    yield from ()
+
+
+def make_lab_of_robot(folder: Path) -> None:
+    """A shipped one, which names its robot, and that robot's description."""
+    shutil.copy(resources.files("trueup.lab") / "labs" / "upper_body.yaml", folder / "lab.yaml")
+    shutil.copy(resources.files("trueup.robots") / "upper_body.yaml", folder / "robot.yaml")
+
+
+def read_lab_of_robot(folder: Path) -> Iterator[Exception]:
+    """The robot, and an individual of the lab's."""
+    robot = load_robot(folder / "robot.yaml")
+    JointMap.from_dict(robot.joint_rules())
+    draw_truth(load_lab(folder / "lab.yaml", robot=robot.name), unit=1)
+    yield from ()
+
+
 PARSERS = (
+    Parser("plans.yaml", make_plans_file, read_plans_file),
+    Parser("lab of a robot", make_lab_of_robot, read_lab_of_robot),
     Parser("mjcf", make_mjcf, read_mjcf),
     Parser("urdf", make_urdf, read_urdf),
     Parser("robot.yaml", make_robot, read_robot),

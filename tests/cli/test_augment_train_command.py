@@ -10,7 +10,7 @@ import time
 import pytest
 
 from augment.augment_cases import make_dataset
-from trueup.cli.augment_train import _configured
+from trueup.cli.augment_train import configured
 from trueup.cli.main import main
 
 
@@ -117,9 +117,9 @@ def test_a_wrong_file_is_said_with_the_place(run, data, tmp_path, over, message)
 
 def test_a_signal_that_is_chosen_need_not_be_the_one_that_its_method_is_blind_to():
     """The SAT does not read the position that it corrects; where it corrects the torque alone, that says nothing."""
-    assert _configured("sat", None, ["torque"], None, None).data.blind == ()
-    assert _configured("sat", None, ["torque", "position"], None, None).data.blind == ("position",)
-    assert _configured("sat", None, None, None, None).data.blind == ("position",)
+    assert configured("sat", None, ["torque"], None, None).data.blind == ()
+    assert configured("sat", None, ["torque", "position"], None, None).data.blind == ("position",)
+    assert configured("sat", None, None, None, None).data.blind == ("position",)
 
 
 def test_what_no_sensor_measured_is_said(run, tmp_path):

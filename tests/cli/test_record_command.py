@@ -157,6 +157,7 @@ def test_bad_input_is_told_in_two_lines_and_nothing_is_written(run, plans, tmp_p
 PLANS_THAT_ARE_NONE = {
     "of one name": ("[{name: a, kind: joint, count: 1}, {name: a, kind: chirp, count: 1}]", "different names"),
     "no motion": ("[{name: a, kind: joint, count: 0}]", "needs motions: got {'a': 0}"),
+    "a billion motions": ("[{name: a, kind: joint, count: 1111111111}]", "too many motions: got {'a': 1111111111}"),
     "fractions of no split": (
         "[{name: a, kind: joint, count: 1}]\nfractions: {tran: 1.0}",
         "available: train, val, test",

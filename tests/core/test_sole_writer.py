@@ -5,10 +5,11 @@ import signal
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 
-from trueup.core.sole_writer import sole_writer
+from trueup.core.sole_writer import sole_writer, writes_alone
 from trueup.errors import DataError
 
 HOLD = """
@@ -82,3 +83,42 @@ def test_threads_of_one_process_do_not_wait_for_each_other(tmp_path):
         thread.start()
         thread.join(5.0)
     assert done
+
+
+@writes_alone()
+def work(out: Path | None, *, end: Exception | None = None) -> str:
+    """Asks another process whether it may write there, too."""
+    if end is not None:
+        raise end
+    if out is None or out.is_file():
+        return "nothing to lock"
+    code = "import sys; from pathlib import Path; from trueup.core.sole_writer import sole_writer\n"
+    code += "with sole_writer(Path(sys.argv[1])): pass"
+    return subprocess.run([sys.executable, "-c", code, str(out)], capture_output=True, text=True, check=False).stderr
+
+
+def test_a_function_is_alone_with_the_folder_that_it_is_given(tmp_path):
+    assert "another process writes into" in work(tmp_path / "a" / "out")
+    assert "another process writes into" in work(out=tmp_path / "a" / "out")
+    assert work(None) == "nothing to lock"
+    (tmp_path / "file").touch()
+    assert work(tmp_path / "file") == "nothing to lock"
+
+
+def test_a_folder_that_was_made_for_nothing_is_gone(tmp_path):
+    (tmp_path / "there").mkdir()
+    for folder in ("there", "there/x/y"):
+        with pytest.raises(ValueError, match="wrong"):
+            work(tmp_path / folder, end=ValueError("wrong"))
+    assert [path.name for path in tmp_path.rglob("*")] == ["there"]
+
+
+def test_what_an_error_leaves_stays(tmp_path):
+    def fails():
+        with sole_writer(tmp_path / "out"):
+            (tmp_path / "out" / "kept").touch()
+            raise ValueError("wrong")
+
+    with pytest.raises(ValueError, match="wrong"):
+        fails()
+    assert (tmp_path / "out" / "kept").is_file()

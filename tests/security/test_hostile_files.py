@@ -1,6 +1,7 @@
 """Files that are made to hurt: each is refused in a line or two, in a few seconds, in little memory."""
 
 import resource
+import shutil
 import subprocess
 import sys
 import time
@@ -13,11 +14,15 @@ import pytest
 from benchmarks.networks import real_time
 from onnx import TensorProto, helper
 
+from attack.parsers_results import make_gap_file
+from trueup.cli.main import main
 from trueup.core.atomic import file_hash, read_json, write_json
 from trueup.core.card import sealed
 from trueup.core.model_card import CARD_NAME, CARD_SCHEMA, ONNX_NAME
 from trueup.dataset import Dataset, DatasetWriter
-from trueup.stages import demo_dataset
+from trueup.robots import load_robot
+from trueup.stages import demo_dataset, replay
+from trueup.stages.exporting import export_dataset
 
 PATIENCE_S, ROOM_BYTES = 20.0, 3_000_000_000
 BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
@@ -35,18 +40,18 @@ def _limits():
     resource.setrlimit(resource.RLIMIT_DATA, (ROOM_BYTES, ROOM_BYTES))
 
 
-def run(*arguments, folder):
+def run(*arguments, folder, limits=_limits):
     """The command in a process of its own, that may not take much; code, output, and seconds."""
     began = time.monotonic()
     done = subprocess.run(
         [sys.executable, "-m", "trueup.cli.main", *map(str, arguments)],
-        cwd=folder, capture_output=True, text=True, timeout=PATIENCE_S + 40, preexec_fn=_limits, check=False,
+        cwd=folder, capture_output=True, text=True, timeout=PATIENCE_S + 40, preexec_fn=limits, check=False,
     )  # fmt: skip
     return done.returncode, done.stdout + done.stderr, time.monotonic() - began
 
 
-def refused(*arguments, folder, told=()):
-    code, said, took_s = run(*arguments, folder=folder)
+def refused(*arguments, folder, told=(), limits=_limits):
+    code, said, took_s = run(*arguments, folder=folder, limits=limits)
     assert code == 2, said
     assert "Traceback" not in said
     assert "bug in trueup" not in said
@@ -115,7 +120,28 @@ def test_a_network_with_operators_of_its_own(tmp_path):
     node = helper.make_node("Launch", ["x"], ["unused"], domain="evil")
     network(tmp_path / "net", node, opsets=[helper.make_opsetid("evil", 1)])
     arguments = ("augment", "time", tmp_path / "net", "--seconds", 0.1, "--out", tmp_path / "out")
-    refused(*arguments, folder=tmp_path, told=["cannot run", "evil"])
+    refused(*arguments, folder=tmp_path, told=["operators of its own", "evil.Launch"])
+
+
+def test_a_network_that_never_ends(tmp_path):
+    """2^60 rounds, all of them before the first sample."""
+    names = {"count": TensorProto.INT64, "given": TensorProto.BOOL, "go_on": TensorProto.BOOL}
+    count, given, go_on = (helper.make_tensor_value_info(name, kind, []) for name, kind in names.items())
+    body = helper.make_graph([helper.make_node("Identity", ["given"], ["go_on"])], "body", [count, given], [go_on])
+    loop = helper.make_node("Loop", ["trips", ""], [], body=body)
+    trips = helper.make_tensor("trips", TensorProto.INT64, [], [1 << 60])
+    network(tmp_path / "net", loop, initializer=trips)
+    arguments = ("augment", "time", tmp_path / "net", "--seconds", 0.1, "--out", tmp_path / "out")
+    refused(*arguments, folder=tmp_path, told=["Loop", "loops or branches"])
+
+
+@pytest.mark.parametrize("bounded", [True, False], ids=["little memory", "all memory"])
+def test_a_network_that_fills_the_memory(bounded, tmp_path):
+    """Said by trueup itself, whether the system would give the memory or not."""
+    size = helper.make_tensor("size", TensorProto.INT64, [1], [10**11])
+    network(tmp_path / "net", helper.make_node("ConstantOfShape", ["size"], ["unused"]), initializer=size)
+    arguments = ("augment", "time", tmp_path / "net", "--seconds", 0.1, "--out", tmp_path / "out")
+    refused(*arguments, folder=tmp_path, told=["too much memory", "512 MB"], limits=_limits if bounded else None)
 
 
 def test_units_whose_names_lead_elsewhere(tmp_path, data):
@@ -140,18 +166,48 @@ def test_units_whose_names_lead_elsewhere(tmp_path, data):
 @pytest.mark.parametrize(
     "words",
     [
-        ("import", "DATA/nothing"),
-        ("gap", "DATA"),
-        ("close", "DATA", "--robot", "demo_arm", "--until", "gap"),
-        ("identify", "DATA", "--robot", "demo_arm"),
-        ("fleet", "DATA", "--robot", "demo_arm", "--until", "gap"),
-        ("export", "DATA", "--format", "csv"),
-        ("augment", "train", "DATA", "--method", "moving-average"),
-        ("record", "--robot", "panda", "--scale", "0.001"),
+        "import CSV",
+        "gap DATA",
+        "close DATA --robot demo_arm --until gap",
+        "identify DATA --robot demo_arm",
+        "fleet DATA --robot demo_arm --until gap",
+        "demo --robot demo_arm",
+        "export DATA --format csv",
+        "design --robot panda --count 1",
+        "record --robot panda --scale 0.001",
+        "report RESULTS",
+        "augment train DATA --method moving-average",
+        "augment sweep REPLAYED --method moving-average --seeds 1",
+        "augment eval DATA --model zoo:panda-realeasy-rt",
+        "augment robustness DATA --robot demo_arm --model zoo:panda-realeasy-rt",
+        "augment time zoo:panda-realeasy-rt",
+        "compensate train DATA --robot demo_arm",
+        "policy train",
+        "policy grid",
+        "policy eval zoo:panda-reach",
+        "policy curves zoo:panda-reach",
+        "deploy run zoo:panda-reach",
+        "deploy ros2 zoo:panda-realeasy-rt --localhost --domain 99",
     ],
-    ids=lambda words: words[0],
 )
-def test_a_folder_that_cannot_be_written_to(words, data, tmp_path):
-    """Below /proc nobody makes folders, root neither."""
-    line = [word.replace("DATA", str(data)) for word in words]
-    refused(*line, "--out", "/proc/trueup/out", folder=tmp_path)
+def test_a_folder_that_cannot_be_written_to(words, data, tmp_path, capsys, monkeypatch):
+    """Below /proc nobody makes folders, root neither; that is what is said, and not after hours of work."""
+    monkeypatch.chdir(tmp_path)
+    known = {"DATA": data, "CSV": tmp_path / "csv", "RESULTS": tmp_path}
+    make_gap_file(tmp_path)
+    if "CSV" in words:
+        export_dataset(data, known["CSV"])
+    if "REPLAYED" in words:
+        known["REPLAYED"] = shutil.copytree(data, tmp_path / "replayed")
+        replay(Dataset(known["REPLAYED"]), load_robot("demo_arm"), jobs=1)
+    before, began = sorted(tmp_path.rglob("*")), time.process_time()
+    with pytest.raises(SystemExit) as left:
+        main([*(str(known.get(word, word)) for word in words.split()), "--out", "/proc/trueup/out"])
+    out, err = capsys.readouterr()
+    assert left.value.code == 2, out + err
+    assert "/proc/trueup" in err
+    assert "Traceback" not in out + err
+    assert "bug in trueup" not in err
+    assert len(err) < 2000
+    assert time.process_time() - began < PATIENCE_S
+    assert sorted(tmp_path.rglob("*")) == before

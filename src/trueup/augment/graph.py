@@ -13,6 +13,8 @@ import numpy as np
 import onnx
 from onnx import helper, numpy_helper
 
+from trueup.deploy.operators import check_operators
+
 _OPSET = 17
 _IR_VERSION = 9  # read by every onnxruntime since 1.15
 
@@ -60,14 +62,20 @@ class Graph:
         return names
 
     def serialized(self, metadata: Mapping[str, str]) -> bytes:
-        """The checked model."""
+        """The checked model.
+
+        Raises:
+            DataError: it has operators that are not run, see `deploy.operators`.
+        """
         graph = helper.make_graph(self._without_identities(), "trueup", self._inputs, self._outputs, self._constants)
         model = helper.make_model(
             graph, opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR_VERSION, producer_name="trueup"
         )
         helper.set_model_props(model, dict(metadata))
         onnx.checker.check_model(model, full_check=True)
-        return bytes(model.SerializeToString())
+        data = bytes(model.SerializeToString())
+        check_operators(data, "the exported graph")  # now, and not when somebody wants to run it
+        return data
 
     def _without_identities(self) -> list[onnx.NodeProto]:
         """Outputs named at the node that makes them, where that node makes nothing else's output."""

@@ -10,6 +10,7 @@ import typer
 from rich.table import Table
 
 from trueup.cli.console import note, out
+from trueup.core.sole_writer import writes_alone
 from trueup.errors import ConfigError, DataError
 
 
@@ -18,6 +19,7 @@ def register(app: typer.Typer) -> None:
     app.command("time")(measure)
 
 
+@writes_alone("out_dir")
 def measure(
     model: Annotated[Path, typer.Argument(help="Folder of a trained real-time network, or zoo:NAME.")],
     rate_hz: Annotated[float, typer.Option("--rate", help="Rate of the control loop [Hz].")] = 1000.0,

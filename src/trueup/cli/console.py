@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Generator, Iterable, Iterator
 from typing import TYPE_CHECKING, TypeVar
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -18,6 +18,7 @@ from rich.progress import (
     TextColumn,
     TimeRemainingColumn,
 )
+from rich.segment import Segment
 from rich.status import Status
 from rich.text import Text
 
@@ -30,10 +31,27 @@ T = TypeVar("T")
 # A file or pipe has no width of its own: tables take what they need, up to this.
 _FILE_WIDTH = 160
 
-out = Console(highlight=False, soft_wrap=True)
+
+class _Console(Console):
+    """Names and paths may hold control characters, wherever they stand; a terminal must not obey them."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """What is printed, piece by piece."""
+        for segment in super().render(renderable, options):
+            if segment.control or segment.text.isprintable():
+                yield segment
+            else:
+                yield Segment(_plain_text(segment.text), segment.style)
+
+
+def _plain_text(text: str) -> str:
+    return "".join(character if character.isprintable() or character == "\n" else "\ufffd" for character in text)
+
+
+out = _Console(highlight=False, soft_wrap=True)
 if not out.is_terminal:
-    out = Console(highlight=False, soft_wrap=True, width=_FILE_WIDTH)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
+    out = _Console(highlight=False, soft_wrap=True, width=_FILE_WIDTH)
+err = _Console(stderr=True, highlight=False, soft_wrap=True)
 
 # Seconds between lines where no terminal redraws a bar, e.g. in a log of CI.
 _PLAIN_EVERY_S = 5.0
@@ -122,25 +140,20 @@ def search_line(model: str, progress: SearchProgress) -> str:
     )
 
 
-def _plain_text(text: str) -> str:
-    """Names from logs may hold control characters; a terminal must not obey them."""
-    return "".join(character if character.isprintable() or character == "\n" else "\ufffd" for character in text)
-
-
 def problem(message: str, hint: str | None = None) -> None:
     """An error in one or two lines."""
-    err.print(Text("error: ", style="bold red") + Text(_plain_text(" ".join(message.split()))))
+    err.print(Text("error: ", style="bold red") + Text(" ".join(message.split())))
     if hint:  # lines are kept: a hint may be a file to copy
-        err.print(Text("  next: ", style="bold") + Text(_plain_text(hint.strip())))
+        err.print(Text("  next: ", style="bold") + Text(hint.strip()))
 
 
 def note(message: str) -> None:
     """A remark on stderr."""
-    err.print(Text("note: ", style="bold yellow") + Text(_plain_text(message)))
+    err.print(Text("note: ", style="bold yellow") + Text(message))
 
 
 def warning(message: str, hint: str | None = None) -> None:
     """What must not be overlooked although the exit code is 0."""
-    err.print(Text("warning: ", style="bold yellow") + Text(_plain_text(message)))
+    err.print(Text("warning: ", style="bold yellow") + Text(message))
     if hint:
-        err.print(Text("  next: ", style="bold") + Text(_plain_text(hint)))
+        err.print(Text("  next: ", style="bold") + Text(hint))

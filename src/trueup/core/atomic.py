@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import math
@@ -34,7 +35,7 @@ def replacing(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` that takes its place when the block ends without an error.
 
     The temporary file is synced to disk before the rename, so that after a power cut either the old or the
-    new file is there.
+    new file is there, and the folder after it, so that it is the new one once the block has ended.
 
     Raises:
         DataError: the disk is full or not writable.
@@ -52,6 +53,7 @@ def replacing(path: Path) -> Iterator[Path]:
             os.fsync(written.fileno())
         temporary.chmod(0o644)  # mkstemp makes 0600; results are for colleagues too
         temporary.replace(path)
+        _sync_folder(path.parent)
     except OSError as error:
         raise DataError(f"cannot write {path}", got=error.strerror or str(error)) from error
     finally:
@@ -74,12 +76,13 @@ def appearing(folder: Path) -> Iterator[Path]:
         folder.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".tmp", dir=folder.parent))
         yield temporary
-        for path in sorted(temporary.rglob("*")):
+        for path in (*sorted(temporary.rglob("*")), temporary):
             _sync(path)
         temporary.chmod(0o755)  # mkdtemp makes 0700; datasets are for colleagues too
         if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
             raise OutputExists(f"{folder} was made by another program meanwhile")
         temporary.rename(folder)
+        _sync_folder(folder.parent)
     except OSError as error:
         raise DataError(f"cannot write {folder}", got=error.strerror or str(error)) from error
     finally:
@@ -93,6 +96,15 @@ def _sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def _sync_folder(path: Path) -> None:
+    """The names in a folder, too; file systems that cannot do that for a folder are left to their own order."""
+    try:
+        _sync(path)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):
+            raise
 
 
 def remove(path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from jaxtyping import Float32
 
 from trueup.core.atomic import as_read_back, read_json, replacing, write_json
 from trueup.core.config import build, read_versioned
+from trueup.core.npz import read_arrays
 from trueup.core.results import Estimate, PairedDifference
 from trueup.errors import DataError
 
@@ -181,13 +181,13 @@ def load_curves(path: Path, evaluation: PolicyEvaluation) -> Curves:
         DataError: it is missing or broken, or of another evaluation.
     """
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            found = {
-                (item.label, place): {name: stored[f"{number}.{place}.{name}"] for name in CURVES}
-                for number, item in enumerate(evaluation.policies)
-                for place in item.places
-            }
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        stored = read_arrays(path)
+        found = {
+            (item.label, place): {name: stored[f"{number}.{place}.{name}"] for name in CURVES}
+            for number, item in enumerate(evaluation.policies)
+            for place in item.places
+        }
+    except (DataError, KeyError) as error:
         raise DataError(f"{path} is missing or broken", got=error) from error
     goals = len(next(iter(evaluation.policies[0].places.values())).goals)
     for own in found.values():

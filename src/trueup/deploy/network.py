@@ -11,8 +11,10 @@ from typing import Any
 
 from trueup.core.model_card import CARD_NAME, ONNX_NAME, ModelCard, State
 from trueup.deploy.operator_weights import OperatorWeights
+from trueup.deploy.operators import check_operators
 from trueup.deploy.sat_weights import SatWeights
 from trueup.deploy.step_file import StepFile
+from trueup.deploy.trial import session_options, tried
 from trueup.errors import DataError, needing
 
 _TYPE = "tensor(float)"
@@ -143,20 +145,21 @@ def session_of(graph: bytes, where: str) -> Any:
     control loop.
 
     Raises:
-        DataError: onnxruntime cannot run it.
+        DataError: it has operators that no network needs, takes too much memory, or cannot be run.
         MissingDependency: onnxruntime is not installed.
     """
     with needing("running a network", "run"):
         runtime = importlib.import_module("onnxruntime")
-    options = runtime.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.inter_op_num_threads = 1
-    options.execution_mode = runtime.ExecutionMode.ORT_SEQUENTIAL
+    check_operators(graph, where)
+    options = session_options(runtime)
     # The few kB between a small network's nodes come faster from malloc than from onnxruntime's own pool: by a tenth
     # for a step of 21 -> 100 -> 21, and with a tail that is no longer.
     options.enable_cpu_mem_arena = False
     options.log_severity_level = 3  # errors come as exceptions; warnings about the machine are none of the caller's
     try:
+        tried(runtime, graph, where)
         return runtime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+    except DataError:
+        raise
     except Exception as error:  # onnxruntime has a class of its own for each of its codes, with no common base
         raise DataError(f"onnxruntime {runtime.__version__} cannot run {where}", got=error) from error

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from trueup.core.model_card import STEP_NAME, ModelCard
+from trueup.core.npz import arrays_of
 from trueup.errors import DataError
 
 
@@ -37,8 +37,10 @@ class StepFile:
         if STEP_NAME not in card.files:
             return None
         data, path = card.verified(folder, STEP_NAME), folder / STEP_NAME
-        with refusing(path), np.load(io.BytesIO(data), allow_pickle=False) as found:
-            return StepFile(path, {name: found[name] for name in found.files})
+        try:
+            return StepFile(path, arrays_of(data, path))
+        except DataError as error:
+            raise DataError(f"{path} holds no weights of a step", got=error.summary) from error
 
 
 @contextlib.contextmanager
@@ -46,7 +48,7 @@ def refusing(path: Path) -> Iterator[None]:
     """Whatever goes wrong in here, the file holds something else."""
     try:
         yield
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, ZeroDivisionError, zipfile.BadZipFile) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, ZeroDivisionError) as error:
         raise DataError(f"{path} holds no weights of a step", got=error) from error
 
 

@@ -29,6 +29,8 @@ from trueup.robots import RobotSpec
 PLANS_SCHEMA = "trueup.plans/1"
 
 _SHIPPED = Path(str(resources.files("trueup.record"))) / "plans"
+# Months of a robot; a typing error makes more, and the draw of their splits alone fills the memory.
+_MOST_MOTIONS = 1_000_000
 # With more joints than this, sets of joints are drawn; with fewer, each of them has its turn.
 _ALL_SUBSETS = 10
 
@@ -172,8 +174,12 @@ class PlanSetSpec:
                     available=list(self.animations),
                     hint="Describe them under `animations:` in the same file.",
                 )
-        if not sum(group.count for group in self.groups):
-            raise ConfigError("a plan set needs motions", got={group.name: group.count for group in self.groups})
+        if not 0 < len(self) <= _MOST_MOTIONS:
+            raise ConfigError(
+                "a plan set needs motions" if not len(self) else "a plan set of too many motions",
+                got={group.name: group.count for group in self.groups},
+                expected=f"1 to {_MOST_MOTIONS}",
+            )
         if not set(self.fractions) <= set(SPLITS):
             raise ConfigError("fractions are of other splits", got=sorted(self.fractions), available=SPLITS)
         if abs(sum(self.fractions.values()) - 1) > 1e-9:

@@ -8,13 +8,6 @@ SI without it. Optional: `robot`, `unit`, `payload_kg`, `condition`. The file's 
 
 from __future__ import annotations
 
-import io
-import lzma
-import math
-import struct
-import tokenize
-import zipfile
-import zlib
 from functools import partial
 from pathlib import Path
 
@@ -22,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 
 from trueup.core.episode import Episode, EpisodeMeta, Flag
+from trueup.core.npz import arrays_of
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.core.units import SI_UNIT, UNITS
 from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
@@ -40,27 +34,6 @@ ASSUMES = "SI where no unit is stored"
 _TEXTS = ("robot", "unit", "condition")
 _NAMES = ("joints", "bodies")
 _SERIES_KEYS = ("time_s", *_NAMES, *SI_UNIT, *(f"{signal}.unit" for signal in SI_UNIT))
-_BROKEN = (
-    zipfile.BadZipFile,
-    zlib.error,
-    lzma.LZMAError,
-    struct.error,
-    tokenize.TokenError,  # numpy tries a Python 2 grammar on headers that Python 3 refuses
-    ArithmeticError,
-    AttributeError,
-    EOFError,
-    LookupError,
-    MemoryError,
-    OSError,
-    RuntimeError,  # also encrypted entries, unknown compression and recursion
-    SyntaxError,
-    TypeError,
-    ValueError,
-)
-# A few kilobytes can unpack to terabytes; samples hardly shrink to a tenth.
-_LARGEST = 1 << 33
-_LARGEST_SMALL = 1 << 28
-_LARGEST_RATIO = 100
 
 
 def detects(path: Path) -> bool:
@@ -93,7 +66,7 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
 def _load(root: Path, path: Path, id: str, options: ImportOptions) -> Episode:
     """Read one file."""
     data = read_bytes(inside(root, path))
-    arrays = _arrays(path, data)
+    arrays = arrays_of(data, path)
     labels = [key.removesuffix(".time_s") for key in arrays if key.endswith(".time_s")]
     known = {f"{label}.{key}" for label in labels for key in _SERIES_KEYS} | {*_TEXTS, *_NAMES, "payload_kg"}
     strange = [label for label in labels if label not in {"measured", "command"} and not label.startswith("simulated/")]
@@ -124,49 +97,6 @@ def _load(root: Path, path: Path, id: str, options: ImportOptions) -> Episode:
         command=done["command"][0] if "command" in done else None,
         simulated={label.partition("/")[2]: one[0] for label, one in done.items() if label.startswith("simulated/")},
     )
-
-
-def _arrays(path: Path, data: bytes) -> dict[str, Shaped[np.ndarray, "..."]]:
-    """The arrays of a file, refused before anything large is unpacked or unpickled."""
-    if not data.startswith(b"PK"):
-        pickled = data.startswith((b"\x80", b"\x93NUMPY"))
-        got = "a pickle or a bare npy file" if pickled else "other bytes" if data else "an empty file"
-        raise DataError(f"{path} is not an npz file", got=got)
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            unpacked = sum(entry.file_size for entry in archive.infolist())
-            if unpacked > max(_LARGEST_SMALL, _LARGEST_RATIO * len(data)):
-                raise DataError(
-                    f"{path} claims to unpack to {unpacked} bytes", expected="samples, not one byte repeated"
-                )
-            for entry in archive.infolist():
-                _check_entry(path, archive, entry)
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            return {key: arrays[key] for key in arrays.files}
-    except _BROKEN as error:
-        raise DataError(f"{path} is a damaged npz file", got=error) from error
-
-
-def _check_entry(path: Path, archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
-    """Refuse a pickle, and a header that promises other bytes than there are."""
-    with archive.open(entry) as file:
-        version = np.lib.format.read_magic(file)
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read(file)
-        if dtype.hasobject:
-            raise DataError(
-                f"{path} holds a pickle in {entry.filename!r}",
-                got=f"dtype {dtype}",
-                expected="numbers or text",
-                hint="Pickles can run code and are never read: save plain arrays, e.g. np.asarray(x, dtype=float).",
-            )
-        promised = math.prod(shape) * dtype.itemsize
-        if promised != entry.file_size - file.tell() or promised > _LARGEST:
-            raise DataError(
-                f"{path}: {entry.filename!r} is truncated or too large",
-                got=f"{entry.file_size - file.tell()} bytes",
-                expected=f"{promised} for shape {shape} of {dtype}",
-            )
 
 
 def _series(
