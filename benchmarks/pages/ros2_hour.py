@@ -14,6 +14,9 @@ its memory grow?
 
 {table}
 
+The memory that waiting messages take is kept for the next ones: after the bridge could not run for a moment, because
+others had the processor, it stays larger by that much, and grows no further.
+
 ```sh
 python -m benchmarks ros2_hour
 ```
@@ -27,6 +30,7 @@ def part(result: Mapping[str, Any]) -> str:
         ["messages published", str(result["published"])],
         ["of these delivered to the bridge", str(bridge["received"])],
         ["of these answered", str(bridge["sent"])],
+        ["at most waiting at a time", str(bridge["most_waiting"])],
         ["99 % from taken to sent within", f"{bridge['added']['p99_us'] / 1e3:.2f} ms"],
         ["longest", f"{bridge['added']['max_us'] / 1e3:.2f} ms"],
         ["memory of the bridge after a minute", f"{memory_mb[0]:.1f} MB"],

@@ -18,7 +18,7 @@ from trueup.robots import JointFriction
 from trueup.sim import install_friction, set_friction
 
 ROOT = Path(__file__).parent.parent.parent
-PAGE = (ROOT / "docs" / "extending.md").read_text().partition("\n## A robot\n")[2]
+PAGE = (ROOT / "docs" / "extending.md").read_text().partition("\n## A robot\n")[2].partition("\n## An engine\n")[0]
 FILES = dict(
     re.findall(r"`([\w/.]+\.(?:py|yaml|xml))`[^`\n]*:\n\n```(?:python|yaml|xml)\n(.*?)^```$", PAGE, re.M | re.S)
 )

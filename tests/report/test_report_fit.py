@@ -138,6 +138,15 @@ def test_a_status_that_is_not_ok_is_the_first_thing_said(copied, status):
     assert alert.title[0] in "▲✕"
 
 
+def test_a_search_that_the_time_has_ended_is_not_called_a_failure():
+    fit = make_fit(JOINTS, "not-converged")
+    late = replace(fit, solver={**fit.solver, "stop": "time"})
+    assert (alert_of(fit).tone, alert_of(late).tone) == ("bad", "careful")
+    assert alert_of(late).title == "▲ Ended by the time"
+    assert "--budget" in alert_of(late).advice
+    assert alert_of(replace(late, status="no-better")).tone == "bad"
+
+
 def test_fitted_is_compared_with_stock_and_command(copied):
     text = words(section(build_report(add_identification(copied, make_fit(JOINTS), JOINTS)), "verdict"))
     assert "the simulator mujoco/fitted misses" in text

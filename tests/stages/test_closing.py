@@ -176,6 +176,10 @@ def test_what_is_lacking_decides_about_the_exit_code(closed):
     assert lacking(replace(closed, result=replace(failed, until="gap"))) == []
     bad = replace(closed.identified, fit=replace(closed.identified.fit, status="not-converged"))
     assert lacking(replace(closed, identified=bad)) == ["the fit is of no use (not-converged)"]
+    # What the time has ended is what there was time for; what is no better is of no use however long it took.
+    for status, lacks in (("not-converged", []), ("no-better", ["the fit is of no use (no-better)"])):
+        fit = replace(closed.identified.fit, status=status, solver={**closed.identified.fit.solver, "stop": "time"})
+        assert lacking(replace(closed, identified=replace(closed.identified, fit=fit))) == lacks
     only_loud = replace(closed.identified, fit=replace(closed.identified.fit, status="not-identifiable"))
     assert lacking(replace(closed, identified=only_loud)) == []
 

@@ -174,10 +174,11 @@ def _told(closed: Closed) -> dict[str, Any]:
 
 
 def lacking(closed: Closed) -> list[str]:
-    """What was asked for and is not there, or of no use."""
+    """What was asked for and is not there, or of no use; a fit that the time has ended is what there was time for."""
     found = [f"{step.name} failed" for step in closed.result.failed]
-    if closed.identified is not None and closed.identified.fit.status in UNUSABLE:
-        found.append(f"the fit is of no use ({closed.identified.fit.status})")
+    fit = None if closed.identified is None else closed.identified.fit
+    if fit is not None and fit.status in UNUSABLE and not (fit.status == "not-converged" and fit.short_of_time):
+        found.append(f"the fit is of no use ({fit.status})")
     return found
 
 

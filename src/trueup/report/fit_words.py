@@ -69,11 +69,21 @@ _ALERTS = {
 }
 
 
+_SHORT = (
+    "careful",
+    "▲ Ended by the time",
+    "There was no time for the search to converge: the ladder says how good the model is by now; its numbers may move.",
+    "Give it more time (--budget), and run again with --overwrite.",
+)
+
+
 def alert_of(fit: FitResult) -> Alert | None:
     """What to say before anything else; None for a fit whose status is `ok`."""
     if fit.status == "ok":
         return None
-    tone, title, lead, advice = _ALERTS[fit.status]
+    # A search that the time has ended is none that went astray: where it is, it is better than where it began.
+    short = fit.status == "not-converged" and fit.short_of_time
+    tone, title, lead, advice = _SHORT if short else _ALERTS[fit.status]
     return Alert(tone, title, lead, tuple(as_sentence(text) for text in fit.statements), advice, fit.status)
 
 
