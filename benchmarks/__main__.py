@@ -14,6 +14,7 @@ from benchmarks.figures import keep, known, print_all
 from benchmarks.table import print_table, write_rows
 
 NAMES = (
+    "fresh_clone",
     "dataset_io",
     "import_sage",
     "import_mcap",
@@ -64,6 +65,7 @@ NAMES = (
 
 # Hours each, or one hour at least: measured when they are named, or with --anew.
 LONG = (
+    "fresh_clone",
     "thesis",
     "real_robots",
     "panda",

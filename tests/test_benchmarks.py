@@ -75,7 +75,7 @@ def test_what_is_kept_says_where_it_comes_from(name):
 
 @pytest.mark.parametrize("name", LONG)
 def test_what_takes_hours_is_kept(name):
-    assert own_result(name).is_file()
+    assert own_result(name).is_file() or name in stored()
 
 
 def test_figures_of_a_benchmark_are_kept_in_one_place(tmp_path):

@@ -27,7 +27,8 @@ motions, open loop from the first measured pose, mean over joints 1 to 5 and ove
 choose the model, 6 test it.
 
 ```sh
-trueup identify logs/so101_sage --robot so101 --out runs/so101
+trueup import logs/so101_sage --out data/so101
+trueup identify data/so101 --robot so101 --out runs/so101
 ```
 
 {so101}
@@ -55,7 +56,8 @@ The motion is chaotic, so it is compared over windows of 0.5 s that start from t
 chooses, two test.
 
 ```sh
-trueup identify logs/dfki_double_pendulum_A0 --robot double_pendulum --out runs/pendulum
+trueup import logs/dfki_double_pendulum_A0 --out data/pendulum
+trueup identify data/pendulum --robot double_pendulum --out runs/pendulum
 ```
 
 {pendulum}

@@ -66,10 +66,10 @@ All of this was measured on one core of a CPU. The paper's set, 600 motions of 3
 54 million samples, an epoch of {hours:.0f} hours on that core; it is one for a GPU:
 
 ```sh
-trueup augment train data/kickbot --method sat --config mixed.yaml --device cuda --out models/sat
+trueup augment train data/kickbot --config mixed.yaml --device cuda --out models/mixed
 ```
 
-with `precision: mixed` in `mixed.yaml`. No GPU was at hand: its times and memory were
+with `method: sat` and `precision: mixed` in `mixed.yaml`. No GPU was at hand: its times and memory were
 not measured, nor was mixed precision tried on one.
 """
 

@@ -1,0 +1,302 @@
+"""What the text of a page takes to be there: logs, datasets, robots, networks under the names that it uses."""
+
+import json
+import shutil
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from benchmarks.networks import real_time
+
+from dataset.test_import_rosbag import ARRAY, JOINT_STATE, ROS2, START_NS, STEP_NS, array, motion, states, write_bag
+from docs import smaller
+from docs.command_lines import blocks_of, lines
+from trueup.cli.main import main
+from trueup.dataset import Dataset, DatasetWriter
+from trueup.policy import grid
+from trueup.robots import find_model, load_robot
+from trueup.stages import demonstrating
+
+# Short ones of each split, and those of whose quality the pages say something.
+SO101 = {
+    "train": ("slow_precision", "fast_transitions", "single_joint_wrist_roll", "workspace_sweep"),
+    "val": ("staircase_motion",),
+    "test": ("symmetric_motion",),
+}
+PENDULUM = {"train": ("trajectory_00", "trajectory_11"), "val": ("trajectory_12",), "test": ("trajectory_13",)}
+LIMITS = """<custom>
+    <numeric name="velocity_limit" data="3 3 3"/>
+    <numeric name="acceleration_limit" data="20 20 20"/>
+  </custom>"""
+
+
+def run(*words):
+    """A command that must go well."""
+    with pytest.raises(SystemExit) as left:
+        main([str(word) for word in words])
+    assert left.value.code == 0, words
+
+
+class Shelf:
+    """What several pages need, made once; pages get copies."""
+
+    def __init__(self, folder, fixture):
+        self.folder, self.fixture = folder, fixture
+
+    @cached_property
+    def demo(self):
+        """Two motions of each split of the demo arm, with what its simulator makes of them."""
+        whole, data = Dataset(demonstrating.demo_dataset(self.folder / "demo")), self.folder / "demo_arm"
+        with DatasetWriter.create(data, whole.info) as writer:
+            for name in (name for split in ("train", "val", "test") for name in whole.select(split=split)[:2]):
+                writer.append(whole.episode(name))
+        shortened(data, 5.0, 2)
+        run("replay", data, "--robot", "demo_arm")
+        return data
+
+    def panda(self, unit):
+        """Three short motions of a virtual Panda."""
+        data = self.folder / f"panda-{unit}"
+        if not data.is_dir():
+            options = ("--robot", "panda", "--unit", unit, "--plan", "paper", "--scale", "0.001", "--jobs", 1)
+            run("record", *options, "--out", data)
+            shortened(data, 1.5, 2)
+        return data
+
+    @cached_property
+    def body(self):
+        """A motion of each kind of a virtual upper body."""
+        rates = ("--control-hz", 50, "--tolerance-rad", 1, "--path-tolerance-rad", 2, "--scale", "0.001", "--jobs", 1)
+        options = ("--robot", "upper_body", "--lab", "upper_body", "--plan", "upper_body", *rates)
+        run("record", *options, "--out", self.folder / "body")
+        shortened(self.folder / "body", 3.0, 3)
+        return self.folder / "body"
+
+
+def lay(shelf, page):
+    """All that a page needs before its first line."""
+    for name, text in smaller.FILES.items():
+        put(Path("small", name), text)
+    for block in blocks_of(page):
+        if block.what == "file":
+            put(Path(block.value), block.body)
+    for name, make in LAID.get(page, {}).items():
+        Path(name).parent.mkdir(parents=True, exist_ok=True)
+        make(shelf, Path(name))
+
+
+def before(line):
+    """What has to be done before this line, which is the first one that begins so."""
+    return [
+        prepare
+        for (page, words), prepare in BEFORE.items()
+        if page == line.page and line == next(own for own in lines(page) if own.begins(words))
+    ]
+
+
+def put(path, text):
+    """A file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+
+
+def shortened(data, seconds, each):
+    """The first seconds of so many motions of each split; the last of train becomes one of val, where there is none."""
+    whole, path = Dataset(data), f"{data}.short"
+    splits = {split: list(whole.select(split=split)[:each]) for split in dict.fromkeys(whole.splits.values())}
+    if "val" not in splits and len(splits.get("train", ())) > 1:
+        splits["val"] = [splits["train"].pop()]
+    with DatasetWriter.create(Path(path), whole.info) as writer:
+        for split, names in splits.items():
+            for episode in map(whole.episode, names):
+                series = {
+                    name: kind.rows(slice(0, int(np.searchsorted(kind.time_s, kind.time_s[0] + seconds))))
+                    for name, kind in (("measured", episode.measured), ("command", episode.command))
+                }
+                writer.append(replace(episode, meta=replace(episode.meta, split=split), **series))
+    shutil.rmtree(data)
+    Path(path).rename(data)
+
+
+def gone(path):
+    """A section of the page that begins anew, in a folder that one above has filled."""
+    return lambda _, __: shutil.rmtree(path)
+
+
+# What a page takes to be there at its beginning.
+
+
+def demo_data(shelf, path):
+    """The demo arm's motions."""
+    shutil.copytree(shelf.demo, path)
+
+
+def demo_logs(shelf, path):
+    """The same as logs."""
+    run("export", shelf.demo, "--out", path)
+
+
+def demo_robot(_, path):
+    """The demo arm under another name, its model beside it, with limits to design motions within."""
+    robot = load_robot("demo_arm")
+    path.write_text(json.dumps({**robot.to_dict(), "name": path.stem, "model": f"{path.stem}.xml"}))
+    model = find_model(robot).read_text()
+    assert model.count("<default>") == 1
+    path.with_suffix(".xml").write_text(model.replace("<default>", f"{LIMITS}\n  <default>"))
+
+
+def panda(unit):
+    """Motions of a Panda of the lab."""
+    return lambda shelf, path: shutil.copytree(shelf.panda(unit), path)
+
+
+def body(shelf, path):
+    """Motions of an upper body of the lab."""
+    shutil.copytree(shelf.body, path)
+
+
+def so101(shelf, path):
+    """A few motions of the real arm."""
+    logs = shelf.fixture("so101_logs")
+    for name in (*(name for own in SO101.values() for name in own), "model"):
+        shutil.copytree(logs / name, path / name)
+    (path / "split.json").write_text(json.dumps(SO101))
+
+
+def pendulum(shelf, path):
+    """A few of the recordings of the double pendulum."""
+    logs = shelf.fixture("double_pendulum_logs")
+    shutil.copytree(logs / "model", path / "model")
+    for name in (name for own in PENDULUM.values() for name in own):
+        shutil.copy(logs / f"{name}.csv", path)
+    (path / "split.json").write_text(json.dumps(PENDULUM))
+
+
+def bag(_, path):
+    """200 joint states, and commands without names."""
+    values = motion(200)
+    commands = [(START_NS + k * STEP_NS, array(ROS2, row)) for k, row in enumerate(values[0])]
+    write_bag(path, {"/joint_states": (JOINT_STATE, states(ROS2, values)), "/arm/commands": (ARRAY, commands)})
+
+
+def network(_, path):
+    """A network for a control loop, not trained."""
+    real_time(path, hidden=(8, 5))
+
+
+def of_the_page(page, first, **smaller):
+    """A YAML that the page shows, with sizes of its own."""
+
+    def make(_, path):
+        (block,) = [block for block in blocks_of(page) if block.first.startswith(first)]
+        path.write_text(yaml.safe_dump({**yaml.safe_load(block.body), **smaller}, sort_keys=False))
+
+    return make
+
+
+def text(content):
+    """A file that the page describes."""
+    return lambda _, path: path.write_text(content)
+
+
+LAID = {
+    "README": {"logs/so101_sage": so101},
+    "building-blocks": {"mixed.yaml": text("method: sat\nprecision: mixed\n")},
+    "close": {"logs/so101_sage": so101},
+    "compensation": {"data/body": body},
+    "engines": {"data/arm": panda(1)},
+    "excitation": {"data/arm": demo_data, "arm.yaml": demo_robot},
+    "first-hour": {"logs/so101_sage": so101},
+    "fleet": {"data/line-1": panda(1), "data/line-2": panda(2), "fit.yaml": text(smaller.FILES["identify.yaml"])},
+    "identification": {"logs/arm": demo_logs, "runs/arm/dataset": demo_data, "arm.yaml": demo_robot},
+    "index": {"logs/so101_sage": so101},
+    "logs": {"logs/so101_sage": so101, "logs/run2": bag, "bag.yaml": of_the_page("logs", "command_joints:")},
+    "policies": {
+        "fit.yaml": of_the_page(
+            "policies", "fit:", solver={"max_iterations": 4, "tolerance": 0.5}, data={"budget_s": 2.0}
+        ),
+        "grid.yaml": of_the_page(
+            "policies", "rate:", rate=[0.002], gamma=[0.99], **{"noise, sigma": [["none", 0.1]]}, seed=[0, 1]
+        ),
+    },
+    "real-robots": {"logs/so101_sage": so101, "logs/dfki_double_pendulum_A0": pendulum},
+    "robots": {"logs/double_pendulum": pendulum},
+    "runtime": {"models/panda-rt": network},
+}
+
+# What it takes to be there further down.
+
+
+def short(data, seconds, each=6):
+    """Less of what was recorded, with a motion of val."""
+    return lambda _, __: shortened(data, seconds, each)
+
+
+def fitted_panda(shelf, monkeypatch):
+    """An identified Panda that takes torques, in place of the upper body of the page's first sections."""
+    shortened("data/slow", 2.0, 2)
+    shutil.rmtree("runs/fit")
+    run("identify", "data/slow", "--robot", "panda_torque", "--config", "small/identify.yaml", "--out", "runs/fit")
+
+
+def one_of_the_zoo(shelf, monkeypatch):
+    """A policy that reaches its goals, in place of one that has hardly been trained."""
+    import trueup.zoo
+
+    shutil.move("runs/first", "runs/hardly-trained")
+    shutil.copytree(trueup.zoo.folder_of("zoo:panda-reach"), "runs/first")
+
+
+def trained_one(shelf, monkeypatch):
+    """The one that has hardly been trained, with networks to go on with."""
+    shutil.rmtree("runs/first")
+    shutil.move("runs/hardly-trained", "runs/first")
+
+
+def corner_of_the_grid(shelf, monkeypatch):
+    """Two of the thesis's 90 points."""
+    monkeypatch.setitem(grid.THESIS, "td3", grid.read_grid({"rate": [0.002], "gamma": [0.99, 0.95]}, "a corner"))
+
+
+def few_motions(shelf, monkeypatch):
+    """Three of the demo's thirty."""
+    monkeypatch.setattr(demonstrating, "_MOTIONS", dict.fromkeys(demonstrating._MOTIONS, 1))
+
+
+def shorter_still(shelf, monkeypatch):
+    """A motion of each split, for causes are fitted one after the other."""
+    shortened("runs/arm/dataset", 2.0, 1)
+    run("replay", "runs/arm/dataset", "--robot", "demo_arm")
+
+
+def several_policies(shelf, monkeypatch):
+    """Three seeds of one training, and another training; judged in a folder of their own."""
+    shutil.rmtree("runs/judged")
+    for name, seed, algorithm in (
+        ("reach-0", 0, "sac"),
+        ("reach-1", 1, "sac"),
+        ("reach-2", 2, "sac"),
+        ("other-0", 0, "td3"),
+    ):
+        options = ("--config", "small/policy.yaml", "--seed", seed, "--algorithm", algorithm, "--jobs", 1)
+        run("policy", "train", "--out", f"runs/{name}", "--name", name.split("-")[0], *options)
+
+
+BEFORE = {
+    ("building-blocks", "replay data/kickbot"): short("data/kickbot", 2.0),
+    ("building-blocks", "replay data/dancebot"): short("data/dancebot", 0.8),
+    ("compensation", "compensate train data/slow"): fitted_panda,
+    ("excitation", "design --robot arm.yaml"): gone("runs/plans"),
+    ("identification", "identify runs/arm/dataset"): gone("runs/fit"),
+    ("identification", "gap runs/arm/dataset"): shorter_still,
+    ("index", "demo"): few_motions,
+    ("policies", "deploy run runs/first"): one_of_the_zoo,
+    ("policies", "policy train --robot runs/fit/robot.fitted.yaml"): trained_one,
+    ("policies", "policy grid --out runs/grid"): corner_of_the_grid,
+    ("policies", "policy eval runs/reach-0"): several_policies,
+    ("policies", "deploy run runs/reach"): gone("runs/driven"),
+    ("report", "replay data/loads --robot upper_body"): short("data/loads", 2.0),
+}
