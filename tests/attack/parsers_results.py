@@ -290,6 +290,7 @@ class _Page(HTMLParser):
 
 _ALLOWED = {
     "html",
+    "wbr",
     "head",
     "meta",
     "title",

@@ -7,7 +7,7 @@ from typing import get_args
 
 import pytest
 
-from trueup.cli.identify import _UNUSABLE
+from trueup.cli.identify import UNUSABLE
 from trueup.core.fit_result import FitStatus
 from trueup.identify import QUANTITIES, IdentifyConfig, Nominal
 from trueup.identify.config import _CHOICE_KEYS, DataChoice, SolverChoice
@@ -106,7 +106,7 @@ def test_the_defaults_are_those_of_the_page(follows, controller):
 
 def test_every_status_has_its_exit_code():
     found = {code(row[0])[0]: row[2] for row in table("`no-better`")}
-    assert found == {status: "3" if status in _UNUSABLE else "0" for status in get_args(FitStatus)}
+    assert found == {status: "3" if status in UNUSABLE else "0" for status in get_args(FitStatus)}
 
 
 def test_every_file_and_every_block_of_the_torque_model_is_named():

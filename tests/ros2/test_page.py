@@ -117,7 +117,7 @@ HOUR = {
     "published": 3600000,
     "answers": 3599990,
     "memory_mb": [150.04, 150.1, 150.3],
-    "bridge": {"received": 3600000, "sent": 3599999, "added": {"p99_us": 412.0, "max_us": 22800.0}},
+    "bridge": {"received": 3600000, "sent": 3599999, "most_waiting": 12, "added": {"p99_us": 412.0, "max_us": 22800.0}},
 }
 
 

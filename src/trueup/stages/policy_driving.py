@@ -13,6 +13,7 @@ from jaxtyping import Float
 from trueup.core.episode import Episode, EpisodeMeta, Flag
 from trueup.core.policy_card import PolicyCard
 from trueup.core.provenance import provenance
+from trueup.core.sole_writer import writes_alone
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.dataset import DatasetInfo, DatasetWriter
 from trueup.errors import ConfigError
@@ -73,6 +74,7 @@ def guard_settings(
     return settings if workspace_m is None else replace(settings, workspace_m=workspace_m)
 
 
+@writes_alone()
 def drive(
     folder: Path | str,
     robot: RobotSpec,
