@@ -13,8 +13,8 @@ from pathlib import Path
 from benchmarks.figures import keep, known, print_all
 from benchmarks.table import print_table, write_rows
 
-NAMES = (
-    "fresh_clone",
+# Minutes each.
+SHORT = (
     "dataset_io",
     "import_sage",
     "import_mcap",
@@ -32,37 +32,16 @@ NAMES = (
     "identify_torque",
     "identify_jobs",
     "identify_pace",
-    "thesis",
-    "real_robots",
-    "panda",
     "training",
-    "augment",
-    "sat",
-    "sat_so101",
     "streaming",
     "sat_speed",
-    "sat_bodies",
-    "sat_robustness",
-    "sat_training",
-    "compensation",
-    "compensation_ablations",
-    "compensation_robot",
-    "compensation_ways",
     "compensate_env",
-    "whole_body",
     "compensate_speed",
     "policy_env",
     "policy_loop",
-    "policy_transfer",
-    "policy_going_on",
-    "policy_algorithms",
-    "policy_grid",
     "ros2_bridge",
-    "ros2_hour",
     "fleet",
-    "close",
 )
-
 # Hours each, or one hour at least: measured when they are named, or with --anew.
 LONG = (
     "fresh_clone",
@@ -87,6 +66,7 @@ LONG = (
     "ros2_hour",
     "close",
 )
+NAMES = SHORT + LONG
 
 
 def main() -> None:
@@ -103,7 +83,7 @@ def main() -> None:
     if options.table:
         print_all(options.names or NAMES)
         return
-    names = options.names or [name for name in NAMES if options.anew or name not in LONG]
+    names = options.names or (NAMES if options.anew else SHORT)
     rows = {}
     for name in names:
         if options.kept and known(name) is not None:

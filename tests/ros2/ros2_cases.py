@@ -69,41 +69,18 @@ def received(inbox, node, count, seconds=10.0):
     return messages
 
 
-class Publishing:
-    """Joint states on a topic, again and again, as long as it is entered."""
+class InThread:
+    """Work that goes on in a thread as long as this is entered; what it raises is raised on leaving.
 
-    def __init__(self, node, topic="/joint_states", names=JOINTS, every_s=0.01):
-        outbox, self._stop = node.publish(topic, JointState), threading.Event()
+    `work` is given an event, and ends when it is set.
+    """
 
-        def speak():
-            began = time.monotonic()
-            while not self._stop.wait(every_s):
-                outbox.send(state(time.monotonic() - began, names=names))
-
-        self._thread = threading.Thread(target=speak, daemon=True)
-
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_):
-        self._stop.set()
-        self._thread.join(10.0)
-        assert not self._thread.is_alive()
-
-
-class Bridge:
-    """A bridge in a thread; left, it is stopped, and `report` says what it did."""
-
-    def __init__(self, where, answer, listens="/joint_states", publishes="/corrected", form=JointState, beside=()):
-        self._node, self._stop = Node(where), threading.Event()
-        self.inbox, self.outbox = self._node.listen(listens, JointState), self._node.publish(publishes, form)
-        others = [(self._node.listen(topic, JointState), hear) for topic, hear in beside]
-        self.report, self._error = None, None
+    def __init__(self, work):
+        self._stop, self._error = threading.Event(), None
 
         def run():
             try:
-                self.report = run_bridge(self._node, self.inbox, self.outbox, answer, beside=others, stop=self._stop)
+                work(self._stop)
             except Exception as error:
                 self._error = error
 
@@ -117,9 +94,38 @@ class Bridge:
         self._stop.set()
         self._thread.join(10.0)
         assert not self._thread.is_alive()
-        self._node.close()
         if self._error:
             raise self._error
+
+
+class Publishing(InThread):
+    """Joint states on a topic, again and again, as long as it is entered."""
+
+    def __init__(self, node, topic="/joint_states", names=JOINTS, every_s=0.01):
+        outbox = node.publish(topic, JointState)
+
+        def speak(stop):
+            began = time.monotonic()
+            while not stop.wait(every_s):
+                outbox.send(state(time.monotonic() - began, names=names))
+
+        super().__init__(speak)
+
+
+class Bridge(InThread):
+    """A bridge in a thread; left, it is stopped, and `report` says what it did."""
+
+    def __init__(self, where, answer, listens="/joint_states", publishes="/corrected", form=JointState, beside=()):
+        node = Node(where)
+        self.inbox, self.outbox = node.listen(listens, JointState), node.publish(publishes, form)
+        others = [(node.listen(topic, JointState), hear) for topic, hear in beside]
+        self.report = None
+
+        def run(stop):
+            with node:
+                self.report = run_bridge(node, self.inbox, self.outbox, answer, beside=others, stop=stop)
+
+        super().__init__(run)
 
 
 def arrays(messages, field="position"):

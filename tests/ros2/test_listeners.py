@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from benchmarks.networks import inputs_of, outputs_of, real_time
 from cyclonedds.qos import Policy
 
 from deploy.compensation_cases import compensation
-from ros2.ros2_cases import JOINTS, Publishing, asking, network, state, wait_for
+from ros2.ros2_cases import JOINTS, InThread, Publishing, asking, network, state, wait_for
 from trueup.errors import RobotStopped
 from trueup.robots import load_robot
 from trueup.ros2 import Float64MultiArray, JointState, Node, RobotTopics, Ros2Robot
@@ -45,36 +44,16 @@ def test_commands_are_heard_by_listeners_of_both_kinds(reliable, form):
     assert list(message.data if form == "array" else message.position) == [1.0, 2.0]
 
 
-class Bridging:
+class Bridging(InThread):
     """`trueup deploy ros2` in a thread: a bridge with its own way of opening topics, and of saying what is wrong."""
 
     def __init__(self, folder, where, **options):
-        self._stop, self.warnings, self._error = threading.Event(), [], None
+        self.warnings = []
 
-        def run():
-            try:
-                bridge(
-                    folder,
-                    network=where,
-                    stop=self._stop,
-                    on_warning=lambda *said: self.warnings.append(said),
-                    **options,
-                )
-            except Exception as error:
-                self._error = error
+        def run(stop):
+            bridge(folder, network=where, stop=stop, on_warning=lambda *said: self.warnings.append(said), **options)
 
-        self._thread = threading.Thread(target=run, daemon=True)
-
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_):
-        self._stop.set()
-        self._thread.join(10.0)
-        assert not self._thread.is_alive()
-        if self._error:
-            raise self._error
+        super().__init__(run)
 
 
 @pytest.mark.parametrize("reliable", [True, False])

@@ -1,45 +1,34 @@
 """A robot behind topics: driven by a recorder, lost, found again, and served by ourselves."""
 
-import threading
 import time
 
 import numpy as np
 import pytest
 
-from ros2.ros2_cases import JOINTS, network, state, wait_for
+from ros2.ros2_cases import JOINTS, InThread, Publishing, network, wait_for
 from trueup.core.protocols import Hardware
 from trueup.errors import ConfigError, NameMismatch, RobotStopped
 from trueup.lab import SimulatedRobot
 from trueup.record.following import follow
 from trueup.robots import find_model, load_robot
-from trueup.ros2 import Float64MultiArray, JointState, Node, RobotTopics, Ros2Robot, serve
+from trueup.ros2 import Float64MultiArray, Node, RobotTopics, Ros2Robot, serve
 from trueup.sim import MujocoSimulator
 
 ARM = load_robot("demo_arm")
 RATE_HZ = 200.0
 
 
-class Served:
+class Served(InThread):
     """The demo arm in MuJoCo, behind topics, in a thread."""
 
     def __init__(self, topics, *, rate_hz=RATE_HZ, robot=None):
         self.robot = robot or SimulatedRobot(MujocoSimulator.from_robot(ARM, find_model(ARM)), steps_per_control=1)
-        self._stop = threading.Event()
         self.done = None
 
-        def run():
-            self.done = serve(self.robot, topics, rate_hz=rate_hz, stop=self._stop)
+        def run(stop):
+            self.done = serve(self.robot, topics, rate_hz=rate_hz, stop=stop)
 
-        self._thread = threading.Thread(target=run, daemon=True)
-
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_):
-        self._stop.set()
-        self._thread.join(10.0)
-        assert not self._thread.is_alive()
+        super().__init__(run)
 
 
 @pytest.mark.parametrize("form", ["joint_state", "array"])
@@ -138,21 +127,8 @@ def test_other_joints_are_both_listed():
 
 def test_a_robot_whose_controller_does_not_listen():
     where = network()
-    with Node(where) as node:
-        source, stop = node.publish("/joint_states", JointState), threading.Event()
-
-        def speak():
-            while not stop.wait(0.01):
-                source.send(state(time.monotonic()))
-
-        thread = threading.Thread(target=speak, daemon=True)
-        thread.start()
-        try:
-            with pytest.raises(RobotStopped, match="nobody listens to /joint_commands"):
-                Ros2Robot(JOINTS, RobotTopics(network=where), patience_s=2.0)
-        finally:
-            stop.set()
-            thread.join()
+    with Node(where) as node, Publishing(node), pytest.raises(RobotStopped, match="nobody listens to /joint_commands"):
+        Ros2Robot(JOINTS, RobotTopics(network=where), patience_s=2.0)
 
 
 def test_commands_that_do_not_fit_are_refused_and_counted():
