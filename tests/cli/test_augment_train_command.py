@@ -10,7 +10,7 @@ import time
 import pytest
 
 from augment.augment_cases import make_dataset
-from trueup.cli.augment_train import configured
+from trueup.cli.augment_config import configured
 from trueup.cli.main import main
 
 

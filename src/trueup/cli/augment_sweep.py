@@ -5,15 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.markup import escape
 from rich.table import Table
 
 from trueup.augment.networks import METHODS
+from trueup.cli import augment_config as trained
 from trueup.cli import options
-from trueup.cli.augment_train import configured
 from trueup.cli.console import out, status_line, warning
 from trueup.errors import ConfigError
 
@@ -28,7 +28,7 @@ def register(app: typer.Typer) -> None:
 
 
 def sweep(
-    datasets: Annotated[list[Path], typer.Argument(help="Datasets with the run in them; several for several units.")],
+    datasets: trained.Datasets,
     out_dir: Annotated[Path, typer.Option("--out", help="Folder for sweep.json and the models.")],
     methods: Annotated[
         list[str] | None, typer.Option("--method", help=f"One of {', '.join(METHODS)}; repeatable.")
@@ -42,23 +42,14 @@ def sweep(
         str | None,
         typer.Option("--by", help="Signal whose error on val decides; torque if all correct it, else the first."),
     ] = None,
-    run: Annotated[str, typer.Option("--run", help="Label of the run that is corrected.")] = "mujoco/stock",
-    signals: Annotated[
-        list[str] | None,
-        typer.Option("--signal", help="Signal to correct; all that both sides have if none; repeatable."),
-    ] = None,
-    command: Annotated[
-        list[str] | None, typer.Option("--command", help="Commanded signal to read besides; repeatable.")
-    ] = None,
-    epochs: Annotated[
-        int | None, typer.Option("--epochs", min=0, help="Most epochs, over those of the method or the file.")
-    ] = None,
-    robot: Annotated[str | None, typer.Option("--robot", help="Robot whose limits normalize.")] = None,
-    device: Annotated[Literal["cpu", "cuda"], typer.Option("--device", help="cpu or cuda.")] = "cpu",
+    run: trained.Run = "mujoco/stock",
+    signals: trained.Signals = None,
+    command: trained.Command = None,
+    epochs: trained.Epochs = None,
+    robot: trained.Robot = None,
+    device: trained.Device = "cpu",
     drop_flagged: options.DropFlagged = False,
-    train_motions: Annotated[
-        int | None, typer.Option("--train-motions", min=1, help="Train on so many motions only, drawn from train.")
-    ] = None,
+    train_motions: trained.TrainMotions = None,
     seed: options.Seed = 0,
     jobs: Annotated[
         int | None,
@@ -120,7 +111,7 @@ def _candidates(
     for name, method, path in named:
         if name in made:
             raise ConfigError(f"two networks of the sweep are called {name!r}", hint="Rename a file, or leave one out.")
-        made[name] = configured(method, path, signals, command, epochs)
+        made[name] = trained.configured(method, path, signals, command, epochs)
     return made
 
 

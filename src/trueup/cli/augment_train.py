@@ -5,21 +5,21 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.markup import escape
 from rich.table import Table
 
 from trueup.augment.networks import METHODS
+from trueup.cli import augment_config as trained
 from trueup.cli import options
 from trueup.cli.console import note, out, status_line, track
-from trueup.errors import ConfigError, needing
+from trueup.errors import needing
 
 if TYPE_CHECKING:
-    from trueup.augment import AugmentConfig, Progress
+    from trueup.augment import Progress
     from trueup.core.model_card import ModelCard
 
 
@@ -29,7 +29,7 @@ def register(app: typer.Typer) -> None:
 
 
 def train(
-    datasets: Annotated[list[Path], typer.Argument(help="Datasets with the run in them; several for several units.")],
+    datasets: trained.Datasets,
     out_dir: Annotated[Path, typer.Option("--out", help="Folder for the model.")],
     method: Annotated[
         str | None,
@@ -38,27 +38,18 @@ def train(
     config: Annotated[
         str | None, typer.Option("--config", help="paper, default, or a YAML file; see docs/augmentation.md.")
     ] = None,
-    run: Annotated[str, typer.Option("--run", help="Label of the run that is corrected.")] = "mujoco/stock",
-    signals: Annotated[
-        list[str] | None,
-        typer.Option("--signal", help="Signal to correct; all that both sides have if none; repeatable."),
-    ] = None,
-    command: Annotated[
-        list[str] | None, typer.Option("--command", help="Commanded signal to read besides; repeatable.")
-    ] = None,
-    epochs: Annotated[
-        int | None, typer.Option("--epochs", min=0, help="Most epochs, over those of the method or the file.")
-    ] = None,
-    robot: Annotated[str | None, typer.Option("--robot", help="Robot whose limits normalize.")] = None,
+    run: trained.Run = "mujoco/stock",
+    signals: trained.Signals = None,
+    command: trained.Command = None,
+    epochs: trained.Epochs = None,
+    robot: trained.Robot = None,
     name: Annotated[str, typer.Option("--name", help="Name of the model; the method if not given.")] = "",
-    device: Annotated[Literal["cpu", "cuda"], typer.Option("--device", help="cpu or cuda.")] = "cpu",
+    device: trained.Device = "cpu",
     tensorboard: Annotated[
         Path | None, typer.Option("--tensorboard", help="Folder for curves that TensorBoard shows.")
     ] = None,
     drop_flagged: options.DropFlagged = False,
-    train_motions: Annotated[
-        int | None, typer.Option("--train-motions", min=1, help="Train on so many motions only, drawn from train.")
-    ] = None,
+    train_motions: trained.TrainMotions = None,
     seed: options.Seed = 0,
     jobs: options.Jobs = None,
     overwrite: options.Overwrite = False,
@@ -72,7 +63,7 @@ def train(
     from trueup.robots import load_robot
     from trueup.stages import augment
 
-    chosen = configured(method, config, signals, command, epochs)
+    chosen = trained.configured(method, config, signals, command, epochs)
     with _watching(tensorboard) as on_progress:
         made = augment(
             [Dataset(path) for path in datasets],
@@ -105,32 +96,6 @@ def train(
     out.print(f"model: {made.folder}", markup=False)
     out.print(f"next: trueup augment eval {datasets[0]} --model {made.folder} --out RUNS", markup=False)
     return 0
-
-
-def configured(
-    method: str | None, config: str | None, signals: list[str] | None, command: list[str] | None, epochs: int | None
-) -> AugmentConfig:
-    """The configuration that the options ask for.
-
-    Raises:
-        ConfigError: there is no such method, or the file does not fit it.
-    """
-    from trueup.augment import AugmentConfig, preset
-
-    if config in (None, "default", "paper"):
-        chosen = preset(method or "realeasy-rt", paper=config == "paper")
-    elif method is not None:
-        raise ConfigError("--method and a YAML file", got=(method, config), hint="Write method: into the file.")
-    else:
-        chosen = AugmentConfig.load(Path(str(config)))
-    data = replace(
-        chosen.data,
-        signals=tuple(signals) if signals else chosen.data.signals,
-        # What is not corrected is not read either, unless the file says so.
-        blind=tuple(name for name in chosen.data.blind if not signals or name in signals),
-        command=tuple(command) if command else chosen.data.command,
-    )
-    return replace(chosen, data=data, epochs=chosen.epochs if epochs is None else epochs)
 
 
 @contextmanager
