@@ -28,6 +28,7 @@ from trueup.record import (
     PlanSetSpec,
     RecordSettings,
     Workspace,
+    load_plans,
     plan_all,
 )
 from trueup.robots import ControllerSpec, find_model, load_robot
@@ -566,6 +567,10 @@ def test_a_robot_that_cannot_be_recorded_is_refused_before_anything_is_written(t
         recorded(tmp_path / "data", jobs=0)
     with pytest.raises(ConfigError, match="share"):
         lab(fault_share=1.5)
+    # The papers' set has lines of an end effector, and two arms have two ends.
+    body = load_robot("upper_body")
+    with pytest.raises(ConfigError, match="no site for the end effector"):
+        record(tmp_path / "data", body, make_rig("mujoco", body, find_model(body)), load_plans("paper").scaled(0.001))
     assert not (tmp_path / "data").exists()
 
 

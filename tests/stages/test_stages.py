@@ -454,3 +454,9 @@ def test_one_engine_and_one_payload_are_not(tmp_path):
     (tmp_path / "out" / "engines.json").write_text("{}")
     closed.measurement.save(tmp_path / "out")
     assert not (tmp_path / "out" / "engines.json").exists()
+
+
+def test_a_dataset_without_episodes_is_not_replayed(tmp_path):
+    DatasetWriter.create(tmp_path / "empty", DatasetInfo(robot="demo_arm")).close()
+    with pytest.raises(DataError, match="has no episodes"):
+        replay(Dataset(tmp_path / "empty"), load_robot("demo_arm"))

@@ -97,6 +97,11 @@ class MotionGroup:
     speed: tuple[float, float] = (1.0, 1.0)
     amplitude: tuple[float, float] = (1.0, 1.0)
 
+    @property
+    def leads_end_effector(self) -> bool:
+        """Whether a motion is one of the end effector, so that the model must have one."""
+        return self.count > 0 and (self.kind == "cartesian" or (self.kind == "b-spline" and not self.sites))
+
     def __post_init__(self) -> None:
         """Refuse groups that cannot be planned."""
         if not self.name or not all(letter.isalnum() or letter in "_.-" for letter in self.name):
@@ -253,8 +258,12 @@ class PlanSetSpec:
         return splits
 
     def scene(self, robot: RobotSpec, *, model: Path | None = None) -> Scene:
-        """The robot in the set's workspace; see `Scene` for errors."""
-        return Scene(
+        """The robot in the set's workspace; see `Scene` for errors.
+
+        Raises:
+            ConfigError: a group leads an end effector, and the model has none.
+        """
+        scene = Scene(
             robot,
             workspace=self.workspace,
             model=model,
@@ -262,6 +271,9 @@ class PlanSetSpec:
             velocity=self.velocity_limits,
             acceleration=self.acceleration_limits,
         )
+        if any(group.leads_end_effector for group in self.groups):
+            scene.require_site()
+        return scene
 
     def plan(self, scene: Scene, number: int) -> Plan:
         """One motion; the same arguments give the same plan.

@@ -86,7 +86,7 @@ def replay(
         NameMismatch: the joints of log, robot and model do not agree.
         ConfigError: the model is not found, or does not load, or the engine is not there or cannot match it, or no
             cluster answers.
-        DataError: no episode could be replayed.
+        DataError: there is no episode, or none could be replayed.
     """
     label = f"{engine}/stock" if label is None else label
     # MuJoCo is loaded by those who simulate, not by everyone who starts the command line.
@@ -122,6 +122,8 @@ def replay(
         earlier_s = float(dataset.run_info(label).get("seconds", 0.0))
     joint_map = JointMap.from_dict(robot.joint_rules())
     wanted = tuple(dataset.ids if ids is None else ids)
+    if not wanted:
+        raise DataError(f"{dataset.path} has no episodes", hint="Record or import some first.")
     failed: dict[str, TrueupError] = {}
     _refuse_other_names(dataset, wanted, joint_map)
     with contextlib.ExitStack() as stack:
