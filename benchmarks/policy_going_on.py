@@ -130,6 +130,11 @@ def trained(cell: GoingOn) -> dict[str, Any]:
     )
 
 
+def done(cell: GoingOn) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Train the policy of a cell and judge it."""
+    return trained(cell), judged(cell)
+
+
 def judged(cell: GoingOn) -> dict[str, Any]:
     """Place -> metric -> mean over goals; and the distances, goal by goal."""
     torch.set_num_threads(1)
@@ -152,14 +157,6 @@ def cells() -> Iterator[GoingOn]:
 def run() -> list[Row]:
     """Make what is not there, judge all, and hold the cells against going on in the simulator as it comes."""
     every = list(cells())
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        before = list(pool.map(began, UNITS))
-        trainings = list(pool.map(trained, every))
-        found = list(pool.map(judged, every))
-    policies: dict[str, Any] = {}
-    for cell, training, own in zip(every, trainings, found, strict=True):
-        by_unit = policies.setdefault(cell.simulator, {}).setdefault(cell.draws, {})
-        by_unit[str(cell.unit)] = {"training": training, "places": own}
     about = {
         "units": UNITS,
         "strangers": STRANGERS,
@@ -169,13 +166,16 @@ def run() -> list[Row]:
         "rate": RATE,
         "delayed": True,
     }
-    result = {
-        "before": before,
-        "policies": policies,
-        "table": table(policies),
-        "provenance": provenance(config=about, seed=0),
-    }
-    write_json(RESULT, rounded(result))
+    policies: dict[str, Any] = {}
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        before = list(pool.map(began, UNITS))
+        for cell, (training, own) in zip(every, pool.map(done, every), strict=True):
+            by_unit = policies.setdefault(cell.simulator, {}).setdefault(cell.draws, {})
+            by_unit[str(cell.unit)] = {"training": training, "places": own}
+            if len(by_unit) == len(UNITS):
+                # Hours are ended by others: what is there of whole cells is a result.
+                whole = {"before": before, "policies": policies, "table": table(policies)}
+                write_json(RESULT, rounded({**whole, "provenance": provenance(config=about, seed=0)}))
     return rows(read_json(RESULT))
 
 

@@ -166,24 +166,38 @@ class RandomizationConfig:
             if getattr(self, name) >= 1:
                 raise ConfigError(f"randomization: {name} is a share", got=getattr(self, name), expected="below 1")
 
-    def draws(self, nominal: Nominal | None = None, *, force: bool = False) -> tuple[Draw, ...]:
+    def draws(
+        self, nominal: Nominal | None = None, *, control_s: float = np.inf, force: bool = False
+    ) -> tuple[Draw, ...]:
         """The functions, in their order.
 
         Args:
             nominal: the model that they change; what an identification has numbers of is looked for in it.
+            control_s: control step, which no delay may exceed [s].
             force: also draw from an identification whose status is not ok.
 
         Raises:
-            ConfigError: the identification is not ok, and nobody forces it.
+            ConfigError: the identification is not ok, and nobody forces it, or a delay is too long.
             DataError: it has no samples.
             NameMismatch: it is of a robot with other joints or bodies.
         """
         found: list[Draw] = []
+        latest_s = self.delay_s[1]
         if self.posterior:
             samples = posterior_samples(Path(self.posterior), force=force)
+            if not latest_s:
+                late = (values for name, values in samples.items() if name.partition("[")[0] == "delay_s")
+                latest_s = max((float(values.max()) for values in late), default=0.0)
             if nominal is not None:
                 _refuse_another_robot(samples, nominal, self.posterior)
             found.append(posterior(samples))
+        # Drawn one day, it would end a training in the middle.
+        if latest_s > control_s:
+            raise ConfigError(
+                "randomization: torques may be late by a control step at most",
+                got=f"{latest_s:g} s",
+                expected=f"at most {control_s:g} s",
+            )
         for name, make in (("friction", friction), ("inertia", inertia), ("gains", gains)):
             if share := getattr(self, name):
                 found.append(make(share))
@@ -192,13 +206,6 @@ class RandomizationConfig:
         if self.payload_kg[1]:
             found.append(payload(*self.payload_kg))
         return tuple(found)
-
-    def most_delay_s(self, *, force: bool = False) -> float:
-        """The longest delay that can be drawn [s]."""
-        if self.delay_s[1] or not self.posterior:
-            return self.delay_s[1]
-        samples = posterior_samples(Path(self.posterior), force=force)
-        return max((float(v.max()) for name, v in samples.items() if name.partition("[")[0] == "delay_s"), default=0.0)
 
 
 # ES thesis, 4.1.1.

@@ -16,7 +16,6 @@ from trueup.policy.reaching import Reaching
 from trueup.policy.thesis_friction import ThesisFriction
 from trueup.robots import JointFriction, RobotSpec
 from trueup.sim import make_simulator, set_friction
-from trueup.sim.transitions import late_shares
 
 
 def simulated(
@@ -50,27 +49,22 @@ def simulated(
     nominal = Nominal(robot, model)
     if engine != "mujoco":
         return _in_engine(config, nominal, engine)
-    draws = config.randomization.draws(nominal, force=force) if randomized else ()
+    network = Network.load(config.network) if config.network else None
+    step_s = config.reach.control_s if network is None else 1.0 / network.card.rate_hz
+    draws = config.randomization.draws(nominal, control_s=step_s, force=force) if randomized else ()
     friction = None
     if config.friction == "thesis":
         draws, friction = (*draws, _without_friction), ThesisFriction()
     noise = (config.randomization.noise_rad, config.randomization.noise_rad_s)
-    drawn = Individuals(nominal, draws) if draws else None
-
-    def made(step_s: float) -> MujocoArms:
-        if randomized:
-            # What is drawn later would end a training in the middle.
-            late_shares(nominal.simulator, step_s, config.randomization.most_delay_s(force=force))
-        return MujocoArms(
-            nominal.simulator, count or config.arms, step_s, delay_s=robot.delay_s, threads=threads, draw=drawn
-        )
-
-    arms: Arms
-    if config.network:
-        network = Network.load(config.network)
-        arms = AugmentedArms(made(1.0 / network.card.rate_hz), network, config.reach.control_s)
-    else:
-        arms = made(config.reach.control_s)
+    made = MujocoArms(
+        nominal.simulator,
+        count or config.arms,
+        step_s,
+        delay_s=robot.delay_s,
+        threads=threads,
+        draw=Individuals(nominal, draws) if draws else None,
+    )
+    arms: Arms = made if network is None else AugmentedArms(made, network, config.reach.control_s)
     return Reaching(
         arms,
         nominal.model,
