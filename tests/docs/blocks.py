@@ -71,7 +71,12 @@ SHOWN = {
 CONTRACTS = {
     "augmentation": ("runs/sweep/sweep.json",),
     "close": ("runs/first/close.json",),
-    "identification": ("runs/fit/fit.json", "runs/fit/ladder.json", "runs/why/gap.json", "runs/why/explain.json"),
+    "identification": (
+        "runs/arm-fit/fit.json",
+        "runs/arm-fit/ladder.json",
+        "runs/why/gap.json",
+        "runs/why/explain.json",
+    ),
 }
 
 # Page -> lines of output that come of all of the recording or all parameters, not of the few that are run here.

@@ -121,11 +121,6 @@ def shortened(data, seconds, each):
     Path(path).rename(data)
 
 
-def gone(path):
-    """A section of the page that begins anew, in a folder that one above has filled."""
-    return lambda _, __: shutil.rmtree(path)
-
-
 # What a page takes to be there at its beginning.
 
 
@@ -235,13 +230,6 @@ def short(data, seconds, each=6):
     return lambda _, __: shortened(data, seconds, each)
 
 
-def fitted_panda(shelf, monkeypatch):
-    """An identified Panda that takes torques, in place of the upper body of the page's first sections."""
-    shortened("data/slow", 2.0, 2)
-    shutil.rmtree("runs/fit")
-    run("identify", "data/slow", "--robot", "panda_torque", "--config", "small/identify.yaml", "--out", "runs/fit")
-
-
 def one_of_the_zoo(shelf, monkeypatch):
     """A policy that reaches its goals, in place of one that has hardly been trained."""
     import trueup.zoo
@@ -273,8 +261,7 @@ def shorter_still(shelf, monkeypatch):
 
 
 def several_policies(shelf, monkeypatch):
-    """Three seeds of one training, and another training; judged in a folder of their own."""
-    shutil.rmtree("runs/judged")
+    """Three seeds of one training, and another training."""
     for name, seed, algorithm in (
         ("reach-0", 0, "sac"),
         ("reach-1", 1, "sac"),
@@ -288,15 +275,12 @@ def several_policies(shelf, monkeypatch):
 BEFORE = {
     ("building-blocks", "replay data/kickbot"): short("data/kickbot", 2.0),
     ("building-blocks", "replay data/dancebot"): short("data/dancebot", 0.8),
-    ("compensation", "compensate train data/slow"): fitted_panda,
-    ("excitation", "design --robot arm.yaml"): gone("runs/plans"),
-    ("identification", "identify runs/arm/dataset"): gone("runs/fit"),
+    ("compensation", "identify data/slow"): short("data/slow", 2.0, 2),
     ("identification", "gap runs/arm/dataset"): shorter_still,
     ("index", "demo"): few_motions,
     ("policies", "deploy run runs/first"): one_of_the_zoo,
     ("policies", "policy train --robot runs/fit/robot.fitted.yaml"): trained_one,
     ("policies", "policy grid --out runs/grid"): corner_of_the_grid,
     ("policies", "policy eval runs/reach-0"): several_policies,
-    ("policies", "deploy run runs/reach"): gone("runs/driven"),
     ("report", "replay data/loads --robot upper_body"): short("data/loads", 2.0),
 }
