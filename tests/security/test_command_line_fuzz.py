@@ -195,5 +195,5 @@ def test_each_option_alone(words, value, there, tmp_path, capsys, monkeypatch):
         assert left.value.code in ((0, 2) if bounds else (2,)), f"{words} {option} {value!r}\n{out}{err}"
         assert "Traceback" not in out + err
         assert "\x1b[2J" not in out + err
-        if left.value.code == 2 and option != "--ray":  # that there is no such cluster shows when it is asked
+        if left.value.code == 2:
             assert not list(here.iterdir()), f"{words} {option} {value!r}"

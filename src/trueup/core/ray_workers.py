@@ -112,13 +112,18 @@ def on_ray(
 
 
 @contextlib.contextmanager
-def connected(cluster: Cluster) -> Iterator[None]:
-    """Connected to a cluster, unless this process is connected to one already; for several calls of `on_ray`.
+def connected(cluster: Cluster | None) -> Iterator[None]:
+    """Connected to a cluster, unless there is none or this process is connected to one already.
+
+    For several calls of `on_ray`, and for commands before they write: an address that nobody answers at leaves nothing.
 
     Raises:
         ConfigError: there is no such cluster.
         MissingDependency: Ray is not installed.
     """
+    if cluster is None:
+        yield
+        return
     with needing("work on a Ray cluster", "ray"):
         import ray
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shutil
 from collections.abc import Mapping
@@ -111,11 +110,9 @@ def fit(
     cluster = None if ray is None else Cluster(ray, jobs)
     if cluster is not None:
         refuse_one_start(config)
-    with sole_writer(out), contextlib.ExitStack() as stack:
+    with connected(cluster), sole_writer(out):
         if any(out.iterdir()) and not (overwrite or resume):
             raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
-        if cluster is not None:
-            stack.enter_context(connected(cluster))
         checkpoints = out / _CHECKPOINTS
         if overwrite and not resume:
             shutil.rmtree(checkpoints, ignore_errors=True)

@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trueup.augment.config import CHECKPOINT_NAME
-from trueup.core.atomic import as_read_back, json_hash, make_folder, remove, write_json
+from trueup.core.atomic import as_read_back, json_hash, remove, write_json
 from trueup.core.policy_card import PolicyCard
 from trueup.core.provenance import provenance
+from trueup.core.ray_workers import Cluster, connected
+from trueup.core.sole_writer import sole_writer
 from trueup.core.spread import go_to, here, spread
-from trueup.dataset.lock import LOCK_NAME, FolderLock
 from trueup.errors import DataError, Diverged, OutputExists, TrueupError, needing
 from trueup.robots import RobotSpec, find_model
 from trueup.stages.policy_training import policy_question, train_policy
@@ -169,9 +170,8 @@ def search_grid(
         find_device(device)  # likewise; what a cluster has, its machines know
     axes = {axis.title: [list(row) for row in axis.rows] for axis in grid.axes}
     asked = json_hash({"policy": policy_question(robot, path, config, name="", seed=seed), "axes": axes})
-    _prepare(out, overwrite=overwrite, resume=resume)
-    lock = FolderLock(out)
-    try:
+    with connected(None if ray is None else Cluster(ray, jobs)), sole_writer(out):
+        _prepare(out, overwrite=overwrite, resume=resume)
         if overwrite:
             _clear(out)
         study = GridStudy(out / STUDY_FILE, asked, grid, points)
@@ -183,16 +183,13 @@ def search_grid(
         finally:
             study.close()
         _save(found, config, axes, seed)
-    finally:
-        lock.release()
     if not found.ranking:
         raise DataError("every trial of the grid has diverged", got=f"{len(found.trials)}", hint="Lower learner.rate.")
     return found
 
 
 def _prepare(out: Path, *, overwrite: bool, resume: bool) -> None:
-    make_folder(out)
-    there = {file.name for file in out.iterdir()} - {LOCK_NAME}
+    there = {file.name for file in out.iterdir()}
     if there and not (overwrite or resume):
         raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
     if there - {GRID_FILE, STUDY_FILE, f"{STUDY_FILE}-journal", TRIALS} and STUDY_FILE not in there:

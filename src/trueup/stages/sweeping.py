@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import shutil
@@ -107,8 +106,7 @@ def sweep(
     asked = {"run": run, "drop_flagged": drop_flagged, "train_motions": train_motions, "robot": robot and robot.name}
     hashed = json_hash({**asked, "data": source.hash, "robot": robot and robot.to_dict()})
     configs = {name: as_read_back(config.to_json()) for name, config in candidates.items()}
-    # Before anything is written, so that an address that nobody answers at leaves no folder.
-    with contextlib.nullcontext() if ray is None else connected(Cluster(ray, jobs)), sole_writer(out):
+    with connected(None if ray is None else Cluster(ray, jobs)), sole_writer(out):
         _prepare(out, hashed, configs, seeds, overwrite=overwrite, resume=resume)
         found = SweepResult(
             tuple(
