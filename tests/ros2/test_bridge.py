@@ -69,6 +69,22 @@ def test_what_it_counts(folder):
     assert sum(count for *_, count in tree["way"]["bins"]) == len(report.way) > 0
 
 
+def test_many_that_had_to_wait_are_taken_a_few_at_a_time_and_all_counted_from_the_first(folder, monkeypatch):
+    where, taken = network(), []
+    with Node(where) as node, Node(where) as other:
+        inbox, outbox = node.listen("/joint_states", JointState), node.publish("/corrected", JointState)
+        source, answers = other.publish("/joint_states", JointState), other.listen("/corrected", JointState)
+        wait_for(lambda: source.readers and answers.writers and outbox.readers)
+        send_all(source, [state(number / RATE_HZ) for number in range(300)])
+        take = inbox.take
+        monkeypatch.setattr(inbox, "take", lambda most: taken.append(got := take(most)) or got)
+        report = run_bridge(node, inbox, outbox, augmented(folder), seconds=0.5)
+        assert len(received(answers, other, 300)) == 300
+    assert max(map(len, taken)) == 64
+    assert report.most_waiting == report.received == report.sent == 300
+    assert report.added.max_us > 3 * report.added.percentile_us(20.0)
+
+
 def test_a_simulator_that_leaves_and_comes_back_is_heard_again(folder):
     where = network()
     with Bridge(where, augmented(folder)) as bridge, Node(where) as listener:
