@@ -11,11 +11,11 @@ demo: $(VENV)/.base
 	$(TRUEUP) demo --out runs/demo --overwrite
 
 test: install lint
-	$(BIN)/python -m pytest -n 2 -m "not slow"
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
 	$(BIN)/mkdocs build --strict --quiet --site-dir $(VENV)/site
 
 test-all: install lint
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 	$(BIN)/mkdocs build --strict --quiet --site-dir $(VENV)/site
 
 # TRUEUP_MUTATIONS damaged files for every parser (10000 if not given); a parser that is done is not attacked again.

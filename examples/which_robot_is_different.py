@@ -27,7 +27,7 @@ def main(out: Path) -> None:
             command = replace(episode.command, time_s=episode.command.time_s - lag_s)
             meta = replace(episode.meta, unit=f"arm-{unit}", split="train" if number < 8 else "test")
             writer.append(replace(episode, meta=meta, command=command))
-    config = IdentifyConfig(fit={"delay_s": "all"}, solver=SolverChoice(max_iterations=5))
+    config = IdentifyConfig(fit={"delay_s": "all"}, solver=SolverChoice("gauss-newton", max_iterations=5))
     found = fleet([out / "data"], load_robot("demo_arm"), out / "fleet", config=config)
     for unit in found.units:
         values = ", ".join(f"{name} {value.value:.3f} s" for name, value in unit.parameters.items())

@@ -53,6 +53,7 @@ def test_the_run_is_the_same(recorded, tmp_path, monkeypatch, cluster):
 
 
 @NEEDS_RAY
+@pytest.mark.slow
 def test_a_worker_that_is_killed_loses_nothing(recorded, tmp_path, monkeypatch, cluster):
     """Its part is replayed by another one, and stored in its place."""
     monkeypatch.setattr("trueup.stages.replaying.PART", 1)

@@ -113,6 +113,7 @@ def test_in_processes_it_is_the_same(data, done, tmp_path):
 
 
 @NEEDS_RAY
+@pytest.mark.slow
 def test_on_ray_a_worker_that_is_killed_loses_nothing(data, tmp_path):
     """It is killed in the middle of a training, which goes on from its checkpoint."""
     here = sweep([data], tmp_path / "here", run=RUN, candidates=LONG, seeds=SEEDS, jobs=1)
