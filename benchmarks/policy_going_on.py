@@ -1,18 +1,19 @@
 """The transfer table for policies that go on: in the simulator as it came, or as it was identified from their own runs.
 
 Policies that are trained from nothing differ more by their seed than by their simulator (`policy_transfer`). Here each
-of three robots has a seed. A policy is trained as the simulator comes (`--config laptop`), drives its robot (`trueup
+of six robots has a seed. A policy is trained as the simulator comes (`--config laptop`), drives its robot (`trueup
 deploy run`), the robot is identified from these logs, and the policy goes on from where it was: in the simulator as it
-comes, or as it was identified, with each randomization. What differs is what it went on in. Judged on other goals than
-those that were driven, and than those of `policy_transfer`.
+comes, or as it was identified, with draws from its posterior. What differs is what it went on in. Judged on other goals
+than those that were driven, and than those of `policy_transfer`.
 
-`python -m benchmarks policy_going_on` makes what is not there, under runs/policies (three hours on two cores). Its
-figures are kept in benchmarks/results/policy_going_on.json.
+`python -m benchmarks policy_going_on` makes what is not there, under runs/policies (40 min of a core for each robot).
+Its figures are kept in benchmarks/results/policy_going_on.json; a robot that stands there, of the same question, is not
+trained for again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
@@ -22,8 +23,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.policy_data import FIT, FOLDER, STOCK, UNITS
-from benchmarks.policy_transfer import BAR_M, DART_GOALS, GOALS, STRANGERS, TASK, of_training, places, said
+from benchmarks.policy_data import FIT, FOLDER, STOCK
+from benchmarks.policy_transfer import BAR_M, DART_GOALS, GOALS, TASK, of_training, places, said
 from benchmarks.table import Row, at_most, rounded, shown
 from trueup.core.atomic import read_json, write_json
 from trueup.core.config import build
@@ -35,7 +36,7 @@ from trueup.measure import paired_difference
 from trueup.measure.seeds import seeds_interval
 from trueup.policy.config import LAPTOP, PolicyConfig
 from trueup.policy.evaluation import evaluate
-from trueup.policy.randomization import THESIS, RandomizationConfig
+from trueup.policy.randomization import RandomizationConfig
 from trueup.robots import RobotSpec, load_robot
 from trueup.stages import fit
 from trueup.stages.policy_driving import drive
@@ -46,14 +47,20 @@ RESULT = Path(__file__).parent / "results" / "policy_going_on.json"
 DRIVEN = 50
 # Half of the laptop's learning rate: what was learned is soon lost.
 RATE = 1e-3
-# What is held against each other first.
-CELLS = (
-    ("stock", "none"),
-    ("identified", "posterior"),
-    ("identified", "none"),
-    ("stock", "thesis"),
-    ("identified", "thesis"),
-)
+# What is held against each other.
+CELLS = (("stock", "none"), ("identified", "posterior"))
+# Virtual robots that have a policy of their own each, in the order in which they are trained for.
+ROBOTS = (1, 2, 3, 4, 5, 6)
+# And those that no policy has been on.
+STRANGERS = (7, 8, 9)
+ABOUT = {
+    "strangers": list(STRANGERS),
+    "goals": GOALS,
+    "driven": DRIVEN,
+    "steps": LAPTOP.steps,
+    "rate": RATE,
+    "delayed": True,
+}
 
 
 @dataclass(frozen=True)
@@ -83,11 +90,7 @@ class GoingOn:
     @property
     def config(self) -> PolicyConfig:
         """The laptop's, as long again, begun with the robot's first policy."""
-        drawn = {
-            "none": RandomizationConfig(),
-            "thesis": THESIS,
-            "posterior": RandomizationConfig(posterior=str(identified(self.unit))),
-        }
+        drawn = {"none": RandomizationConfig(), "posterior": RandomizationConfig(posterior=str(identified(self.unit)))}
         learner = replace(LAPTOP.learner, rate=RATE)
         start = str(first_of(self.unit))
         return replace(LAPTOP, learner=learner, randomization=drawn[self.draws], start=start)
@@ -130,11 +133,6 @@ def trained(cell: GoingOn) -> dict[str, Any]:
     )
 
 
-def done(cell: GoingOn) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Train the policy of a cell and judge it."""
-    return trained(cell), judged(cell)
-
-
 def judged(cell: GoingOn) -> dict[str, Any]:
     """Place -> metric -> mean over goals; and the distances, goal by goal."""
     torch.set_num_threads(1)
@@ -147,36 +145,38 @@ def judged(cell: GoingOn) -> dict[str, Any]:
     return found
 
 
-def cells() -> Iterator[GoingOn]:
-    """All of them, those first that matter most."""
-    for simulator, draws in CELLS:
-        for unit in UNITS:
-            yield GoingOn(simulator, draws, unit)
+def of_robot(unit: int) -> dict[str, Any]:
+    """All of a robot: the curve of its first policy, and what became of it in each cell."""
+    before, cells = began(unit), [GoingOn(simulator, draws, unit) for simulator, draws in CELLS]
+    found: dict[str, Any] = {"before": before, "cells": {}}
+    for cell in cells:
+        found["cells"].setdefault(cell.simulator, {})[cell.draws] = {"training": trained(cell), "places": judged(cell)}
+    return found
 
 
 def run() -> list[Row]:
     """Make what is not there, judge all, and hold the cells against going on in the simulator as it comes."""
-    every = list(cells())
-    about = {
-        "units": UNITS,
-        "strangers": STRANGERS,
-        "goals": GOALS,
-        "driven": DRIVEN,
-        "steps": LAPTOP.steps,
-        "rate": RATE,
-        "delayed": True,
-    }
-    policies: dict[str, Any] = {}
+    result = kept()
+    missing = [unit for unit in ROBOTS if str(unit) not in result["before"]]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        before = list(pool.map(began, UNITS))
-        for cell, (training, own) in zip(every, pool.map(done, every), strict=True):
-            by_unit = policies.setdefault(cell.simulator, {}).setdefault(cell.draws, {})
-            by_unit[str(cell.unit)] = {"training": training, "places": own}
-            if len(by_unit) == len(UNITS):
-                # Hours are ended by others: what is there of whole cells is a result.
-                whole = {"before": before, "policies": policies, "table": table(policies)}
-                write_json(RESULT, rounded({**whole, "provenance": provenance(config=about, seed=0)}))
+        for unit, found in zip(missing, pool.map(of_robot, missing), strict=True):
+            result["before"][str(unit)] = found["before"]
+            for simulator, by_draws in found["cells"].items():
+                for draws, own in by_draws.items():
+                    result["policies"].setdefault(simulator, {}).setdefault(draws, {})[str(unit)] = own
+            result["table"] = table(result["policies"])
+            result["provenance"] = provenance(config=ABOUT, seed=0)
+            result["commits"][str(unit)] = result["provenance"]["git"]
+            write_json(RESULT, rounded(result))
     return rows(read_json(RESULT))
+
+
+def kept() -> dict[str, Any]:
+    """The result, with the robots of earlier calls; without any where it was made of another question."""
+    found = read_json(RESULT) if RESULT.is_file() else {}
+    if found and found["provenance"]["config"] == ABOUT:
+        return found
+    return {"before": {}, "policies": {}, "commits": {}}
 
 
 def table(policies: Mapping[str, Any]) -> dict[str, Any]:
@@ -188,7 +188,7 @@ def table(policies: Mapping[str, Any]) -> dict[str, Any]:
     for simulator, by_draws in policies.items():
         for draws, by_unit in by_draws.items():
             own = {}
-            for spot, names in _spots().items():
+            for spot, names in _spots(by_unit).items():
                 distances = _values(by_unit, names, "distances")
                 own[spot] = {
                     "median": float(np.median(distances)),
@@ -210,13 +210,15 @@ def table(policies: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _spots() -> dict[str, dict[str, list[str]]]:
+def _spots(by_unit: Mapping[str, Any]) -> dict[str, dict[str, list[str]]]:
     """Place -> robot -> names of what its policy is judged on there."""
-    units = [str(unit) for unit in UNITS]
     return {
-        **{name: {unit: [name] for unit in units} for name in ("stock", "identified", "dart")},
-        "own robot": {unit: [f"lab-{unit}"] for unit in units},
-        "other robots": {unit: [f"lab-{stranger}" for stranger in STRANGERS] for unit in units},
+        **{name: {unit: [name] for unit in by_unit} for name in ("stock", "identified", "dart")},
+        "own robot": {unit: [f"lab-{unit}"] for unit in by_unit},
+        "other robots": {
+            unit: [name for name in own["places"] if name.startswith("lab-") and name != f"lab-{unit}"]
+            for unit, own in by_unit.items()
+        },
     }
 
 

@@ -14,7 +14,7 @@ PLACES = {
     "identified": "MuJoCo, identified",
     "dart": "DART, identified",
     "own robot": "its robot",
-    "other robots": "robots 4 to 6",
+    "other robots": "robots {strangers}",
 }
 _SIMULATORS = {"stock": "in the simulator as it comes", "identified": "in the one that was identified"}
 MINUTES = (1, 2, 3, 4, 6, 8, 10)
@@ -22,8 +22,8 @@ TEXT = """## Going on after identification
 
 From nothing, policies differ more by their seed than by their simulator. But a policy is rarely trained once: the first
 one is there before anything is identified, and what it does on the robot is what can be identified from best. So here
-each of robots 1 to 3 has a seed. Its first policy is trained as the simulator comes (`--config laptop`), and drives it
-to {driven} goals (`trueup deploy run --out`); from these logs the robot is identified, all within a few minutes; and
+each of robots {robots} has a seed. Its first policy is trained as the simulator comes (`--config laptop`), and drives
+it to {driven} goals (`trueup deploy run --out`); from these logs the robot is identified, all within a few minutes; and
 the policy goes on from where it was (`trueup policy train --start`, as many control steps again, {minutes:.0f} min of
 one core),
 {where}.
@@ -40,7 +40,7 @@ Mean distance from the goal at the end [cm], the median, the worst, and how many
 The same against policies that went on in the simulator as it comes, without randomization: mean over goals of the
 difference [cm], paired by goal and robot. Below zero is nearer. The first interval (95 %) is over goals: of these
 policies on these robots. The second is over goals and robots, each of which has a seed of its own: of such robots and
-trainings; with three it is wide.
+trainings.
 
 {differences}
 
@@ -63,7 +63,8 @@ after minutes of one core.
 
 def part(result: Mapping[str, Any]) -> str:
     """The section as Markdown."""
-    found = tabulated(result["policies"])
+    found, config = tabulated(result["policies"]), result["provenance"]["config"]
+    heads = [name.format(strangers=_range(config["strangers"])) for name in PLACES.values()]
     minutes = [
         own["training"]["cpu_minutes"]
         for by_draws in result["policies"].values()
@@ -71,12 +72,13 @@ def part(result: Mapping[str, Any]) -> str:
         for own in by_unit.values()
     ]
     return TEXT.format(
-        driven=result["provenance"]["config"]["driven"],
+        robots=_range([int(unit) for unit in result["before"]]),
+        driven=config["driven"],
         minutes=sum(minutes) / len(minutes),
         where=_where(found),
-        note="" if result["provenance"]["config"].get("delayed") else EARLIER,
-        distances=_each(found, _distance),
-        differences=_each(found, _difference, but=("stock", "none")),
+        note="" if config.get("delayed") else EARLIER,
+        distances=_each(found, heads, _distance),
+        differences=_each(found, heads, _difference, but=("stock", "none")),
         manners=_manners(found),
         words=_words(found),
         curve=_curve(result["before"]),
@@ -96,14 +98,18 @@ def _where(found: Mapping[str, Any]) -> str:
     return "; or ".join(said)
 
 
-def _each(found: Mapping[str, Any], cell: Any, but: tuple[str, str] | None = None) -> str:
+def _range(numbers: Sequence[int]) -> str:
+    return f"{numbers[0]} to {numbers[-1]}"
+
+
+def _each(found: Mapping[str, Any], heads: Sequence[str], cell: Any, but: tuple[str, str] | None = None) -> str:
     rows = [
         [SIMULATORS[simulator], DRAWS[draws], *(cell(own[place]) for place in PLACES)]
         for simulator, by_draws in found.items()
         for draws, own in by_draws.items()
         if (simulator, draws) != but
     ]
-    return table(["went on in", "randomized", *PLACES.values()], rows, left=2)
+    return table(["went on in", "randomized", *heads], rows, left=2)
 
 
 def _distance(own: Mapping[str, Any]) -> str:
@@ -159,9 +165,9 @@ def _at(curve: Sequence[Sequence[float]], minutes: float) -> float | None:
     return done[-1] if done else None
 
 
-def _curve(before: Sequence[Mapping[str, Any]]) -> str:
+def _curve(before: Mapping[str, Any]) -> str:
     rows = []
-    for seed, own in enumerate(before):
+    for seed, own in enumerate(before.values()):
         curve = own["curve"]
         cells = [_at(curve, minutes) for minutes in MINUTES]
         rows.append(
@@ -170,9 +176,9 @@ def _curve(before: Sequence[Mapping[str, Any]]) -> str:
     return table(["", *(f"{minutes} min" for minutes in MINUTES), "end"], rows)
 
 
-def _bar(before: Sequence[Mapping[str, Any]]) -> str:
+def _bar(before: Mapping[str, Any]) -> str:
     ends, reached = [], []
-    for own in before:
+    for own in before.values():
         curve = own["curve"]
         ends.append(curve[-1][1] / 60)
         reached += [next((point[1] / 60 for point in curve if point[3] <= 0.05), None)]
