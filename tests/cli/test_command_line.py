@@ -64,6 +64,15 @@ def test_every_command_explains_itself(run, command):
     assert "Usage: trueup" in out
 
 
+@pytest.mark.parametrize("group", ["", "augment", "compensate", "policy", "deploy"])
+def test_what_a_command_does_fits_its_line(run, group, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    _, out, _ = run(*group.split(), "--help")
+    _, _, listed = out.partition("Commands:")
+    assert listed.strip()
+    assert "..." not in listed
+
+
 def test_an_unknown_option_or_command_is_bad_input(run):
     for arguments in (["gap", "--runz", "x"], ["measure"], ["close"], ["demo", "--until", "tomorrow"]):
         code, _, err = run(*arguments)

@@ -7,7 +7,7 @@ import typer
 from trueup.cli import augment_eval, augment_robustness, augment_sweep, augment_time, augment_train
 
 app = typer.Typer(
-    help="Learned corrections: networks that turn simulated signals into what the robot would have measured.",
+    help="Networks that correct what a simulator says. They turn it into what the robot would have measured.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )

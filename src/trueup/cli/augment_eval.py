@@ -52,7 +52,9 @@ def evaluate(
     seed: options.Seed = 0,
     overwrite: options.Overwrite = False,
 ) -> int:
-    """Say what learned corrections are worth, joint by joint, with intervals; write augment.json and a report.
+    """Say what learned corrections are worth.
+
+    Joint by joint, with intervals; writes augment.json and a report.
 
     Every correction is stored as a run of the dataset.
     """

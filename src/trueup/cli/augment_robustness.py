@@ -58,7 +58,9 @@ def robustness(
     overwrite: options.Overwrite = False,
     resume: options.Resume = False,
 ) -> int:
-    """Say how far off a simulator, and how different motions may be before a correction no longer helps.
+    """Say when a correction no longer helps.
+
+    How far off a simulator, and how different motions may be.
 
     Datasets are only read: what is simulated for this is not stored. Writes robustness.json and a report.
     """

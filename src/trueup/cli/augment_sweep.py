@@ -61,7 +61,9 @@ def sweep(
     overwrite: options.Overwrite = False,
     resume: options.Resume = False,
 ) -> int:
-    """Train several networks with several seeds each, beside each other, and say which is best on val.
+    """Train several networks, and say which is best on val.
+
+    With several seeds each, beside each other.
 
     Never reads test: judge the chosen one with `trueup augment eval`.
     """

@@ -28,7 +28,9 @@ def measure(
         Path | None, typer.Option("--out", help="Folder for latency.json; the model's if not given, none for zoo:NAME.")
     ] = None,
 ) -> int:
-    """Say how long a step takes on this machine, in a loop at a fixed rate; write latency.json.
+    """Say how long a step takes on this machine.
+
+    In a loop at a fixed rate; writes latency.json.
 
     The report of `trueup augment eval` shows its histogram.
     """

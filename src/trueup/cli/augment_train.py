@@ -55,7 +55,9 @@ def train(
     overwrite: options.Overwrite = False,
     resume: options.Resume = False,
 ) -> int:
-    """Train a network that turns a simulated run into what the robot would have measured.
+    """Train a network that corrects simulated runs.
+
+    It turns them into what the robot would have measured.
 
     Fits on train, chooses on val, never reads test: judge the result with `trueup augment eval`.
     """

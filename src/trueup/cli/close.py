@@ -80,7 +80,9 @@ def close(
     resume: options.Resume = False,
     skip_bad: options.SkipBad = False,
 ) -> int:
-    """From logs to a corrected simulator: import, replay, gap, explain, identify, augment, and a report of it all.
+    """From logs to a corrected simulator, in one go.
+
+    Import, replay, gap, explain, identify, augment, and a report of it all.
 
     Exit code 3 if a step failed, the fit is of no use, or a bar was not met.
     """

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from trueup.robots import RobotSpec
 
 app = typer.Typer(
-    help="Learned compensation: networks that say what commands lack, in the simulator or on the robot.",
+    help="Networks that correct commands. They say what commands lack, in the simulator or on the robot.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -74,7 +74,9 @@ def train(
     overwrite: options.Overwrite = False,
     resume: options.Resume = False,
 ) -> int:
-    """Train a network that says what commands lack for the simulator to move like the robot, or the robot like it.
+    """Train a network that says what commands lack.
+
+    For the simulator to move like the robot, or the robot like it.
 
     Fits on train, chooses on val, never reads test: replay the test motions with `trueup compensate replay`, and judge
     them with `trueup gap`.
@@ -131,7 +133,10 @@ def replay(
     jobs: options.Jobs = None,
     overwrite: options.Overwrite = False,
 ) -> int:
-    """Replay the logged commands in a compensated simulator, and store what it does as a run of the dataset."""
+    """Replay logged commands in a compensated simulator.
+
+    What it does is stored as a run of the dataset.
+    """
     from trueup.dataset import Dataset
     from trueup.robots import load_robot
     from trueup.stages.compensated_replaying import compensated_replay

@@ -30,7 +30,10 @@ def demo(
     ] = "5m",
     overwrite: options.Overwrite = False,
 ) -> int:
-    """Record virtual hardware, whose physics its model does not know, and close on the recording."""
+    """Record virtual hardware, and close on the recording.
+
+    Its model does not know its physics.
+    """
     from trueup.stages.demonstrating import demo as run
 
     # Before the first motion come processes that start and plans that are made.

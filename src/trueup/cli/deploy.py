@@ -62,7 +62,10 @@ def run(
     out_dir: Annotated[Path | None, typer.Option("--out", help="Dataset of what was measured and sent.")] = None,
     overwrite: options.Overwrite = False,
 ) -> int:
-    """Drive virtual hardware by a policy at the rate of its control loop, within limits, with an emergency stop."""
+    """Drive virtual hardware by a policy, within limits.
+
+    At the rate of its control loop, with an emergency stop.
+    """
     import trueup.zoo
     from trueup.deploy.policy_loop import DONE
     from trueup.deploy.realtime import RealTimeSettings

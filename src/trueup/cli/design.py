@@ -54,7 +54,10 @@ def design(
     jobs: options.Jobs = None,
     overwrite: options.Overwrite = False,
 ) -> int:
-    """Design motions from which the parameters of a fit can be told best, and say how well that will be."""
+    """Design the motions that tell the parameters of a fit best.
+
+    Says beforehand how well they will be told.
+    """
     from trueup.core.fit_result import FitResult
     from trueup.identify import IdentifyConfig
     from trueup.record import DesignSettings, load_workspace

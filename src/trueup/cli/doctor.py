@@ -47,7 +47,10 @@ def doctor(
     priority: options.Priority = None,
     cpu: options.Cpu = None,
 ) -> int:
-    """Show versions, extras, threads and GPU, and how to get what is missing."""
+    """Show what is installed, and how to get what is missing.
+
+    Versions, extras, threads and GPU.
+    """
     if realtime:
         return _realtime(hz, seconds, priority, cpu)
     out.print(f"trueup {metadata.version('trueup')}, Python {platform.python_version()}, {platform.platform()}")

@@ -34,7 +34,10 @@ def experiment(
     ] = None,
     overwrite: options.Overwrite = False,
 ) -> int:
-    """Evaluate recordings that isolate one thing: breakaway torques, offset and asymmetry, friction while coasting."""
+    """Evaluate recordings that isolate one thing.
+
+    Breakaway torques, offset and asymmetry, friction while coasting.
+    """
     from trueup.dataset import Dataset
     from trueup.robots import load_robot
     from trueup.stages.experimenting import experiment as run

@@ -50,7 +50,10 @@ def fleet(
     overwrite: options.Overwrite = False,
     resume: options.Resume = False,
 ) -> int:
-    """Identify many robots of one kind, each by itself: how they differ, and which is unlike the others."""
+    """Identify many robots of one kind, and compare them.
+
+    Each by itself: how they differ, and which is unlike the others.
+    """
     from trueup.identify import IdentifyConfig
     from trueup.robots import load_robot
     from trueup.stages.close_networks import METHODS

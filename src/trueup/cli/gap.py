@@ -58,7 +58,10 @@ def gap(
     seed: options.Seed = 0,
     overwrite: options.Overwrite = False,
 ) -> int:
-    """Measure the gap between robot and simulation, with 95 % intervals; write gap.json and a report."""
+    """Measure the gap between robot and simulation.
+
+    With 95 % intervals; writes gap.json and a report.
+    """
     from trueup.dataset import Dataset
     from trueup.identify import IdentifyConfig
     from trueup.measure import parse_bar, refuse_unknown

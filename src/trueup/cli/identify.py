@@ -46,7 +46,9 @@ def identify(
     overwrite: options.Overwrite = False,
     resume: options.Resume = False,
 ) -> int:
-    """Find what the simulator has wrong, and say how sure; write a fitted model, robot.yaml and report.
+    """Find what the simulator has wrong, and how sure that is.
+
+    Writes a fitted model, a robot.yaml and a report.
 
     Exit code 3 if the search did not converge, or the fitted model is no better on motions that it was not fitted to.
     """

@@ -12,7 +12,7 @@ from trueup.cli import policy_config as trained
 from trueup.cli.console import out, status_line
 
 app = typer.Typer(
-    help="Policies that reach for goals by torques: trained in a simulator, judged there and on hardware.",
+    help="Policies that reach for goals by torques. Trained in a simulator, judged there and on hardware.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -44,7 +44,7 @@ def train(
     overwrite: options.Overwrite = False,
     resume: options.Resume = False,
 ) -> int:
-    """Train a policy that reaches for goals by torques, and export it for a robot."""
+    """Train a policy that reaches for goals by torques. It is exported for a robot."""
     from trueup.robots import load_robot
     from trueup.stages.policy_training import train_policy
 

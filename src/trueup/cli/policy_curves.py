@@ -32,7 +32,10 @@ def curves(
     ] = None,
     overwrite: options.Overwrite = False,
 ) -> int:
-    """Draw how trainings went, grouped by what differs between them, mean and range over seeds."""
+    """Draw how trainings went, with the range over seeds.
+
+    Grouped by what differs between them.
+    """
     from trueup.report.curves_page import write_curves
     from trueup.report.learning_curves import summaries
     from trueup.stages.policy_trials import find_trials

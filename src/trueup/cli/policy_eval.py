@@ -48,7 +48,10 @@ def evaluate(
     jobs: options.Jobs = None,
     overwrite: options.Overwrite = False,
 ) -> int:
-    """Let policies reach for goals, and say how near they come, how they get there and what they demand."""
+    """Let policies reach for goals, and say how near they come.
+
+    And how they get there, and what they demand.
+    """
     import trueup.zoo
     from trueup.robots import load_robot
     from trueup.stages.policy_judging import judge_policies

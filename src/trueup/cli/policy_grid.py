@@ -48,7 +48,7 @@ def grid(
     overwrite: options.Overwrite = False,
     resume: options.Resume = False,
 ) -> int:
-    """Train a policy at each point of a grid of settings, and say which of them is best."""
+    """Train a policy at each point of a grid of settings. Says which of them is best."""
     from trueup.core.config import read_yaml
     from trueup.policy.grid import read_grid
     from trueup.robots import load_robot

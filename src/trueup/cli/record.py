@@ -98,7 +98,10 @@ def record(
         bool, typer.Option("--resume", help="Go on even with a complete dataset: what failed is tried again.")
     ] = False,
 ) -> int:
-    """Plan motions, execute them on a robot and record them; the same command goes on after an interruption."""
+    """Plan motions, execute them on a robot and record them.
+
+    The same command goes on after an interruption.
+    """
     import itertools
     import os
 

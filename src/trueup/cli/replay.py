@@ -31,7 +31,7 @@ def replay(
     overwrite: options.Overwrite = False,
     resume: options.Resume = False,
 ) -> int:
-    """Replay the logged commands in a simulator and store the answer beside the measurement."""
+    """Replay logged commands in a simulator. The answer is stored beside the measurement."""
     from trueup.dataset import Dataset
     from trueup.robots import load_robot
     from trueup.stages import replay as run

@@ -68,7 +68,9 @@ def ros2(
     ] = None,
     overwrite: options.Overwrite = False,
 ) -> int:
-    """Correct a simulator's joint states, or a robot's commands, on the topics of ROS 2, while it runs.
+    """Correct joint states or commands on topics of ROS 2.
+
+    A simulator's joint states, or a robot's commands, while it runs.
 
     What the network was trained for decides which of the two it is. No installation of ROS is needed.
     """
@@ -132,7 +134,10 @@ def serve(
         float | None, typer.Option("--seconds", min=0.0, help="Stop after so long; Ctrl-C stops at any time.")
     ] = None,
 ) -> int:
-    """Put virtual hardware, or a simulation, behind the topics of ROS 2, to try things out before there is a robot."""
+    """Put virtual hardware behind topics of ROS 2.
+
+    Or a simulation, to try things out before there is a robot.
+    """
     from trueup.lab import load_lab
     from trueup.robots import find_model, load_robot
     from trueup.ros2 import Network, RobotTopics
