@@ -1,4 +1,4 @@
-"""Writers that are whole commands: close, fleet, trainings, judgments, a policy at work; to be killed.
+"""Writers that are whole commands: close, fleet, trainings, grids, sweeps, a policy at work; to be killed.
 
 What is left is the result of an earlier call, a part that the next call goes on from, or nothing.
 """
@@ -14,30 +14,35 @@ from typing import Any
 from safetensors.torch import load_file
 
 from attack.harness import Writer
+from augment.augment_cases import RUN, make_dataset
 from compensate.arm_cases import arm_of
 from compensate.arm_cases import recorded as commanded
 from compensate.test_training import CONFIG as COMPENSATION
 from compensate.test_training import sags
 from identify.recovery_cases import Truth, arm
 from policy.test_learned import SAC
+from stages.test_policy_grid import every_point_once, searched
+from stages.test_sweeping import CANDIDATES, SEEDS, numbers
 from trueup import zoo
 from trueup.core.close_result import CLOSE_NAME, CloseResult
 from trueup.core.fit_result import FitResult
 from trueup.core.fleet_result import FLEET_NAME, FleetResult
-from trueup.core.model_card import CARD_NAME
+from trueup.core.model_card import CARD_NAME, ModelCard
 from trueup.core.policy_card import POLICY_CARD, POLICY_GRAPH, POLICY_LEARNER, PolicyCard
 from trueup.core.policy_evaluation import EPISODES_NAME, EVALUATION_NAME, PolicyEvaluation, load_curves
 from trueup.core.results import GapResult, Ladder
+from trueup.core.sweep_result import SweepResult
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter, is_dataset
 from trueup.deploy import Predictor
 from trueup.deploy.policy import Policy
 from trueup.identify import IdentifyConfig, Nominal
 from trueup.identify.config import SolverChoice
 from trueup.robots import load_robot
-from trueup.stages import compensate
+from trueup.stages import compensate, sweep
 from trueup.stages.closing import close
 from trueup.stages.fleet import fleet
 from trueup.stages.policy_driving import drive
+from trueup.stages.policy_grid import GRID_FILE
 from trueup.stages.policy_judging import judge_policies
 from trueup.stages.policy_training import train_policy
 
@@ -198,6 +203,51 @@ def _compensation(base: Path) -> None:
         assert (base / "model" / name).read_bytes() == (base / "expected" / name).read_bytes(), name
 
 
+# --- many trainings
+
+
+def _grid_part(base: Path) -> None:
+    for path in (base / "grid").glob(f"trials/*/{POLICY_CARD}"):
+        card = PolicyCard.load(path.parent)
+        Policy.load(path.parent, joints=card.joints, rate_hz=card.rate_hz)
+    if (base / "grid" / GRID_FILE).exists():
+        every_point_once(base / "grid")
+
+
+def _grid(base: Path) -> None:
+    _grid_part(base)
+    found, expected = (_read(base / name / GRID_FILE) for name in ("grid", "expected"))
+    assert found["curve"][1] == "seconds"
+    for tree in (found, expected):
+        for trial in tree["trials"]:
+            trial["curve"] = [[steps, *rest] for steps, _, *rest in trial["curve"]]
+    assert found == expected
+    assert _files(base / "grid") == _files(base / "expected")
+
+
+def _sweep(base: Path, name: str = "swept") -> None:
+    sweep([base / "arm"], base / name, run=RUN, candidates=CANDIDATES, seeds=SEEDS, jobs=1, resume=True)
+
+
+def _prepare_sweep(base: Path) -> None:
+    make_dataset(base / "arm")
+    _sweep(base, "expected")
+
+
+def _sweep_part(base: Path) -> None:
+    if (base / "swept" / "sweep.json").exists():
+        for training in SweepResult.load(base / "swept" / "sweep.json").trainings:
+            if training.state == "complete":
+                ModelCard.load(base / "swept" / training.folder)
+
+
+def _swept(base: Path) -> None:
+    _sweep_part(base)
+    found, expected = (SweepResult.load(base / name / "sweep.json") for name in ("swept", "expected"))
+    assert numbers(found) == numbers(expected)
+    assert _files(base / "swept") == _files(base / "expected")
+
+
 # --- what is made anew by each call
 
 
@@ -248,6 +298,12 @@ COMMAND_WRITERS = (
         "policy training", _train_policy, _policy_part, _policy, lambda base: _train_policy(base, "expected"), slow=True
     ),
     Writer("compensation", _compensate, _compensation_part, _compensation, _prepare_compensation, slow=True),
+    Writer(
+        *("policy grid", lambda base: searched(base / "grid", resume=True), _grid_part, _grid),
+        lambda base: searched(base / "expected"),
+        slow=True,
+    ),
+    Writer("sweep", _sweep, _sweep_part, _swept, _prepare_sweep, slow=True),
     Writer("policy at work", _drive, _driven_part, _driven, lambda base: _drive(base, "expected"), slow=True),
     Writer("policy judged", _judge, _judged_part, _judged, lambda base: _judge(base, "expected"), slow=True),
 )
