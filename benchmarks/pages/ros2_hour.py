@@ -15,7 +15,7 @@ its memory grow?
 {table}
 
 The memory that waiting messages take is kept for the next ones: after the bridge could not run for a moment, because
-others had the processor, it stays larger by that much. A few are taken at a time, so that they are small while they wait.
+others had the processor, it stays larger by that much. They are taken a few at a time, so that what waits is small.
 
 ```sh
 python -m benchmarks ros2_hour
