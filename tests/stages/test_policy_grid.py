@@ -435,6 +435,13 @@ def test_a_broken_database(run, tmp_path):
         assert "bug" not in err
 
 
+def test_killed_before_there_was_a_database_it_begins(tmp_path, whole):
+    for name in (".study.db.k3j2.tmp", ".study.db.k3j2.tmp-journal"):
+        (tmp_path / name).write_bytes(b"half of it")
+    assert figures(searched(tmp_path, resume=True)) == figures(whole[0])
+    assert not list(tmp_path.glob(".*"))
+
+
 def test_a_trial_of_something_else_stops_the_search_and_says_where(tmp_path):
     found = searched(tmp_path)
     victim = found.trials[1]

@@ -189,6 +189,8 @@ def search_grid(
 
 
 def _prepare(out: Path, *, overwrite: bool, resume: bool) -> None:
+    for leftover in out.glob(f".{STUDY_FILE}.*.tmp*"):  # of a call that was killed before there was a database
+        remove(leftover)
     there = {file.name for file in out.iterdir()}
     if there and not (overwrite or resume):
         raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
