@@ -145,13 +145,11 @@ def judged(cell: GoingOn) -> dict[str, Any]:
     return found
 
 
-def of_robot(unit: int) -> dict[str, Any]:
-    """All of a robot: the curve of its first policy, and what became of it in each cell."""
-    before, cells = began(unit), [GoingOn(simulator, draws, unit) for simulator, draws in CELLS]
-    found: dict[str, Any] = {"before": before, "cells": {}}
-    for cell in cells:
-        found["cells"].setdefault(cell.simulator, {})[cell.draws] = {"training": trained(cell), "places": judged(cell)}
-    return found
+def of_robot(unit: int) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The curve of a robot's first policy, and what became of it in each of `CELLS`."""
+    before = began(unit)
+    cells = [GoingOn(simulator, draws, unit) for simulator, draws in CELLS]
+    return before, [{"training": trained(cell), "places": judged(cell)} for cell in cells]
 
 
 def run() -> list[Row]:
@@ -159,11 +157,10 @@ def run() -> list[Row]:
     result = kept()
     missing = [unit for unit in ROBOTS if str(unit) not in result["before"]]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        for unit, found in zip(missing, pool.map(of_robot, missing), strict=True):
-            result["before"][str(unit)] = found["before"]
-            for simulator, by_draws in found["cells"].items():
-                for draws, own in by_draws.items():
-                    result["policies"].setdefault(simulator, {}).setdefault(draws, {})[str(unit)] = own
+        for unit, (before, found) in zip(missing, pool.map(of_robot, missing), strict=True):
+            result["before"][str(unit)] = before
+            for (simulator, draws), own in zip(CELLS, found, strict=True):
+                result["policies"].setdefault(simulator, {}).setdefault(draws, {})[str(unit)] = own
             result["table"] = table(result["policies"])
             result["provenance"] = provenance(config=ABOUT, seed=0)
             result["commits"][str(unit)] = result["provenance"]["git"]

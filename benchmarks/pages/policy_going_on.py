@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchmarks.pages.markdown import table
-from benchmarks.pages.policy_transfer import DRAWS, EARLIER, SIMULATORS
+from benchmarks.pages.policy_transfer import DRAWS, SIMULATORS
 from benchmarks.policy_going_on import table as tabulated
 
 PLACES = {
@@ -28,7 +28,7 @@ the policy goes on from where it was (`trueup policy train --start`, as many con
 one core),
 {where}.
 Judged on 100 goals that nobody has driven to.
-{note}
+
 ```sh
 python -m benchmarks policy_going_on
 ```
@@ -76,7 +76,6 @@ def part(result: Mapping[str, Any]) -> str:
         driven=config["driven"],
         minutes=sum(minutes) / len(minutes),
         where=_where(found),
-        note="" if config.get("delayed") else EARLIER,
         distances=_each(found, heads, _distance),
         differences=_each(found, heads, _difference, but=("stock", "none")),
         manners=_manners(found),

@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import fcntl
 import importlib.util
 import json
 import os
@@ -424,7 +425,7 @@ def test_a_database_that_cannot_grow(run, tmp_path, monkeypatch):
     every_point_once(tmp_path / "g")
 
 
-def test_a_broken_database(run, tmp_path):
+def test_a_broken_database_and_a_second_search(run, tmp_path):
     assert run("--out", "g", "--jobs", 1)[0] == 0
     content = (tmp_path / "g" / "study.db").read_bytes()
     for broken in (b"no database" * 1000, content[:5000], b""):
@@ -433,6 +434,13 @@ def test_a_broken_database(run, tmp_path):
         assert code == 2
         assert "study.db" in err or "another grid" in err
         assert "bug" not in err
+    (tmp_path / "g" / "study.db").write_bytes(content)
+    descriptor = os.open(tmp_path / "g", os.O_RDONLY)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+    code, _, err = run("--out", "g", "--jobs", 1, "--resume")
+    os.close(descriptor)
+    assert code == 2
+    assert "another process writes into" in err
 
 
 def test_killed_before_there_was_a_database_it_begins(tmp_path, whole):

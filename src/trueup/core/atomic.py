@@ -60,6 +60,11 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def left_behind(path: Path) -> list[Path]:
+    """What writers of a file that were killed have left beside it, with what SQLite has beside that."""
+    return list(path.parent.glob(f".{path.name}.*.tmp*"))
+
+
 @contextlib.contextmanager
 def appearing(folder: Path) -> Iterator[Path]:
     """A temporary folder beside `folder` that takes its place when the block ends without an error.

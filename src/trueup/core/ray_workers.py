@@ -70,7 +70,7 @@ def on_ray(
         ConfigError: there is no such cluster, it has too few GPUs, or the worker of an item was killed again and again.
         MissingDependency: Ray is not installed.
     """
-    with connected(Cluster(address, jobs)):
+    with connected(address, jobs):
         import ray
         from ray.exceptions import RayError, RayTaskError
 
@@ -90,8 +90,9 @@ def on_ray(
                     break
                 ended, _ = ray.wait([*under_way])
                 for reference in ended:
+                    item = under_way.pop(reference)  # of an error, too: what has ended must not be cancelled
                     result: Result = ray.get(reference)
-                    yield under_way.pop(reference), result
+                    yield item, result
         except RayTaskError as error:
             if not isinstance(error.cause, RayError):
                 raise error.cause from error
@@ -112,8 +113,8 @@ def on_ray(
 
 
 @contextlib.contextmanager
-def connected(cluster: Cluster | None) -> Iterator[None]:
-    """Connected to a cluster, unless there is none or this process is connected to one already.
+def connected(address: str | None, jobs: int | None = None) -> Iterator[None]:
+    """Connected to a cluster, unless no address is given or this process is connected to one already.
 
     For several calls of `on_ray`, and for commands before they write: an address that nobody answers at leaves nothing.
 
@@ -121,13 +122,12 @@ def connected(cluster: Cluster | None) -> Iterator[None]:
         ConfigError: there is no such cluster.
         MissingDependency: Ray is not installed.
     """
-    if cluster is None:
+    if address is None:
         yield
         return
     with needing("work on a Ray cluster", "ray"):
         import ray
 
-    address, jobs = cluster.address, cluster.jobs
     if ray.is_initialized():
         yield
         return

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from trueup.core.atomic import as_read_back, make_folder, read_json, write_json
+from trueup.core.atomic import as_read_back, left_behind, make_folder, read_json, write_json
 from trueup.core.provenance import provenance
 from trueup.core.workers import in_processes
 from trueup.dataset.columns import layout_of, to_table
@@ -93,7 +93,7 @@ def _planning(folder: Path) -> Iterator[None]:
     make_folder(folder / BLOCKS)
     lock = FolderLock(folder)
     try:
-        for left in [*_left_behind(folder), *(folder / BLOCKS).glob(".*.tmp")]:
+        for left in [*left_behind(folder / PLANS_NAME), *(folder / BLOCKS).glob(".*.tmp")]:
             left.unlink(missing_ok=True)
         yield
     finally:
@@ -241,17 +241,12 @@ def _asked(what: Mapping[str, Any], robot: RobotSpec, model: Path) -> dict[str, 
     }
 
 
-def _left_behind(folder: Path) -> list[Path]:
-    """Half a description that a process left which was killed."""
-    return list(folder.glob(f".{PLANS_NAME}.*.tmp"))
-
-
 def _refuse_other(folder: Path, asked: Mapping[str, Any], *, overwrite: bool) -> None:
     """Keep what is there of the same set; delete it or refuse if it is of another."""
     if not folder.exists() or not any(folder.iterdir()):
         return
     if not (folder / PLANS_NAME).exists():
-        names = {entry.name for entry in folder.iterdir()} - {path.name for path in _left_behind(folder)}
+        names = {entry.name for entry in folder.iterdir()} - {path.name for path in left_behind(folder / PLANS_NAME)}
         if names <= {BLOCKS, LOCK_NAME} and not any((folder / BLOCKS).glob("*")):
             return  # of a process that was killed before it had written the description
         if overwrite and names <= {BLOCKS, LOCK_NAME}:

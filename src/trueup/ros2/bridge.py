@@ -18,9 +18,6 @@ from trueup.ros2.node import Inbox, Node, Outbox
 _PROGRESS_S = 1.0
 # Clocks of two computers do not agree by themselves: what took longer, or less than nothing, says nothing of the way.
 _LONGEST_WAY_NS = 10_000_000_000
-# Messages that are Python's at a time: where thousands have had to wait, its memory would grow by all of them at once,
-# and stay so. And those that are answered before anybody looks whether to stop.
-_AT_A_TIME, _MOST_TAKEN = 64, 4096
 
 
 @dataclass(eq=False)
@@ -87,7 +84,7 @@ def run_bridge(
             now = time.monotonic()
             if came:
                 for other, hear in beside:
-                    for message in other.take():
+                    for message in other.coming():
                         hear(message)
                 _answer_all(report, inbox, outbox, answer)
             if now - told >= _PROGRESS_S or (seconds is not None and now - began >= seconds):
@@ -100,24 +97,19 @@ def run_bridge(
 
 
 def _answer_all(report: BridgeReport, inbox: Inbox[JointState], outbox: Outbox[Any], answer: Answer) -> None:
-    taken_ns, taken_at, waited = time.time_ns(), time.perf_counter_ns(), 0
-    for _ in range(_MOST_TAKEN // _AT_A_TIME):
-        messages = inbox.take(_AT_A_TIME)
-        waited += len(messages)
-        for message in messages:
-            way_ns = taken_ns - message.sample_info.source_timestamp  # type: ignore[attr-defined]  # cyclonedds adds it
-            if 0 <= way_ns < _LONGEST_WAY_NS:
-                report.way.record(way_ns)
-            out = answer.to(message)
-            report.received += 1
-            if out is not None:
-                outbox.send(out)
-                report.sent += 1
-            # From when the first were taken, all of them: the last has waited for those before it.
-            report.added.record(time.perf_counter_ns() - taken_at)
-        if len(messages) < _AT_A_TIME:
-            break
-    report.most_waiting = max(report.most_waiting, waited)
+    taken_ns, taken_at, answered = time.time_ns(), time.perf_counter_ns(), report.received
+    for message in inbox.coming():
+        way_ns = taken_ns - message.sample_info.source_timestamp  # type: ignore[attr-defined]  # cyclonedds adds it
+        if 0 <= way_ns < _LONGEST_WAY_NS:
+            report.way.record(way_ns)
+        out = answer.to(message)
+        report.received += 1
+        if out is not None:
+            outbox.send(out)
+            report.sent += 1
+        # From when the first were taken, all of them: the last has waited for those before it.
+        report.added.record(time.perf_counter_ns() - taken_at)
+    report.most_waiting = max(report.most_waiting, report.received - answered)
 
 
 @contextmanager

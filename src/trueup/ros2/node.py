@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import threading
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -26,6 +27,9 @@ _LAST_DOMAIN = 232
 # A reader keeps this many messages: four seconds of a robot at 1 kHz. ROS keeps five of a sensor, which a loop that is
 # late once by 6 ms has lost; how much a reader keeps is its own affair and agrees with every writer.
 _KEPT = 4096
+# Messages that are Python's at a time: where thousands have had to wait, its memory would grow by all of them at once,
+# and stay so.
+_AT_A_TIME = 64
 # A reliable writer keeps this many commands for readers that have missed some, as ROS does by default: who has missed
 # more has no use for the older ones.
 _COMMANDS_KEPT = 10
@@ -149,6 +153,14 @@ class Inbox(Generic[Message]):
         """What has come since it was asked last, all of it or so much; writers that came or went are no messages."""
         samples: list[Any] = self._reader.take(N=most)
         return [sample for sample in samples if not isinstance(sample, InvalidSample)]
+
+    def coming(self) -> Iterator[Message]:
+        """What has come since it was asked last, and comes meanwhile, taken a few at a time; at some point it ends."""
+        for _ in range(_KEPT // _AT_A_TIME):
+            messages = self.take(_AT_A_TIME)
+            yield from messages
+            if len(messages) < _AT_A_TIME:
+                return
 
     @property
     def writers(self) -> int:

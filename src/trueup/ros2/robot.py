@@ -152,7 +152,7 @@ class Ros2Robot:
         self._node.close()
 
     def _listen(self) -> None:
-        for message in self._states.take():
+        for message in self._states.coming():
             read = self._columns.read(message)
             if read:
                 self._reading, self._heard_s = read, time.monotonic()

@@ -104,7 +104,7 @@ class _Follower:
         while True:
             left = until - time.monotonic()
             if self._node.wait(max(left, 0.0)):
-                for message in self._inbox.take():
+                for message in self._inbox.coming():
                     self._follow(message)
             if left <= 0.0:
                 return

@@ -15,7 +15,7 @@ from trueup.core.close_result import CLOSE_NAME, STEPS, StepName
 from trueup.core.fit_result import FitResult, FittedParameter
 from trueup.core.fleet_result import FLEET_NAME, FleetParameter, FleetResult, FleetUnit, UnitValue
 from trueup.core.provenance import provenance
-from trueup.core.ray_workers import Cluster, connected
+from trueup.core.ray_workers import connected
 from trueup.core.results import Ladder
 from trueup.core.sole_writer import sole_writer
 from trueup.core.spread import here, spread
@@ -112,7 +112,7 @@ def fleet(
     if jobs is not None and jobs < 1:
         raise ConfigError("jobs must be at least 1", got=jobs)
     out = Path(out)
-    with connected(None if ray is None else Cluster(ray, jobs)), sole_writer(out):
+    with connected(ray, jobs), sole_writer(out):
         if any(out.iterdir()) and not (overwrite or resume):
             raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
         tasks = [

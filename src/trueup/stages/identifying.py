@@ -110,7 +110,7 @@ def fit(
     cluster = None if ray is None else Cluster(ray, jobs)
     if cluster is not None:
         refuse_one_start(config)
-    with connected(cluster), sole_writer(out):
+    with connected(ray, jobs), sole_writer(out):
         if any(out.iterdir()) and not (overwrite or resume):
             raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
         checkpoints = out / _CHECKPOINTS

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from trueup.augment.config import CHECKPOINT_NAME
-from trueup.core.atomic import file_hash, make_folder, read_json, remove, write_json
+from trueup.core.atomic import file_hash, left_behind, make_folder, read_json, remove, write_json
 from trueup.core.model_card import CARD_NAME, ONNX_NAME, STEP_NAME, WEIGHTS_NAME, ModelCard
 from trueup.core.policy_card import POLICY_CARD, POLICY_GRAPH, POLICY_LEARNER, PolicyCard
 from trueup.errors import DataError, OutputExists, TrueupError
@@ -138,5 +138,5 @@ class ModelFolder:
         remove(self.checkpoint)
         shutil.rmtree(self.path / SCRATCH_NAME, ignore_errors=True)
         for name in (CHECKPOINT_NAME, self._kind.card, *self._kind.files, _REPLACING):
-            for left in self.path.glob(f".{name}.*.tmp"):  # of a writer that was killed
+            for left in left_behind(self.path / name):
                 left.unlink(missing_ok=True)

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trueup.augment.config import CHECKPOINT_NAME
-from trueup.core.atomic import as_read_back, json_hash, remove, write_json
+from trueup.core.atomic import as_read_back, json_hash, left_behind, remove, write_json
 from trueup.core.policy_card import PolicyCard
 from trueup.core.provenance import provenance
-from trueup.core.ray_workers import Cluster, connected
+from trueup.core.ray_workers import connected
 from trueup.core.sole_writer import sole_writer
 from trueup.core.spread import go_to, here, spread
 from trueup.errors import DataError, Diverged, OutputExists, TrueupError, needing
@@ -170,7 +170,7 @@ def search_grid(
         find_device(device)  # likewise; what a cluster has, its machines know
     axes = {axis.title: [list(row) for row in axis.rows] for axis in grid.axes}
     asked = json_hash({"policy": policy_question(robot, path, config, name="", seed=seed), "axes": axes})
-    with connected(None if ray is None else Cluster(ray, jobs)), sole_writer(out):
+    with connected(ray, jobs), sole_writer(out):
         _prepare(out, overwrite=overwrite, resume=resume)
         if overwrite:
             _clear(out)
@@ -189,8 +189,8 @@ def search_grid(
 
 
 def _prepare(out: Path, *, overwrite: bool, resume: bool) -> None:
-    for leftover in out.glob(f".{STUDY_FILE}.*.tmp*"):  # of a call that was killed before there was a database
-        remove(leftover)
+    for left in (*left_behind(out / STUDY_FILE), *left_behind(out / GRID_FILE)):
+        remove(left)
     there = {file.name for file in out.iterdir()}
     if there and not (overwrite or resume):
         raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")

@@ -15,7 +15,7 @@ from trueup.augment.config import SIGNALS, AugmentConfig
 from trueup.core.atomic import as_read_back, json_hash, remove
 from trueup.core.model_card import ModelCard, Output
 from trueup.core.provenance import provenance
-from trueup.core.ray_workers import Cluster, connected
+from trueup.core.ray_workers import connected
 from trueup.core.sole_writer import sole_writer
 from trueup.core.spread import go_to, here, spread
 from trueup.core.sweep_result import SWEEP_NAME, SweepError, SweepResult, SweepTraining, ranked, signal_of
@@ -106,7 +106,7 @@ def sweep(
     asked = {"run": run, "drop_flagged": drop_flagged, "train_motions": train_motions, "robot": robot and robot.name}
     hashed = json_hash({**asked, "data": source.hash, "robot": robot and robot.to_dict()})
     configs = {name: as_read_back(config.to_json()) for name, config in candidates.items()}
-    with connected(None if ray is None else Cluster(ray, jobs)), sole_writer(out):
+    with connected(ray, jobs), sole_writer(out):
         _prepare(out, hashed, configs, seeds, overwrite=overwrite, resume=resume)
         found = SweepResult(
             tuple(
