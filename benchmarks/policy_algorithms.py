@@ -26,7 +26,7 @@ from trueup.core.provenance import provenance
 from trueup.deploy.policy import Policy
 from trueup.measure import paired_difference
 from trueup.measure.seeds import seeds_interval
-from trueup.policy.config import ALGORITHMS, LAPTOP, Algorithm, PolicyConfig
+from trueup.policy.config import ALGORITHMS, LAPTOP, Algorithm, PolicyConfig, laptop
 from trueup.policy.evaluation import evaluate
 from trueup.policy.simulated import simulated
 from trueup.robots import find_model, load_robot
