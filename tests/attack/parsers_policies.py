@@ -27,7 +27,7 @@ from trueup.deploy.policy import Policy
 from trueup.identify.export import SAMPLES_FILE
 from trueup.policy.config import LAPTOP, PolicyConfig, task_of
 from trueup.policy.grid import read_grid
-from trueup.policy.randomization import posterior_samples
+from trueup.policy.posterior import Posterior
 
 POLICY = "panda-reach"
 GRID = {"rate": [0.005, 0.002], "noise, sigma": [["none", 0.1], ["ou", 0.2]], "steps": [40_000], "seed": [0, 1]}
@@ -100,7 +100,7 @@ def make_samples(folder: Path) -> None:
 
 def read_samples(folder: Path) -> Iterator[Exception]:
     """As a training that randomizes does."""
-    if not all(np.isfinite(values).all() for values in posterior_samples(folder).values()):
+    if not all(np.isfinite(values).all() for values in Posterior.load(folder).samples.values()):
         raise Unsound("a sample is not finite")
     yield from ()
 

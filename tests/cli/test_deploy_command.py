@@ -6,9 +6,12 @@ import pytest
 from deploy.test_policy_loop import policy_of
 from trueup.cli.main import main
 from trueup.dataset import Dataset
-from trueup.robots import load_robot
+from trueup.policy.thesis_friction import OFFSET
+from trueup.robots import find_model, load_robot
+from trueup.sim import MujocoSimulator
 from trueup.stages import replay
-from trueup.stages.policy_driving import drive
+from trueup.stages.policy_driving import drive, guard_settings
+from trueup.stages.policy_judging import judge_policies
 
 
 @pytest.fixture
@@ -86,3 +89,23 @@ def test_what_was_driven_can_be_identified_from(tmp_path):
     drive(tmp_path / "still", load_robot("panda_torque"), 5, seconds=0.2, out=tmp_path / "driven")
     data = Dataset(tmp_path / "driven")
     assert [len(data.select(split=split)) for split in ("train", "val", "test")] == [3, 1, 1]
+
+
+def test_goals_that_are_driven_to_are_not_those_that_are_judged_on(tmp_path):
+    """With the seeds that nobody has chosen: what is identified from the runs is not tested on their goals."""
+    policy_of(tmp_path / "still", np.zeros(7))
+    robot = load_robot("panda_torque")
+    driven = [run.goal for run in drive(tmp_path / "still", robot, 20, seconds=0.05)]
+    (own,) = judge_policies([tmp_path / "still"], robot, places=["mujoco"], goals=20).episodes.values()
+    judged = own["mujoco"].goals
+    assert np.linalg.norm(np.array(driven)[:, None] - judged[None], axis=-1).min() > 1e-6
+
+
+def test_torques_may_be_larger_by_what_is_added_to_them(tmp_path):
+    """As where a policy with the thesis's friction is judged: its torques are cut, and then the offset is added."""
+    card = policy_of(tmp_path / "strong", np.zeros(7)).card
+    robot = load_robot("panda_torque")
+    model = MujocoSimulator.from_robot(robot, find_model(robot)).model
+    plain, more = guard_settings(card, robot, model), guard_settings(card, robot, model, offset_nm=np.array(OFFSET))
+    np.testing.assert_allclose(np.array(more.torque_nm) - plain.torque_nm, np.abs(OFFSET))
+    assert all(own <= joint.torque_limit for own, joint in zip(more.torque_nm, robot.joints, strict=True))

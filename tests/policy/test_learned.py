@@ -51,7 +51,7 @@ def test_all_that_was_learned_is_begun_with(algorithm, tmp_path, monkeypatch):
     monkeypatch.setattr(training, "begin_with", noted)
     made(tmp_path / "second", replace(config, start=str(first)), seed=1)
     learned = networks(first, config)
-    ((fresh, own, entropy),) = begun
+    (fresh, own, entropy), _ = begun  # at the end its own best round
     assert {f"policy.{name}" for name in own} == {name for name in learned if name != "log_ent_coef"}
     for name, value in own.items():
         assert torch.equal(value, learned[f"policy.{name}"]), name
@@ -73,8 +73,17 @@ def test_it_acts_before_it_learns(start, tmp_path):
         assert torch.equal(value, networks(start)[name]), name
 
 
-def test_one_that_is_interrupted_goes_on_to_the_same_weights(start, tmp_path):
-    config = replace(SAC, start=str(start), steps=480, rounds=3)
+def test_it_acts_as_long_whatever_the_rounds(start, tmp_path):
+    learner = replace(SAC.learner, starts=200)
+    found = made(tmp_path / "a", replace(SAC, start=str(start), learner=learner, steps=480, rounds=3))
+    assert [item.updates for item in found.history] == [0, 2 * (320 - 200) // 4, 2 * (480 - 200) // 4]
+    assert [item.steps for item in found.history] == [160, 320, 480]
+
+
+@pytest.mark.parametrize("starts", [64, 200])
+def test_one_that_is_interrupted_goes_on_to_the_same_weights(start, tmp_path, starts):
+    learner = replace(SAC.learner, starts=starts)
+    config = replace(SAC, start=str(start), steps=480, rounds=3, learner=learner)
 
     def stop(done, _):
         if done.number == 1:

@@ -13,7 +13,8 @@ from trueup.identify.inertial import inertial_of
 from trueup.policy.arms import MujocoArms
 from trueup.policy.config import PolicyConfig
 from trueup.policy.environment import ReachVector
-from trueup.policy.randomization import THESIS, Individuals, RandomizationConfig, posterior_samples
+from trueup.policy.posterior import Posterior
+from trueup.policy.randomization import THESIS, Individuals, RandomizationConfig
 from trueup.policy.reach import ReachConfig
 from trueup.policy.reaching import Reaching
 from trueup.policy.simulated import simulated
@@ -174,21 +175,21 @@ def test_an_identification_that_is_not_ok_is_refused_unless_forced(nominal, tmp_
     assert len(config.draws(force=True)) == 1
     (folder / "fit.samples.npz").write_bytes(b"PK nonsense")
     with pytest.raises(DataError, match="holds no samples"):
-        posterior_samples(folder, force=True)
+        Posterior.load(folder, force=True)
     (folder / "fit.samples.npz").unlink()
     with pytest.raises(DataError, match="is not there"):
-        posterior_samples(folder, force=True)
+        Posterior.load(folder, force=True)
     with pytest.raises(NameMismatch, match="unknown parameters"):
-        posterior_samples(fitted(tmp_path / "odd", samples={"colour[joint1]": np.ones(3)}))
+        Posterior.load(fitted(tmp_path / "odd", samples={"colour[joint1]": np.ones(3)}))
     with pytest.raises(DataError, match="not finite"):
-        posterior_samples(fitted(tmp_path / "nan", samples={"damping[joint1]": np.array([1.0, np.nan])}))
+        Posterior.load(fitted(tmp_path / "nan", samples={"damping[joint1]": np.array([1.0, np.nan])}))
     with pytest.raises(DataError, match="different numbers of samples"):
-        posterior_samples(fitted(tmp_path / "odd", samples={"delay_s": np.zeros(3), "damping[joint1]": np.ones(4)}))
+        Posterior.load(fitted(tmp_path / "odd", samples={"delay_s": np.zeros(3), "damping[joint1]": np.ones(4)}))
     bounded = fitted(tmp_path / "bounded", samples={"damping[joint1]": np.array([1.0, -50.0])})
     tree = read_json(bounded / "fit.json")
     write_json(bounded / "fit.json", {**tree, "parameters": [PARAMETER]})
     with pytest.raises(DataError, match=r"damping\[joint1\] outside its bounds: got -50 to 1; expected 0.001 to 100"):
-        posterior_samples(bounded)
+        Posterior.load(bounded)
     assert read_json(folder / "fit.json")["status"] == "not-identifiable"
 
 

@@ -9,6 +9,7 @@ import torch
 from sb3_contrib import TQC
 from stable_baselines3 import DDPG, SAC, TD3
 
+from trueup.augment.checkpoint import read_tensors
 from trueup.cli.policy_config import configured
 from trueup.errors import ConfigError, DataError, Diverged, OutputExists
 from trueup.policy.arms import MujocoArms
@@ -92,9 +93,11 @@ def test_every_algorithm_gets_its_numbers_and_learns(algorithm, noise):
 
 
 AHEAD = replace(SMALL, learner=replace(SMALL.learner, n_steps=3, last_rate=1e-4, goal_scale=20.0))
+# Of rounds of 160 control steps, the first two only act.
+LATE = replace(SMALL, learner=replace(SMALL.learner, starts=340))
 
 
-@pytest.mark.parametrize("config", [SMALL, AHEAD], ids=["plain", "n steps"])
+@pytest.mark.parametrize("config", [SMALL, AHEAD, LATE], ids=["plain", "n steps", "no updates in the first rounds"])
 def test_an_interrupted_training_ends_with_the_same_weights(tmp_path, config):
     for folder in ("whole", "parts"):
         (tmp_path / folder).mkdir()
@@ -110,6 +113,8 @@ def test_an_interrupted_training_ends_with_the_same_weights(tmp_path, config):
     assert [item.number for item in again] == [1, 2, 3]
     assert [(item.steps, item.updates) for item in history] == [(item.steps, item.updates) for item in again]
     assert [item.reward for item in history] == [item.reward for item in again]
+    for name in ("observations", "actions", "rewards"):
+        assert (getattr(whole.replay_buffer, name) == getattr(parts.replay_buffer, name)).all(), name
     for name, value in weights(whole).items():
         assert torch.equal(value, weights(parts)[name]), name
     other, _ = trained(tmp_path, config, seed=1)
@@ -161,6 +166,9 @@ def test_the_best_round_is_kept_and_numbers_of_others_are_left_alone(tmp_path):
     best = max(history, key=lambda item: item.reward)
     found = judged(learner, ReachVector(arms(8)), 0)
     assert found == (best.reward, best.distance_m, best.worst_m)
+    kept, _ = read_tensors(tmp_path / "checkpoint", "x")
+    assert torch.equal(learner.log_ent_coef, kept["best.log_ent_coef"])
+    assert (best == history[-1]) == torch.equal(kept["log_ent_coef"], kept["best.log_ent_coef"])
     assert history[-1].steps >= SMALL.steps
     assert history[0].cpu_seconds > 0
     assert trained(tmp_path, resume=True)[1] == history

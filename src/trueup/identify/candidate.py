@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -17,6 +18,10 @@ from trueup.robots.model import compile_spec, load_spec
 from trueup.sim import MujocoSimulator, attach_payload
 from trueup.sim.controllers import Channel
 from trueup.sim.friction import harden_friction, has_friction, install
+from trueup.sim.payload import PREFIX
+
+# The body of a payload that hangs by itself.
+CARRIED = f"{PREFIX}carried"
 
 
 @dataclass
@@ -52,12 +57,13 @@ class Candidate:
         for body, theta in self.deformations.items():
             inertials[body] = self.inertial(body).deformed(theta)
         if self.payload:
-            body, site = self.nominal.payload_place
-            carried = Inertial.point(
-                self.payload.get("mass", 0.0),
-                np.array(site) + [self.payload.get(axis, 0.0) for axis in "xyz"],
-            )
-            inertials[body] = (inertials.get(body) or self.inertial(body)).plus(carried)
+            body, _ = self.nominal.payload_place
+            carried = self.nominal.carried(self.payload)
+            if self.nominal.hangs_payloads:
+                ball = self.spec.body(CARRIED) or self.spec.body(body).add_body(name=CARRIED)
+                ball.explicitinertial, ball.mass, ball.ipos, ball.inertia = True, carried.mass, carried.com, [0, 0, 0]
+            else:
+                inertials[body] = (inertials.get(body) or self.inertial(body)).plus(carried)
         for body, inertial in inertials.items():
             apply_inertial(self.spec, body, inertial)
 
@@ -154,7 +160,7 @@ class Nominal:
             root = body
             while root and model.body_dofnum[root] == 0:
                 root = model.body_parentid[root]
-            if root:
+            if root and not model.body(body).name.startswith(PREFIX):
                 moving.append(model.body(body).name)
         return tuple(moving)
 
@@ -169,6 +175,21 @@ class Nominal:
         if not self.bodies:
             raise ConfigError(f"{self.path}: no body moves, so nothing can carry a payload")
         return self.bodies[-1], (0.0, 0.0, 0.0)
+
+    @property
+    def hangs_payloads(self) -> bool:
+        """Whether a payload is a body of its own: it weighs, also where the weight of what carries it does not."""
+        body, _ = self.payload_place
+        return bool(self.model.body_gravcomp[self.model.body(body).id])
+
+    def carried(self, payload: Mapping[str, float]) -> Inertial:
+        """A payload in the frame of the body that carries it.
+
+        Args:
+            payload: its `mass` [kg], and how far it is from its place along `x`, `y` and `z` [m].
+        """
+        _, site = self.payload_place
+        return Inertial.point(payload.get("mass", 0.0), np.array(site) + [payload.get(axis, 0.0) for axis in "xyz"])
 
 
 def _with_model_controller(robot: RobotSpec) -> RobotSpec:

@@ -62,13 +62,22 @@ class Inertial:
 
         Source: Rucker, Wensing 2022, "Smooth parameterization of rigid-body inertia", for the factorization.
         """
-        t = np.diag(np.exp([theta.get(name, 0.0) for name in ("d1", "d2", "d3")]))
-        t[1, 0], t[2, 0], t[2, 1] = (theta.get(name, 0.0) for name in ("s12", "s13", "s23"))
+        return self._from_factor(self._factor() @ _triangle(theta))
+
+    def undeformed(self, theta: dict[str, float]) -> Inertial:
+        """The body that `deformed` makes this one of."""
+        # A product of lower triangular factors with positive diagonals is the Cholesky factor itself.
+        return self._from_factor(self._factor() @ np.linalg.inv(_triangle(theta))) if any(theta.values()) else self
+
+    def _factor(self) -> Float[np.ndarray, "3 3"]:
+        """Cholesky's of the second moment."""
         # A body on the edge of what is possible (a rod, a plate) gets the smallest thickness that Cholesky needs.
         moment = self.second_moment
         values, vectors = np.linalg.eigh(moment)
         floor = max(1e-6 * float(values.max()), 1e-12)
-        factor = np.linalg.cholesky((vectors * np.maximum(values, floor)) @ vectors.T) @ t
+        return np.linalg.cholesky((vectors * np.maximum(values, floor)) @ vectors.T)
+
+    def _from_factor(self, factor: Float[np.ndarray, "3 3"]) -> Inertial:
         moment = factor @ factor.T
         return replace(self, inertia=np.trace(moment) * np.eye(3) - moment)
 
@@ -82,6 +91,10 @@ class Inertial:
             (part.inertia + part.mass * _steiner(part.com - com) for part in (self, other)), start=np.zeros((3, 3))
         )
         return Inertial(mass, com, inertia)
+
+    def minus(self, other: Inertial) -> Inertial:
+        """The body that is this one together with the other; as for `plus`, masses may not cancel."""
+        return self.plus(Inertial(-other.mass, other.com, -other.inertia))
 
 
 def inertial_of(model: mujoco.MjModel, body: str) -> Inertial:
@@ -104,6 +117,12 @@ def apply_inertial(spec: mujoco.MjSpec, body: str, inertial: Inertial) -> None:
     target.inertia = [0.0, 0.0, 0.0]
     i = inertial.inertia
     target.fullinertia = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
+
+
+def _triangle(theta: dict[str, float]) -> Float[np.ndarray, "3 3"]:
+    t = np.diag(np.exp([theta.get(name, 0.0) for name in ("d1", "d2", "d3")]))
+    t[1, 0], t[2, 0], t[2, 1] = (theta.get(name, 0.0) for name in ("s12", "s13", "s23"))
+    return t
 
 
 def _steiner(offset: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:

@@ -62,8 +62,8 @@ class MujocoArms:
         control_s: control step [s].
         delay_s: torques act this much later, one number per joint or one for all, at most a control step [s].
         threads: of the processor.
-        draw: makes the model of an arm for the next episode, of the same structure as the simulator's, and says how
-            much later its torques act, (J,) [s]; the simulator's own and `delay_s` for all if None.
+        draw: makes the model of an arm for the next episode, with the simulator's joints and the same structure each
+            time, and says how much later its torques act, (J,) [s]; the simulator's own and `delay_s` for all if None.
 
     Raises:
         ConfigError: the control step is no number of physics steps, a delay is longer, or the robot follows no torques.
@@ -82,8 +82,10 @@ class MujocoArms:
         self.count, self.control_s = count, control_s
         self._substeps = substeps_of(simulator, control_s)
         self._simulator, self._draw = simulator, draw
-        self._batch = batch.Batch(simulator.model, nsim=count, nthread=threads)
-        self._models = [simulator.model] * count
+        # A drawn payload is a body more than the simulator has: all models have the structure of the drawn ones.
+        model = simulator.model if draw is None else draw(np.random.default_rng(0))[0]
+        self._batch = batch.Batch(model, nsim=count, nthread=threads)
+        self._models = [model] * count
         self._qpos, self._qvel = simulator.places
         self._ctrl, self._state = self._batch.bind("ctrl"), (self._batch.bind("qpos"), self._batch.bind("qvel"))
         self._drive = self._batch.bind("qfrc_actuator")

@@ -28,8 +28,9 @@ Action = Float32[np.ndarray, "J"]
 class PandaReach(gymnasium.Env[Observation, Action]):
     """A torque-controlled arm that reaches for a goal (ES thesis, 2.1): `gymnasium.make("TrueupPandaReach-v0")`.
 
-    Actions are torques on top of what carries the weight [Nm]. Episodes end when their time is up, and terminate only
-    where the engine or the policy says what is no number. `reset(options={"goal": [x, y, z]})` sets a goal [m].
+    Actions are torques on top of what carries the weight [Nm]. Episodes end when their time is up, and before only
+    where the engine or the policy says what is no number; both truncate them, for no place of the task is an end.
+    `reset(options={"goal": [x, y, z]})` sets a goal [m].
 
     Args:
         robot: name of a shipped robot, path of a robot.yaml, or a description; it follows torques.
@@ -93,7 +94,7 @@ class PandaReach(gymnasium.Env[Observation, Action]):
         """One control step."""
         done = self.reaching.step(np.asarray(action)[None], self.np_random)
         seen = done.observation[0].astype(np.float32)
-        return seen, float(done.reward[0]), bool(done.lost[0]), bool(done.ended[0]), self._info(done.distance_m[0])
+        return seen, float(done.reward[0]), False, bool(done.lost[0] or done.ended[0]), self._info(done.distance_m[0])
 
     def _info(self, distance_m: float | np.floating[Any]) -> dict[str, Any]:
         return {"distance_m": float(distance_m), "goal": self.reaching.goal[0].copy()}
@@ -144,7 +145,8 @@ class ReachVector(SideBySide):
         for row in rows.tolist():
             infos[row] |= {
                 "terminal_observation": done.observation[row].astype(np.float32),
-                "TimeLimit.truncated": bool(done.ended[row] and not done.lost[row]),
+                # An arm that is lost, too: every reward is below zero, and an end without any would be worth seeking.
+                "TimeLimit.truncated": True,
                 "episode": {"r": float(self._sum[row]), "l": int(self._length[row])},
             }
         if rows.size:

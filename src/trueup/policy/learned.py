@@ -32,10 +32,15 @@ def write_learned(learner: OffPolicyAlgorithm, folder: Path, config: PolicyConfi
     Raises:
         DataError: the folder cannot be written.
     """
-    tensors = {f"policy.{name}": value for name, value in learner.policy.state_dict().items()}
+    write_tensors(folder / POLICY_LEARNER, learned_by(learner), {"inputs": asked, "networks": _networks(config)})
+
+
+def learned_by(learner: OffPolicyAlgorithm) -> dict[str, Tensor]:
+    """A copy of its networks, and of how much it weighs that actions differ."""
+    found = {f"policy.{name}": value for name, value in learner.policy.state_dict().items()}
     if (entropy := getattr(learner, _ENTROPY, None)) is not None:
-        tensors[_ENTROPY] = entropy
-    write_tensors(folder / POLICY_LEARNER, tensors, {"inputs": asked, "networks": _networks(config)})
+        found[_ENTROPY] = entropy
+    return {name: value.detach().clone() for name, value in found.items()}
 
 
 def read_learned(config: PolicyConfig, joints: Sequence[str]) -> dict[str, Tensor] | None:

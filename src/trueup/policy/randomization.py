@@ -5,7 +5,7 @@ Each `Draw` changes a candidate of the model, which is compiled when all have; i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -13,13 +13,11 @@ import mujoco
 import numpy as np
 from jaxtyping import Float64
 
-from trueup.core.atomic import read_json
-from trueup.core.fit_result import FitResult
-from trueup.core.npz import read_arrays
-from trueup.errors import ConfigError, DataError, NameMismatch
+from trueup.errors import ConfigError
 from trueup.identify.candidate import Candidate, Nominal
-from trueup.identify.export import SAMPLES_FILE
-from trueup.identify.quantities import QUANTITIES, quantity
+from trueup.identify.quantities import quantity
+from trueup.identify.quantities.servo import spec_actuators
+from trueup.policy.posterior import Posterior
 from trueup.robots.friction import LAWS
 from trueup.sim import friction_of, set_friction
 
@@ -73,11 +71,9 @@ def gains(share: float) -> Draw:
     gain = quantity("torque_gain")
 
     def draw(candidate: Candidate, rng: np.random.Generator) -> None:
-        nominal = candidate.nominal
-        for joint in gain.holders(nominal):
-            said = gain.read(nominal, joint)
-            assert said is not None
-            gain.write(candidate, joint, said * _factor(rng, share))
+        for joint in gain.holders(candidate.nominal):
+            # Whatever a posterior has written there.
+            spec_actuators(candidate, joint)[0].gainprm[0] *= _factor(rng, share)
 
     return draw
 
@@ -93,35 +89,11 @@ def delay(low_s: float, high_s: float) -> Draw:
 
 
 def payload(low_kg: float, high_kg: float) -> Draw:
-    """The robot carries something [kg]."""
+    """The robot carries something [kg], of which its compensation of gravity knows nothing."""
 
     def draw(candidate: Candidate, rng: np.random.Generator) -> None:
         candidate.payload["mass"] = float(rng.uniform(low_kg, high_kg))
 
-    return draw
-
-
-def posterior(samples: Mapping[str, Float64[np.ndarray, "S"]]) -> Draw:
-    """All numbers of an identification together, as it has drawn them: what it does not know, with its correlations.
-
-    Args:
-        samples: parameter -> its values, of the same draws.
-
-    Raises:
-        NameMismatch: a parameter is none.
-    """
-    names = [name for name in samples if quantity(name.partition("[")[0]).of != "motion"]
-    count = min((len(samples[name]) for name in names), default=0)
-
-    def draw(candidate: Candidate, rng: np.random.Generator) -> None:
-        row = int(rng.integers(count))
-        for name in names:
-            about, target = quantity(name.partition("[")[0]), name.partition("[")[2].removesuffix("]")
-            for place in about.places(candidate.nominal, target):
-                about.write(candidate, place, float(samples[name][row]))
-
-    if count == 0:
-        raise ConfigError("the posterior has no samples to draw from")
     return draw
 
 
@@ -184,13 +156,11 @@ class RandomizationConfig:
         found: list[Draw] = []
         latest_s = self.delay_s[1]
         if self.posterior:
-            samples = posterior_samples(Path(self.posterior), force=force)
-            if not latest_s:
-                late = (values for name, values in samples.items() if name.partition("[")[0] == "delay_s")
-                latest_s = max((float(values.max()) for values in late), default=0.0)
+            posterior = Posterior.load(Path(self.posterior), force=force)
+            latest_s = latest_s or posterior.latest_s
             if nominal is not None:
-                _refuse_another_robot(samples, nominal, self.posterior)
-            found.append(posterior(samples))
+                posterior.check(nominal)
+            found.append(posterior)
         # Drawn one day, it would end a training in the middle.
         if latest_s > control_s:
             raise ConfigError(
@@ -210,67 +180,6 @@ class RandomizationConfig:
 
 # ES thesis, 4.1.1.
 THESIS = RandomizationConfig(friction=0.1, inertia=0.05)
-
-
-def posterior_samples(folder: Path, *, force: bool = False) -> dict[str, Float64[np.ndarray, "S"]]:
-    """What an identification left open, as draws.
-
-    Args:
-        folder: where `fit.json` and `fit.samples.npz` are.
-        force: also those of a fit whose status is not ok.
-
-    Raises:
-        ConfigError: the fit is not ok.
-        DataError: the samples are not there, or are none.
-    """
-    fit = FitResult.from_json(read_json(folder / "fit.json"), str(folder / "fit.json"))
-    if fit.status != "ok" and not force:
-        said = fit.statements[0] if fit.statements else "see its report"
-        raise ConfigError(
-            f"{folder}: the identification is {fit.status}: {said}",
-            expected="status ok",
-            hint="Record what it asks for, or force it if you accept what it says.",
-        )
-    path = folder / SAMPLES_FILE
-    if not path.is_file():
-        raise DataError(f"{path} is not there", hint="Run trueup identify again; it writes them beside fit.json.")
-    try:
-        samples = {name: np.asarray(values, np.float64) for name, values in read_arrays(path).items()}
-    except (DataError, ValueError) as error:
-        raise DataError(f"{path} holds no samples", got=error) from error
-    strangers = [name for name in samples if name.partition("[")[0] not in QUANTITIES]
-    if strangers:
-        raise NameMismatch(f"{path}: unknown parameters", left=strangers, right=sorted(QUANTITIES))
-    if any(values.ndim != 1 or not np.isfinite(values).all() for values in samples.values()):
-        raise DataError(f"{path}: samples that are not finite numbers")
-    for item in fit.parameters:
-        drawn = samples.get(item.name)
-        if drawn is not None and not (
-            drawn.min(initial=item.low) >= item.low and drawn.max(initial=item.high) <= item.high
-        ):
-            raise DataError(
-                f"{path}: samples of {item.name} outside its bounds",
-                got=f"{drawn.min():g} to {drawn.max():g}",
-                expected=f"{item.low:g} to {item.high:g}, as fit.json says",
-            )
-    if len({len(values) for values in samples.values()}) > 1:
-        raise DataError(f"{path}: parameters with different numbers of samples")
-    return samples
-
-
-def _refuse_another_robot(samples: Mapping[str, Float64[np.ndarray, "S"]], nominal: Nominal, folder: str) -> None:
-    """Refuse, by NameMismatch, numbers of joints and bodies that the model does not have."""
-    for name in samples:
-        about, target = quantity(name.partition("[")[0]), name.partition("[")[2].removesuffix("]")
-        known = about.targets(nominal)
-        if about.of != "motion" and target and target not in known:
-            raise NameMismatch(
-                f"{folder} is the identification of another robot: {name}",
-                left=[target],
-                right=list(known),
-                left_name="it has",
-                right_name="robot has",
-            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from trueup.core.config import build
 from trueup.errors import Diverged, needing
 from trueup.policy.config import PolicyConfig
 from trueup.policy.environment import ReachVector
-from trueup.policy.learned import begin_with
+from trueup.policy.learned import begin_with, learned_by
 from trueup.policy.learners import make_learner, optimizers_of
 from trueup.policy.reaching import Reaching
 
@@ -119,14 +119,17 @@ def train(
         earlier, cpu_earlier = (history[-1].seconds, history[-1].cpu_seconds) if history else (0.0, 0.0)
         while len(history) < config.rounds and not (history and stop(history[-1])):
             number = len(history) + 1
-            vector.seed(draw_from(seed, number))
+            own = draw_from(seed, number)
+            vector.seed(own)
+            if number > 1:  # random torques of the first round come from the generator that it was made with
+                learner.action_space.seed(own)
             end = config.steps * number // config.rounds
             learner._last_obs = None  # noqa: SLF001 - arms begin anew with each round
             learner.lr_schedule = ConstantSchedule(_rate(config, number))
             diverged = Diverged("training diverged", got=f"round {number}", hint="Lower learner: {rate: ...}.")
             try:
-                if start is not None and not history:
-                    _look_around(learner, min(config.learner.starts, end))
+                if start is not None and learner.num_timesteps < config.learner.starts:
+                    _look_around(learner, min(config.learner.starts, end) - learner.num_timesteps)
                 learner.learn(end - learner.num_timesteps, reset_num_timesteps=learner.num_timesteps == 0)
             except ValueError as error:
                 if _finite(learner):
@@ -150,17 +153,17 @@ def train(
                 )
             )
             if reward >= max(item.reward for item in history):
-                best_number, best = number, {k: v.detach().clone() for k, v in learner.policy.state_dict().items()}
+                best_number, best = number, learned_by(learner)
             _write(checkpoint, _Stand(inputs, tuple(history), best_number), learner, best)
             on_round(history[-1], config.rounds)
-        learner.policy.load_state_dict(best)
+        begin_with(learner, best)
     return learner, tuple(history)
 
 
 def _look_around(learner: OffPolicyAlgorithm, steps: int) -> None:
     """Act without learning: updates from the first few control steps alone would spoil what was learned."""
     updates, learner.gradient_steps = learner.gradient_steps, 0
-    learner.learn(steps)
+    learner.learn(steps, reset_num_timesteps=learner.num_timesteps == 0)
     learner.gradient_steps = updates
 
 
@@ -214,13 +217,9 @@ def rounds_of(checkpoint: Path, inputs: str) -> tuple[Round, ...]:
 
 
 def _write(path: Path, stand: _Stand, learner: OffPolicyAlgorithm, best: dict[str, Tensor]) -> None:
-    tensors = {f"policy.{name}": value for name, value in learner.policy.state_dict().items()}
-    tensors |= {f"best.{name}": value for name, value in best.items()}
+    tensors = learned_by(learner) | {f"best.{name}": value for name, value in best.items()}
     for name, optimizer in optimizers_of(learner).items():
         tensors |= {f"{name}.{key}": value for key, value in slots_of(optimizer).items()}
-    entropy = getattr(learner, "log_ent_coef", None)
-    if entropy is not None:
-        tensors["log_ent_coef"] = entropy
     buffer = learner.replay_buffer
     assert buffer is not None
     filled = buffer.buffer_size if buffer.full else buffer.pos
@@ -234,13 +233,13 @@ def _read(path: Path, inputs: str, learner: OffPolicyAlgorithm) -> tuple[list[Ro
     tensors, tree = read_tensors(path, inputs)
     with of_this_version(path):
         stand = build(_Stand, tree, str(path))
-        learner.policy.load_state_dict(part_of(tensors, "policy."))
+        best = part_of(tensors, "best.")
+        for learned in (best, tensors):
+            begin_with(learner, learned)
         for name, optimizer in optimizers_of(learner).items():
-            restore(optimizer, part_of(tensors, f"{name}."))
-        entropy = getattr(learner, "log_ent_coef", None)
-        if entropy is not None:
-            with torch.no_grad():
-                entropy.copy_(tensors["log_ent_coef"])
+            slots = part_of(tensors, f"{name}.")
+            if slots:  # none before the first update
+                restore(optimizer, slots)
         buffer = learner.replay_buffer
         assert buffer is not None
         for name in _BUFFER:
@@ -248,4 +247,4 @@ def _read(path: Path, inputs: str, learner: OffPolicyAlgorithm) -> tuple[list[Ro
             getattr(buffer, name)[: len(value)] = value
         buffer.pos, full, learner.num_timesteps, learner._n_updates = tensors["count"].tolist()  # noqa: SLF001
         buffer.full = bool(full)
-    return list(stand.history), stand.best, part_of(tensors, "best.")
+    return list(stand.history), stand.best, best

@@ -16,6 +16,7 @@ from trueup.robots.model import compile_spec
 from trueup.sim.body_sensors import add_body_sensors
 from trueup.sim.controllers import Channel, attach_controller, torque_limit_of
 from trueup.sim.friction import set_friction
+from trueup.sim.payload import PREFIX
 
 # A motion beyond this has diverged [rad, m, rad/s or m/s]; MuJoCo itself gives up at accelerations of 1e10.
 ABSURD = 1e6
@@ -165,4 +166,5 @@ def _set_options(spec: mujoco.MjSpec, simulation: SimulationSpec) -> None:
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     if simulation.gravity_compensation:
         for body in spec.bodies:
-            body.gravcomp = 1.0
+            if not body.name.startswith(PREFIX):  # nobody has told the robot what it carries
+                body.gravcomp = 1.0

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float64
 
 from trueup.core.episode import Episode, EpisodeMeta, Flag
 from trueup.core.policy_card import PolicyCard
@@ -27,7 +27,10 @@ if TYPE_CHECKING:
     from trueup.deploy.policy_loop import PolicyRun
 
 Corner = tuple[float, float, float]
-# Goals take turns: what was driven can be identified from.
+# Goals are others than those on which `judge_policies` judges with the same seed: a simulator that was identified from
+# driving to them may not be tested on them.
+_GOALS = 23
+# They take turns: what was driven can be identified from.
 _SPLITS = ("train", "train", "train", "val", "test")
 
 
@@ -38,6 +41,7 @@ def guard_settings(
     *,
     workspace_m: tuple[Corner, Corner] | None = None,
     torque_rate: float | None = None,
+    offset_nm: Float64[np.ndarray, "J"] | None = None,
 ) -> GuardSettings:
     """Limits that policy, description and model know of.
 
@@ -47,6 +51,7 @@ def guard_settings(
         model: compiled, with the numerics `velocity_limit` and `torque_rate_limit`.
         workspace_m: lowest and highest x, y, z of the end of the arm [m]; no limit if None.
         torque_rate: fastest change of a torque [Nm/s]; the model's if None.
+        offset_nm: what is added to the policy's torques, (J,) [Nm]: they may be larger by that, as where it was judged.
 
     Raises:
         ConfigError: a limit is not known.
@@ -63,7 +68,8 @@ def guard_settings(
             f"joints {missing} have no limit of how fast a torque changes",
             hint="Give --torque-rate, or the numeric torque_rate_limit in the MJCF.",
         )
-    torque = [min(own, joint.torque_limit or own) for own, joint in zip(card.torque_nm, robot.joints, strict=True)]
+    most = np.array(card.torque_nm) + (0.0 if offset_nm is None else np.abs(offset_nm))
+    torque = [min(own, joint.torque_limit or own) for own, joint in zip(most.tolist(), robot.joints, strict=True)]
     settings = GuardSettings(
         tuple(torque),
         tuple(rates[name] for name in names),
@@ -150,21 +156,21 @@ def drive(
         lowest_m=task.lowest_m,
     )
     places = (
-        space.draw(np.random.default_rng([seed, 21]), goals) if isinstance(goals, int) else np.asarray(goals, float)
+        space.draw(np.random.default_rng([seed, _GOALS]), goals) if isinstance(goals, int) else np.asarray(goals, float)
     )
     for place in places:
         space.check(place)
         low, high = workspace_m or ((-np.inf,) * 3, (np.inf,) * 3)
         if not ((place > low) & (place < high)).all():
             raise ConfigError("a goal outside of the workspace", got=place.round(3).tolist(), expected=[low, high])
-    settings = guard_settings(card, robot, compiled, workspace_m=workspace_m, torque_rate=torque_rate)
+    offset = np.array(OFFSET) if asked.friction == "thesis" else None
+    settings = guard_settings(card, robot, compiled, workspace_m=workspace_m, torque_rate=torque_rate, offset_nm=offset)
     settings = replace(settings, late_s=late_s)
     lab = VirtualRobot(
         draw_truth(replace(LabSpec(), controller=Controller(kind="torque")), unit=unit),
         payload_kg=payload_kg,
         real_time=real_time,
     )
-    offset = np.array(OFFSET) if asked.friction == "thesis" else None
     loop = PolicyLoop(lab, policy, settings, rate_hz=rate_hz, real_time=real_time, offset_nm=offset)
     runs: list[PolicyRun] = []
     info = DatasetInfo(

@@ -123,7 +123,7 @@ def judge_policies(
     if out is not None:
         make_folder(out)
     model_file = find_model(robot, given=model)
-    limit = _velocity_limit(model_file, robot)
+    limit = velocity_limit(model_file, robot)
     trials = [Trial.of(card, path) for path, card in zip(paths, cards, strict=True)]
     labels = _labels(trials, paths)
     found: dict[str, dict[str, Episodes]] = {label: {} for label in labels}
@@ -333,8 +333,13 @@ def _worlds(
     return found
 
 
-def _velocity_limit(path: Path, robot: RobotSpec) -> np.ndarray | None:
-    """What the model says of it, where it does."""
+def velocity_limit(path: Path, robot: RobotSpec) -> np.ndarray | None:
+    """The joints' largest velocities, (J,) [rad/s], as the model says them; None where it does not.
+
+    Args:
+        path: MJCF or URDF.
+        robot: its description.
+    """
     from trueup.sim import MujocoSimulator
 
     model = MujocoSimulator.from_robot(robot, path).model

@@ -37,6 +37,7 @@ class Quantity:
         needs: what a joint must have to be read, in words.
         addable: whether a start from the user puts it into a model that has none.
         brakes: whether more of it makes a joint slower, whatever else is the case.
+        relative: whether it is a change of what the model says, so that a fitted model says it no longer.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Quantity:
     needs: str = ""
     addable: bool = False
     brakes: bool = False
+    relative: bool = False
 
     def targets(self, nominal: Nominal, motions: Sequence[str] = ()) -> tuple[str, ...]:
         """Names of all joints, bodies or joints in motions, whether the model has the number there or not."""

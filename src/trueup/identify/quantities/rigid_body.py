@@ -85,6 +85,7 @@ RIGID_BODY: tuple[Quantity, ...] = (
         _write_inertia_scale,
         _SWING,
         SearchRange("log", span=20.0, prior_std=0.7),
+        relative=True,
     ),
     *(
         Quantity(
@@ -93,6 +94,7 @@ RIGID_BODY: tuple[Quantity, ...] = (
             _component(name),
             _SWING,
             SearchRange(low=-3.0, high=3.0, scale=0.3, prior_std=1.0),
+            relative=True,
         )
         for name in COMPONENTS
     ),
@@ -102,6 +104,7 @@ RIGID_BODY: tuple[Quantity, ...] = (
         _carried("mass"),
         "hold and swing the payload in many poses",
         SearchRange(low=0.0, high=50.0, scale=0.3, prior_std=3.0),
+        relative=True,
     ),
     *(
         Quantity(
@@ -110,6 +113,7 @@ RIGID_BODY: tuple[Quantity, ...] = (
             _carried(axis),
             "turn the payload about several axes",
             SearchRange(low=-0.5, high=0.5, scale=0.03, prior_std=1.0),
+            relative=True,
         )
         for axis in "xyz"
     ),

@@ -13,7 +13,8 @@ from trueup.identify.drive import pid_instance
 from trueup.identify.quantities.base import Quantity
 
 
-def _spec_actuators(candidate: Candidate, joint: str) -> list[mujoco.MjsActuator]:
+def spec_actuators(candidate: Candidate, joint: str) -> list[mujoco.MjsActuator]:
+    """Those that drive a joint, in the candidate's model."""
     return [candidate.spec.actuator(channel.actuator) for channel in candidate.nominal.channels(joint)]
 
 
@@ -44,7 +45,7 @@ def _write_pid(candidate: Candidate, joint: str, key: str, value: float) -> bool
 def _write_kp(candidate: Candidate, joint: str, value: float) -> None:
     if _write_pid(candidate, joint, "kp", value):
         return
-    actuator = _spec_actuators(candidate, joint)[0]
+    actuator = spec_actuators(candidate, joint)[0]
     # A command that the model scales (gain other than kp) keeps its scale.
     ratio = actuator.gainprm[0] / -actuator.biasprm[1]
     own = value / _gear(candidate, joint) ** 2
@@ -55,7 +56,7 @@ def _write_kp(candidate: Candidate, joint: str, value: float) -> None:
 def _write_kv(candidate: Candidate, joint: str, value: float) -> None:
     if _write_pid(candidate, joint, "kd", value):
         return
-    actuator = _spec_actuators(candidate, joint)[-1]
+    actuator = spec_actuators(candidate, joint)[-1]
     own = value / _gear(candidate, joint) ** 2
     # A damping actuator that follows a commanded velocity keeps following it.
     if candidate.nominal.channels(joint)[-1].signal == "velocity" and actuator.biasprm[1] == 0:
@@ -69,20 +70,20 @@ def _write_ki(candidate: Candidate, joint: str, value: float) -> None:
 
 
 def _write_torque_offset(candidate: Candidate, joint: str, value: float) -> None:
-    actuator = _spec_actuators(candidate, joint)[0]
+    actuator = spec_actuators(candidate, joint)[0]
     actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     actuator.biasprm[0] = value / _gear(candidate, joint)
 
 
 def _write_torque_gain(candidate: Candidate, joint: str, value: float) -> None:
-    _spec_actuators(candidate, joint)[0].gainprm[0] = value / _gear(candidate, joint)
+    spec_actuators(candidate, joint)[0].gainprm[0] = value / _gear(candidate, joint)
 
 
 def _write_torque_limit(candidate: Candidate, joint: str, value: float) -> None:
     """Move every limit that there is by the same factor: an asymmetric range stays so, and the smallest one rules."""
     model, target = candidate.nominal.model, candidate.spec.joint(joint)
     said = candidate.nominal.drive(joint).torque_limit
-    own = _spec_actuators(candidate, joint)
+    own = spec_actuators(candidate, joint)
     if said is None:
         target.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
         target.actfrcrange = [-value, value]
