@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from trueup.dataset.importers import detect
+from trueup.dataset.importers.base import ImportOptions
 from trueup.dataset.importers.clock import common_origin, seconds, usable_clock
-from trueup.dataset.importers.detect import FORMATS, find_importer
+from trueup.dataset.importers.detect import FORMATS, find_importer, importer
 from trueup.dataset.importers.files import episode_id, read_bytes
-from trueup.errors import ConfigError, DataError, FormatError, MissingDependency
+from trueup.errors import ConfigError, DataError, FormatError, MissingDependency, TrueupError
 
 
 def sage_motion(folder):
@@ -131,3 +132,14 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(DataError, match="no regular file"):
         read_bytes(tmp_path / "pipe")
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_options_that_a_format_does_not_read_are_refused(tmp_path, format):
+    """Whoever gives one believes that it counts."""
+    options = {"mapping": tmp_path / "none.yaml", "command_topic": "/command", "measured_topic": "/state"}
+    for name, value in options.items():
+        reads = (name == "mapping" and format not in ("sage", "npz")) or format == "rosbag"
+        with pytest.raises(TrueupError) as error:
+            importer(format).scan(tmp_path, ImportOptions(**{name: value}))
+        assert ("are read without --" in str(error.value)) != reads

@@ -35,6 +35,7 @@ from trueup.stages import (
     close_networks,
     demo_dataset,
     export_dataset,
+    import_logs,
 )
 from trueup.stages.close_budget import Budget, fitted_motion
 
@@ -287,6 +288,61 @@ def test_beginning_anew_leaves_nothing_of_another_configuration(closed, tmp_path
         **dict.fromkeys(("explain", "identify", "augment"), "done"),
     }
     assert IdentifyConfig.load(out / "identify.yaml") == OTHER
+
+
+def files_in(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_other_splits_are_refused_before_any_is_given(data, tmp_path):
+    logs, out = tmp_path / "logs", tmp_path / "out"
+    export_dataset(data, logs)
+    shares = {"train": 0.6, "val": 0.2, "test": 0.2}
+    close(logs, ROBOT, out, until="import", splits=shares)
+    before, given = files_in(out), dict(Dataset(out / "dataset").splits)
+    own = tmp_path / "split.json"
+    own.write_text(json.dumps({"train": list(given)}))
+    for other in ({"train": 0.4, "val": 0.3, "test": 0.3}, own, None):
+        with pytest.raises(OutputExists, match=r"another splits \(--splits\)"):
+            close(logs, ROBOT, out, until="import", splits=other, resume=True)
+        assert files_in(out) == before
+    assert close(logs, ROBOT, out, until="import", splits=shares, resume=True).imported.kept == len(given)
+
+
+def test_splits_that_cannot_be_read_leave_nothing_behind(data, tmp_path):
+    logs = tmp_path / "logs"
+    export_dataset(data, logs)
+    own = tmp_path / "split.json"
+    for content in ("", '{"training": []}'):
+        own.write_text(content)
+        with pytest.raises((DataError, FormatError)):
+            close(logs, ROBOT, tmp_path / "out", until="import", splits=own)
+        with pytest.raises((DataError, FormatError)):
+            import_logs(logs, tmp_path / "imported", splits=own)
+        assert not (tmp_path / "out").exists()
+        assert not (tmp_path / "imported").exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"splits": {"train": 1.0}}, "is a dataset, and options of an import are given"),
+        ({"format": "sage"}, "is a dataset, and options of an import are given"),
+        ({"options": ImportOptions(measured_topic="/x")}, "is a dataset, and options of an import are given"),
+        ({"overwrite": True, "resume": True}, "--overwrite begins anew and --resume goes on"),
+    ],
+)
+def test_options_that_would_count_for_nothing_are_refused(data, tmp_path, given, said):
+    with pytest.raises(ConfigError, match=said):
+        quick(data, tmp_path / "out", **given)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_run_of_another_robot_is_replaced_and_that_is_said(data, tmp_path):
+    assert "in place of" not in quick(data, tmp_path / "one", until="replay").result.step("replay").what
+    assert "in place of" not in quick(data, tmp_path / "two", until="replay").result.step("replay").what
+    other = close(data, replace(ROBOT, name="other"), tmp_path / "three", until="replay")
+    assert "in place of the run mujoco/stock of another robot" in other.result.step("replay").what
 
 
 @pytest.mark.parametrize("wrong", [{"budget_s": 0.0}, {"budget_s": -3.0}, {"methods": ("magic",)}, {"until": "import"}])

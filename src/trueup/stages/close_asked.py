@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trueup.core.atomic import json_hash
-from trueup.dataset import Dataset
+from trueup.dataset import Dataset, read_split
 from trueup.errors import OutputExists
 from trueup.robots import RobotSpec
 from trueup.stages.robot_model import model_file
@@ -21,6 +21,7 @@ _WORDS = {
     "robot": "robot (--robot)",
     "model": "model (--model)",
     "data": "data or splits",
+    "splits": "splits (--splits)",
     "seed": "seed (--seed)",
     "drop_flagged": "choice of motions (--drop-flagged)",
     "metrics": "metrics",
@@ -30,9 +31,20 @@ _PLAIN = ("seed", "drop_flagged")
 
 
 def asked_beforehand(
-    robot: RobotSpec, config: IdentifyConfig | None, *, seed: int, drop_flagged: bool, metrics: Sequence[str] | None
+    robot: RobotSpec,
+    config: IdentifyConfig | None,
+    *,
+    seed: int,
+    drop_flagged: bool,
+    metrics: Sequence[str] | None,
+    splits: Path | Mapping[str, float] | None,
 ) -> dict[str, Any]:
-    """What is known before any data are read. The time is no part of it, and other methods add networks."""
+    """What is known before any data are read. The time is no part of it, and other methods add networks.
+
+    Raises:
+        DataError: the file of the splits cannot be read.
+        FormatError: it is none.
+    """
     from trueup.identify import IdentifyConfig
 
     return {
@@ -41,6 +53,7 @@ def asked_beforehand(
         "seed": seed,
         "drop_flagged": drop_flagged,
         "metrics": None if metrics is None else list(metrics),
+        "splits": json_hash(read_split(splits) if isinstance(splits, Path) else splits),
     }
 
 

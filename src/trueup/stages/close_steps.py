@@ -164,6 +164,8 @@ class CloseSteps:
                 self.dataset, robot, model=self.model, label=STOCK, jobs=self.jobs, track=self.track
             )
             step.what = f"{done.replayed + done.kept} motions simulated by the model as it came"
+            if done.replaced:
+                step.what += f", in place of the run {STOCK} of another robot, model or setting"
             step.kept = not done.replayed
             if self.overwrite:  # only now, when nothing speaks against data, robot and model
                 self.folder.begin_anew()

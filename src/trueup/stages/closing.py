@@ -81,7 +81,8 @@ def close(
 
     Raises:
         OutputExists: `out` holds results, and neither `overwrite` nor `resume` is given; or those of other inputs.
-        ConfigError: there is no such step or method, nothing to import, or the time is not positive.
+        ConfigError: there is no such step or method, nothing to import, options that would count for nothing, or a
+            time that is not positive.
         TrueupError: what import, replay and gap raise.
     """
     if until not in STEPS:
@@ -92,15 +93,24 @@ def close(
     for method in methods:
         if method not in KNOWN_METHODS:
             raise ConfigError("there is no such method", got=method, available=KNOWN_METHODS)
+    if overwrite and resume:
+        raise ConfigError("--overwrite begins anew and --resume goes on", hint="Give one of them.")
     source, out, watch = Path(source), Path(out), watch or Watch()
     if not is_dataset(source):
         refuse_nesting(source, out / "dataset")
+    elif format is not None or splits is not None or (options or ImportOptions()) != ImportOptions():
+        raise ConfigError(
+            f"{source} is a dataset, and options of an import are given",
+            expected="none of --format, --splits, --mapping, --unit and topics",
+            hint="Leave them out, or give the logs that it was imported from.",
+        )
     elif until == "import":
         raise ConfigError(
             f"{source} is a dataset: there is nothing to import", hint="Give --until replay, or a later step."
         )
     if model is not None:
         find_model(robot, given=Path(model))
+    asked_for = asked_beforehand(robot, config, seed=seed, drop_flagged=drop_flagged, metrics=metrics, splits=splits)
     with sole_writer(out):
         if any(out.iterdir()) and not (overwrite or resume):
             raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
@@ -112,7 +122,7 @@ def close(
             overwrite=overwrite,
             provenance=provenance(config=asked, seed=seed),
         )
-        folder.agree(asked_beforehand(robot, config, seed=seed, drop_flagged=drop_flagged, metrics=metrics))
+        folder.agree(asked_for)
         budget = Budget(budget_s, [step for step in STEPS if folder.result.is_asked(step)])
         imported, path = None, source
         if not is_dataset(source):

@@ -6,7 +6,7 @@ import contextlib
 import hashlib
 import re
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -116,6 +116,8 @@ def import_logs(
     source, out = Path(source), Path(out)
     refuse_nesting(source, out)
     plan = plan_import(source, format=format, options=options)
+    # Read before anything is written: a dataset whose splits cannot be had would pass for one that has none.
+    entries = None if splits is None or isinstance(splits, Mapping) else read_split(splits)
     notes = list(plan.notes)
     config = {"format": plan.format, "source": source.name, "options": _plain(options)}
     info = DatasetInfo(
@@ -160,8 +162,11 @@ def import_logs(
             raise first
         what = f"none of the {len(refused)} episodes in {source} could be read; the first: {first.summary}"
         raise DataError(what, hint=first.hint)
-    if splits is not None:
-        notes += _assign(Dataset(out), splits, seed)
+    if isinstance(splits, Mapping):
+        dataset = Dataset(out)
+        dataset.set_splits(assign_splits(dataset.ids, splits, seed=seed))
+    if entries is not None:
+        notes += _assign(Dataset(out), entries)
     kept = len(plan.episodes) - len(missing)
     return ImportSummary(out, plan.format, imported, kept, refused, flagged, tuple(notes))
 
@@ -209,12 +214,9 @@ def _refuse_nonsense(episode: Episode) -> None:
                 raise DataError(f"episode {episode.id!r}: {signal} has values that no robot has", got=f"{largest:g}")
 
 
-def _assign(dataset: Dataset, splits: Path | Mapping[str, float], seed: int) -> tuple[str, ...]:
-    """Give the episodes the splits that the user asked for, and no others; returns notes."""
-    if isinstance(splits, Mapping):
-        dataset.set_splits(assign_splits(dataset.ids, splits, seed=seed))
-        return ()
-    match = match_splits(read_split(splits), dataset.ids, sources={meta.id: meta.source for meta in dataset.metas})
+def _assign(dataset: Dataset, entries: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """Give the episodes the splits of a file, and no others; returns notes."""
+    match = match_splits(entries, dataset.ids, sources={meta.id: meta.source for meta in dataset.metas})
     dataset.set_splits({name: match.splits.get(name, "") for name in dataset.ids})
     return match.notes
 

@@ -38,6 +38,7 @@ class ReplaySummary:
         kept: number of episodes that the run had already.
         failed: episode id -> why it could not be replayed.
         seconds: wall-clock time that it took to make the run, earlier calls included [s].
+        replaced: whether there was a run of this label that was made of something else.
     """
 
     label: str
@@ -45,6 +46,7 @@ class ReplaySummary:
     kept: int = 0
     failed: Mapping[str, TrueupError] = field(default_factory=dict)
     seconds: float = 0.0
+    replaced: bool = False
 
 
 def replay(
@@ -184,7 +186,8 @@ def replay_unless_same(
     try:
         return replay(dataset, robot, model=model, label=label, jobs=jobs, resume=True, track=track)
     except OutputExists:
-        return replay(dataset, robot, model=model, label=label, jobs=jobs, overwrite=True, track=track)
+        done = replay(dataset, robot, model=model, label=label, jobs=jobs, overwrite=True, track=track)
+        return replace(done, replaced=True)
 
 
 def by_payload(dataset: Dataset, robot: RobotSpec, ids: Sequence[str]) -> Iterator[tuple[float, list[str]]]:

@@ -16,6 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from trueup.core.atomic import regular
+from trueup.dataset.importers import bag_unpacking
 from trueup.dataset.importers.files import inside
 from trueup.errors import ConfigError, DataError, FormatError, TrueupError
 
@@ -25,6 +26,7 @@ TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 
 FILE_SUFFIXES = (".bag", ".mcap", ".db3")
 _METADATA = "metadata.yaml"
+bag_unpacking.guard()
 _REPAIR = {
     ".bag": "Repair it with `rosbag reindex FILE`, then import it again.",
     ".mcap": "Recover what is readable with `mcap recover FILE -o FIXED.mcap`, then import that.",
@@ -49,8 +51,8 @@ class Topic:
 class Bag:
     """An open bag. Made by `open_bag`."""
 
-    def __init__(self, reader: Reader1 | Reader2, source: str) -> None:
-        self._reader = reader
+    def __init__(self, reader: Reader1 | Reader2, source: str, packed: int) -> None:
+        self._reader, self._packed = reader, packed
         self.source = source
         self.ros1 = isinstance(reader, Reader1)
         self._store = _store(ros1=self.ros1)
@@ -75,11 +77,14 @@ class Bag:
 
         Raises:
             FormatError: a type of these topics is not the one of that name in ROS.
+            DataError: they are far more than the bag's bytes.
         """
-        connections = self._connections(topics)
+        connections, unpacked = self._connections(topics), 0
         for connection in connections:
             self._check_definition(connection)
         for connection, log_ns, raw in self._reader.messages(connections=connections):
+            unpacked += len(raw)
+            bag_unpacking.refuse_more(unpacked, self._packed)
             yield connection.topic, log_ns, raw
 
     def _connections(self, topics: Sequence[Topic]) -> list[Connection]:
@@ -109,7 +114,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
     """
     try:
         with Reader1(path) if path.suffix == ".bag" else Reader2(path) as reader:
-            yield Bag(reader, path.name)
+            yield Bag(reader, path.name, sum(file.stat().st_size for file in bag_files(path)))
     except TrueupError:
         raise
     except Exception as error:  # the reader lets errors of many kinds through when bytes are damaged

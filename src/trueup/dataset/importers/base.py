@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from trueup.core.episode import Episode
+from trueup.errors import ConfigError
+
+# As they are called on the command line.
+_OPTIONS = {
+    "mapping": "--mapping",
+    "units": "--unit",
+    "command_topic": "--command-topic",
+    "measured_topic": "--measured-topic",
+}
 
 
 @dataclass(frozen=True)
@@ -27,6 +36,23 @@ class ImportOptions:
     units: Mapping[str, str] = field(default_factory=dict)
     command_topic: str | None = None
     measured_topic: str | None = None
+
+    def refuse_others(self, format: str, *read: str) -> None:
+        """Refuse what an importer would not look at: whoever said it believes that it counts.
+
+        Args:
+            format: the importer's name.
+            read: names of the options that it reads; the robot is everybody's.
+
+        Raises:
+            ConfigError: another one is given.
+        """
+        given = [item.name for item in fields(self) if getattr(self, item.name) and item.name not in ("robot", *read)]
+        if given:
+            raise ConfigError(
+                f"{format} logs are read without {' and '.join(_OPTIONS[name] for name in given)}",
+                hint="Leave it out, or name the format that is meant with --format.",
+            )
 
 
 @dataclass(frozen=True)

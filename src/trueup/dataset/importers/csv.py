@@ -55,9 +55,10 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
 
     Raises:
         FormatError: no mapping is given and none fits; no file matches the mapping.
-        ConfigError: the mapping is wrong.
+        ConfigError: an option that is not read, the mapping is wrong.
         DataError: a file that the mapping names is missing or outside the folder.
     """
+    options.refuse_others(NAME, "units", "mapping")
     root = path.parent if path.is_file() else path
     beside = root / "mapping.yaml"
     given = options.mapping or (inside(root, beside) if beside.is_file() else None)

@@ -63,9 +63,11 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
 
     Raises:
         FormatError: there is none.
-        ConfigError: the mapping file is wrong, or the first file needs joint names and none are stated.
+        ConfigError: an option that is not read, the mapping file is wrong, or the first file needs joint names and none
+            are stated.
         DataError: a link leads out of the folder; two files would get the same id.
     """
+    options.refuse_others(NAME, "units", "mapping")
     stated = read_stated(options)
     files = _files(path)
     if not files:

@@ -49,10 +49,11 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
     Raises:
         FormatError: the dataset is of another version than 3.
         DataError: the metadata are missing or damaged.
-        ConfigError: the mapping file is wrong, or joints have no names and none are stated.
+        ConfigError: an option that is not read, the mapping file is wrong, or joints have no names and none are stated.
         NameMismatch: state and action have no joint in common.
         MissingSignal: there is no `observation.state`.
     """
+    options.refuse_others(NAME, "units", "mapping")
     stated = read_stated(options)
     info = read_info(path)
     columns = {series: Columns.of(info, series, stated) for series in ("measured", "command")}

@@ -49,8 +49,10 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
 
     Raises:
         FormatError: there is none.
+        ConfigError: an option that is not read.
         DataError: a link leads out of the folder; two files would get the same id.
     """
+    options.refuse_others(NAME, "units")
     files = data_files(path, ".npz")
     if not files:
         raise FormatError(f"{path} holds no npz file", expected=LOOKS_FOR)

@@ -51,8 +51,10 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
 
     Raises:
         FormatError: there is no motion.
+        ConfigError: an option that is not read.
         DataError: a folder cannot be read or a link leads out of it.
     """
+    options.refuse_others(NAME, "units")
     if path.is_dir() and _is_motion(path):
         folders = [path]
         root = path.resolve().parent
