@@ -57,7 +57,7 @@ def recorded(settings: RecordSettings = SETTINGS) -> Dataset:
 def fitted() -> Path:
     """Folder of the simulator's identification, which is ok."""
     folder = FOLDER / "fit"
-    if not (folder / "robot.fitted.yaml").is_file():
+    if not (folder / "fit.json").is_file():
         fit(recorded(), load_robot(STOCK), folder, config=build(IdentifyConfig, FIT, "the fit"), jobs=2, resume=True)
     return folder
 

@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 from benchmarks.policy_data import FIT, FOLDER, STOCK
-from benchmarks.policy_transfer import BAR_M, DART_GOALS, GOALS, TASK, of_training, places, said
+from benchmarks.policy_transfer import BAR_M, DART_GOALS, GOALS, TASK, judged_on, of_training, places
 from benchmarks.table import Row, at_most, rounded, shown
 from trueup.core.atomic import read_json, write_json
 from trueup.core.config import build
@@ -35,7 +35,6 @@ from trueup.identify import IdentifyConfig
 from trueup.measure import paired_difference
 from trueup.measure.seeds import seeds_interval
 from trueup.policy.config import LAPTOP, PolicyConfig
-from trueup.policy.evaluation import evaluate
 from trueup.policy.randomization import RandomizationConfig
 from trueup.robots import RobotSpec, load_robot
 from trueup.stages import fit
@@ -60,6 +59,7 @@ ABOUT = {
     "steps": LAPTOP.steps,
     "rate": RATE,
     "delayed": True,
+    "velocity limit": "the model's",
 }
 
 
@@ -110,10 +110,10 @@ def began(unit: int) -> dict[str, Any]:
     """Train a robot's first policy, drive the robot by it, identify the robot; where it is done, only its curve."""
     torch.set_num_threads(1)
     made = train_policy(load_robot(STOCK), first_of(unit), config=LAPTOP, seed=unit - 1, jobs=1, resume=True)
-    if not (identified(unit) / "robot.fitted.yaml").is_file():
+    if not (identified(unit) / "fit.json").is_file():
         logs = FOLDER / f"driven-{unit}"
-        if not logs.exists():
-            drive(made.folder, load_robot(STOCK), DRIVEN, unit=unit, seed=300 + unit, out=logs)
+        if not logs.exists() or len(Dataset(logs)) < DRIVEN:
+            drive(made.folder, load_robot(STOCK), DRIVEN, unit=unit, seed=300 + unit, out=logs, overwrite=True)
         fit(
             Dataset(logs),
             load_robot(STOCK),
@@ -141,7 +141,7 @@ def judged(cell: GoingOn) -> dict[str, Any]:
     found = {}
     for place, reaching in places({"stock": load_robot(STOCK), "identified": own}, (cell.unit, *STRANGERS)).items():
         goals = reaching.workspace.draw(np.random.default_rng(22), GOALS)
-        found[place] = said(evaluate(policy.act, reaching, goals[:DART_GOALS] if place == "dart" else goals))
+        found[place] = judged_on(policy, reaching, goals[:DART_GOALS] if place == "dart" else goals)
     return found
 
 
@@ -225,13 +225,16 @@ def _values(by_unit: Mapping[str, Any], names: Mapping[str, list[str]], key: str
 
 
 def _minus_robots(by_unit: Mapping[str, Any], base: Mapping[str, Any], names: Mapping[str, list[str]]) -> list[float]:
-    """The difference in distance with its interval over goals and robots, each of which has a seed of its own."""
+    """The difference in distance with its interval over goals and robots.
+
+    Paired by both: a robot has one seed and one first policy, from which both cells go on.
+    """
 
     def of(policies: Mapping[str, Any]) -> np.ndarray:
-        places = ([own["places"][name]["distances"] for name in names[unit]] for unit, own in policies.items())
+        places = ([policies[unit]["places"][name]["distances"] for name in names[unit]] for unit in by_unit)
         return np.array([np.mean(rows, axis=0) for rows in places])
 
-    return list(seeds_interval(of(by_unit), of(base)))
+    return list(seeds_interval(of(by_unit) - of(base)))
 
 
 def _minus(

@@ -34,13 +34,14 @@ from trueup.measure.seeds import seeds_interval
 from trueup.policy.arms import HardwareArm
 from trueup.policy.config import LAPTOP, PolicyConfig
 from trueup.policy.evaluation import UNITS as METRICS
-from trueup.policy.evaluation import Episodes, evaluate
+from trueup.policy.evaluation import evaluate
 from trueup.policy.randomization import THESIS, RandomizationConfig
 from trueup.policy.reaching import Reaching
 from trueup.policy.simulated import simulated
 from trueup.policy.thesis_friction import OFFSET
 from trueup.robots import RobotSpec, find_model, load_robot
 from trueup.sim import MujocoSimulator
+from trueup.stages.policy_judging import velocity_limit
 from trueup.stages.policy_training import TrainedPolicy, train_policy
 
 RESULT = Path(__file__).parent / "results" / "policy_transfer.json"
@@ -137,7 +138,7 @@ def judged(cell: Cell) -> dict[str, Any]:
     offset = np.array(OFFSET) if cell.simulator == "thesis" else None
     for place, reaching in places(robots, (*UNITS, *STRANGERS), offset).items():
         goals = reaching.workspace.draw(np.random.default_rng(21), GOALS)
-        found[place] = said(evaluate(policy.act, reaching, goals[:DART_GOALS] if place == "dart" else goals))
+        found[place] = judged_on(policy, reaching, goals[:DART_GOALS] if place == "dart" else goals)
     return found
 
 
@@ -169,8 +170,10 @@ def places(
     return found
 
 
-def said(episodes: Episodes) -> dict[str, Any]:
+def judged_on(policy: Policy, reaching: Reaching, goals: np.ndarray) -> dict[str, Any]:
     """What is kept of a policy in a place."""
+    robot = load_robot(STOCK)
+    episodes = evaluate(policy.act, reaching, goals, velocity_limit=velocity_limit(find_model(robot), robot))
     return {
         **{name: float(episodes.values[name].mean()) for name in METRICS},
         "lost": int(episodes.lost.sum()),
@@ -233,7 +236,7 @@ def table(results: Mapping[str, Any]) -> dict[str, Any]:
                     "minus_stock_seeds": list(seeds_interval(distances.mean(axis=1), base)),
                     **{
                         name: float(np.mean([s["places"][n][name] for s in by_seed.values() for n in names]))
-                        for name in ("overshoot", "smoothness", "torque_at_limit", "reward")
+                        for name in ("overshoot", "smoothness", "torque_at_limit", "velocity_violation", "reward")
                     },
                 }
             found.setdefault(simulator, {})[draws] = own

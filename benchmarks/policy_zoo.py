@@ -21,7 +21,8 @@ from trueup.core.atomic import make_folder, write_bytes, write_text
 from trueup.core.policy_card import POLICY_GRAPH, PolicyCard
 from trueup.deploy.policy import Policy
 from trueup.policy.evaluation import Episodes, evaluate
-from trueup.robots import load_robot
+from trueup.robots import find_model, load_robot
+from trueup.stages.policy_judging import velocity_limit
 
 NAME = "panda-reach"
 HOME = Path(trueup.zoo.__file__).parent
@@ -78,7 +79,12 @@ def main() -> None:
     robots = {"stock": load_robot("panda_torque"), "identified": cell.robot}
     for place, reaching in places(robots, (*UNITS, *STRANGERS)).items():
         goals = reaching.workspace.draw(np.random.default_rng(21), GOALS)
-        found[place] = evaluate(policy.act, reaching, goals[:DART_GOALS] if place == "dart" else goals)
+        found[place] = evaluate(
+            policy.act,
+            reaching,
+            goals[:DART_GOALS] if place == "dart" else goals,
+            velocity_limit=velocity_limit(find_model(robots["stock"]), robots["stock"]),
+        )
     write_text(folder / "CARD.md", _text(made, found, cell.unit))
     size = sum(path.stat().st_size for path in folder.iterdir())
     print(f"{folder}: {size / 1000:.0f} kB, of robot {cell.unit}")

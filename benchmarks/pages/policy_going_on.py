@@ -27,7 +27,7 @@ it to {driven} goals (`trueup deploy run --out`); from these logs the robot is i
 the policy goes on from where it was (`trueup policy train --start`, as many control steps again, {minutes:.0f} min of
 one core),
 {where}.
-Judged on 100 goals that nobody has driven to.
+Judged on 100 goals that were drawn anew.
 
 ```sh
 python -m benchmarks policy_going_on
@@ -39,8 +39,8 @@ Mean distance from the goal at the end [cm], the median, the worst, and how many
 
 The same against policies that went on in the simulator as it comes, without randomization: mean over goals of the
 difference [cm], paired by goal and robot. Below zero is nearer. The first interval (95 %) is over goals: of these
-policies on these robots. The second is over goals and robots, each of which has a seed of its own: of such robots and
-trainings.
+policies on these robots. The second is over goals and robots, each of which has a seed and a first policy of its own:
+of such robots and trainings.
 
 {differences}
 

@@ -31,7 +31,8 @@ plain distance, which is some 4 % more.
 """
 PAIRED = """The same against policies of the simulator as it comes without randomization: mean over goals of the
 difference [cm], paired by goal, robots and seeds averaged. Below zero is nearer. The first interval (95 %) is over
-goals: of these policies. The second is over goals and seeds: of such trainings; with three seeds it is wide."""
+goals: of these policies. The second is over goals and seeds: of such trainings; with three seeds it is wide, and with
+one there is none."""
 TEXT = """## From simulators to robots
 
 Policies of `--config laptop --steps {steps}`, trained in {rows} simulators with up to three randomizations ({seeds}),
@@ -117,7 +118,10 @@ def _distance(own: Mapping[str, Any]) -> str:
 def _difference(own: Mapping[str, Any]) -> str:
     value, low, high = (100 * item for item in own["minus_stock"])
     _, least, most = (100 * item for item in own["minus_stock_seeds"])
-    said = f"{value:+.2f}<br>[{low:+.2f}, {high:+.2f}]<br>[{least:+.2f}, {most:+.2f}]"
+    said = f"{value:+.2f}<br>[{low:+.2f}, {high:+.2f}]"
+    # One training says nothing of another.
+    if len(own["by_seed"]) > 1:
+        said += f"<br>[{least:+.2f}, {most:+.2f}]"
     return said.replace("-", "\N{MINUS SIGN}")
 
 

@@ -45,11 +45,13 @@ class WarpSimulator(MujocoSimulator):
         self, model: mujoco.MjModel, robot: RobotSpec, channels: tuple[Channel, ...], *, threads: int = 1
     ) -> None:
         with needing("--engine warp", "warp"):
-            import mujoco_warp
             import warp
+
+            # Its words about the machine and what it compiles would stand among ours.
+            warp.config.log_level = warp.LOG_ERROR
+            import mujoco_warp
         self._warp: Any = warp
         self._engine = mujoco_warp
-        self._warp.config.quiet = True
         lacking = {
             "friction laws": has_friction(model),
             "plugins": bool(model.nplugin),

@@ -45,8 +45,10 @@ class WarpFleet:
 
     def __init__(self, transitions: Sequence[Transitions], device: str = "cuda") -> None:
         with needing("--device cuda", "warp"):
-            import mujoco_warp
             import warp
+
+            warp.config.log_level = warp.LOG_ERROR
+            import mujoco_warp
         self._warp: Any = warp
         self._engine = mujoco_warp
         refuse_others(transitions)
