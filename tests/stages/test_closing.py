@@ -21,7 +21,7 @@ from trueup.core.results import GapResult, Ladder
 from trueup.core.time_limit import TimeLimit
 from trueup.dataset import Dataset, DatasetWriter
 from trueup.dataset.importers.base import ImportOptions
-from trueup.errors import ConfigError, DataError, FormatError, MissingDependency, OutputExists
+from trueup.errors import ConfigError, DataError, FormatError, MissingDependency, NameMismatch, OutputExists
 from trueup.identify import IdentifyConfig
 from trueup.identify.config import DataChoice, SolverChoice
 from trueup.report import build_report
@@ -335,6 +335,14 @@ def test_splits_that_cannot_be_read_leave_nothing_behind(data, tmp_path):
 def test_options_that_would_count_for_nothing_are_refused(data, tmp_path, given, said):
     with pytest.raises(ConfigError, match=said):
         quick(data, tmp_path / "out", **given)
+    assert not (tmp_path / "out").exists()
+
+
+def test_logs_of_another_robot_are_refused_before_all_of_them_are_read(data, tmp_path):
+    export_dataset(data, tmp_path / "logs")
+    with pytest.raises(NameMismatch, match=r"no joint of the log is one of the robot's.*shoulder.*Rotation") as error:
+        close(tmp_path / "logs", load_robot("so101"), tmp_path / "out", until="import")
+    assert "Is --robot the robot of these logs?" in error.value.hint
     assert not (tmp_path / "out").exists()
 
 

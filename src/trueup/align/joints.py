@@ -121,13 +121,18 @@ class JointMap:
     def _refuse(self, series: TimeSeries) -> None:
         unknown = sorted(set(series.joints) - set(self.log_joints) - set(self.ignore))
         missing = sorted(set(self.log_joints) - set(series.joints))
+        strangers = not set(self.log_joints) & set(series.joints)
         raise NameMismatch(
-            f"joints of the log and of the joint map differ (unknown: {unknown}, missing: {missing})",
+            "no joint of the log is one of the robot's"
+            if strangers
+            else f"joints of the log and of the joint map differ (unknown: {unknown}, missing: {missing})",
             left=series.joints,
             right=self.log_joints,
             left_name="log has",
             right_name="map expects",
-            hint="Correct `log` in the joint map, or list joints that the robot does not have under `ignore`.",
+            hint="Is --robot the robot of these logs? If so, say what they call each joint: `log` in the joint map."
+            if strangers
+            else "Correct `log` in the joint map, or list joints that the robot does not have under `ignore`.",
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from trueup.stages.close_budget import Budget
 from trueup.stages.close_folder import CloseFolder
 from trueup.stages.close_networks import METHODS
 from trueup.stages.close_steps import Closed, CloseSteps, Watch
-from trueup.stages.importing import import_logs, refuse_nesting
+from trueup.stages.importing import import_logs, plan_import, refuse_nesting, refuse_other_robot
 from trueup.stages.progress import Track, silent
 
 if TYPE_CHECKING:
@@ -111,6 +111,8 @@ def close(
     if model is not None:
         find_model(robot, given=Path(model))
     asked_for = asked_beforehand(robot, config, seed=seed, drop_flagged=drop_flagged, metrics=metrics, splits=splits)
+    if not is_dataset(source) and not resume:
+        refuse_other_robot(plan_import(source, format=format, options=options), robot)
     with sole_writer(out):
         if any(out.iterdir()) and not (overwrite or resume):
             raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")

@@ -29,7 +29,7 @@ from trueup.dataset import (
 )
 from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
 from trueup.dataset.importers.detect import find_importer
-from trueup.errors import ConfigError, DataError, OutputExists, TrueupError
+from trueup.errors import ConfigError, DataError, NameMismatch, OutputExists, TrueupError
 from trueup.robots import RobotSpec
 from trueup.stages.progress import Track, silent
 
@@ -75,6 +75,29 @@ def plan_import(source: Path, *, format: str | None = None, options: ImportOptio
     if not plan.episodes:
         raise DataError(f"{source} holds no episodes", got=f"format {plan.format}", hint="; ".join(plan.notes) or None)
     return plan
+
+
+def refuse_other_robot(plan: ImportPlan, robot: RobotSpec) -> None:
+    """Look at the first, the middle and the last episode, before all are read: are they of another robot?
+
+    Raises:
+        NameMismatch: none of them has a joint of the robot; both lists are printed.
+    """
+    joint_map = JointMap.from_dict(robot.joint_rules())
+    first: NameMismatch | None = None
+    for number in sorted({0, len(plan.episodes) // 2, len(plan.episodes) - 1}):
+        try:
+            joints = set((series := plan.episodes[number].load().measured).joints)
+        except TrueupError:  # the import says so
+            return
+        if joints & {*joint_map.log_joints, *robot.joint_names}:
+            return
+        try:
+            joint_map.for_series(series)
+        except NameMismatch as error:
+            first = first or error
+    if first is not None:
+        raise first
 
 
 def import_logs(
