@@ -83,7 +83,8 @@ and 13, into its report.
 
 {average}
 
-Joints together; beside `realeasy-rt`, only baselines that run in a control loop:
+Torque, joints together, network against network on the same motions; `realeasy-rt` is compared with those baselines
+only that run in a control loop, too:
 
 {rivals}
 

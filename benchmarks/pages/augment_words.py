@@ -29,15 +29,15 @@ from trueup.report.augment_words import against
 
 
 def duel(result: AugmentResult, model: str, other: str, condition: str, signal: str = "torque") -> str:
-    """One network against another on the same motions, joints together: `leaves 1.8 [1.6, 2.0] times less than`."""
+    """One network against another on the same motions, joints together: `is 1.8 [1.6, 2.0] times smaller than`."""
     found, verdict = against(result, model, other, condition, signal)
     if found is None:
         return f"`{model}` and `{other}` were not compared"
     if verdict == "better":
-        return f"`{model}` leaves {factor(found)} times less than `{other}`"
+        return f"the MSE of `{model}` is {factor(found)} times smaller than that of `{other}`"
     if verdict == "worse":
         turned, _ = against(result, other, model, condition, signal)
-        return f"`{model}` leaves more than `{other}`, by a factor of {factor(turned or found)}"
+        return f"the MSE of `{model}` is {factor(turned or found)} times larger than that of `{other}`"
     return f"between `{model}` and `{other}` nothing is decided ({factor(found)})"
 
 

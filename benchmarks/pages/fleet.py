@@ -64,8 +64,8 @@ def part(result: Mapping[str, Any]) -> str:
         better=int((errors["fitted"] < errors["stock"]).sum()),
         stock=1e3 * float(np.median(errors["stock"])),
         fit=1e3 * float(np.median(errors["fitted"])),
-        found=f"{found if friction else 'The worn one is not found'}; of {compared} other "
-        f"comparisons {others} call a unit so that is ordinary.",
+        found=f"{found if friction else 'The worn one is not found'}. Of the {compared} other comparisons, "
+        f"{others} are false alarms: they name a unit that is ordinary.",
         parameters=_parameters(result),
         processes=result["processes"],
         cpu=cpu,

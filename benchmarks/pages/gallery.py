@@ -36,8 +36,9 @@ EXAMPLES = (
 TEXT = """# Gallery
 
 One script for each question, in `examples/` of a checkout. What they print and show below is what they printed and
-showed on {date}; times are those of a busy machine. A test runs all of them. `pip install 'trueup[learn,rl,plan]'` has
-all that they need, and `python -m benchmarks.pages.gallery` makes this page again.
+showed on {date}; times are those of a busy machine. A test runs all of them.
+`pip install '.[learn,rl,plan]' 'gymnasium[mujoco]'` has all that they need, and `python -m benchmarks.pages.gallery`
+makes this page again.
 
 {sections}
 """

@@ -22,9 +22,9 @@ from what `python -m benchmarks real_robots` measures (`make pages` writes it); 
 
 ## SO-101: a hobby arm with position servos
 
-43 motions of an arm with five joints and a gripper, recorded with SAGE. Errors are the RMSE of positions over whole
-motions, open loop from the first measured pose, mean over joints 1 to 5 and over motions. 33 motions are fitted, 4
-choose the model, 6 test it.
+43 motions of an arm with five joints and a gripper, recorded with SAGE ([where to get logs, model and
+split](first-hour.md#the-recording)). Errors are the RMSE of positions over whole motions, open loop from the first
+measured pose, mean over joints 1 to 5 and over motions. 33 motions are fitted, 4 choose the model, 6 test it.
 
 ```sh
 trueup import logs/so101_sage --out data/so101
@@ -51,9 +51,17 @@ Nine friction models on the same drive (delay, gain, armature, offset, link mass
 
 ## Double pendulum: quasi-direct drives, torque-controlled
 
-Seven recordings of 6 to 10 s of a planar double pendulum of the DFKI, 500 Hz, with the identified model of its makers.
-The motion is chaotic, so it is compared over windows of 0.5 s that start from the measured state. Four are fitted, one
-chooses, two test.
+Seven recordings of 6 to 10 s of a planar double pendulum of the DFKI, 500 Hz, with the numbers that its makers have
+identified. They are in
+[dfki-ric-underactuated-lab/double_pendulum](https://github.com/dfki-ric-underactuated-lab/double_pendulum)
+(BSD-3-Clause), commit `1e8544e67f`: `trajectory_00` to `03` and `11` to `13` of
+`data/experiment_records/design_A.0/20220815/sys_id`. The model, `double_pendulum_A0.xml`, is not: it is an MJCF that
+was written from the numbers in `data/system_identification/identified_parameters/design_A.0/model_2.0`, two hanging
+links on hinges `joint1` and `joint2` with a torque motor each. It lies in the folder `model` beside the recordings, and
+a `split.json` has the splits below.
+
+The motion is chaotic, so it is compared over windows of 0.5 s that start from the measured state. Four recordings are
+fitted, one chooses, two test.
 
 ```sh
 trueup import logs/dfki_double_pendulum_A0 --out data/pendulum

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from benchmarks.pages.markdown import table
+from benchmarks.ros2_hour import BAR_MB
 
 TEXT = """## For an hour
 
@@ -13,6 +14,8 @@ The same publisher and bridge for {minutes:g} minutes at {rate_hz:g} Hz on {mach
 its memory grow?
 
 {table}
+
+{answer}
 
 The memory that waiting messages take is kept for the next ones: after the bridge could not run for a moment, because
 others had the processor, it stays larger by that much. They are taken a few at a time, so that what waits is small.
@@ -37,8 +40,21 @@ def part(result: Mapping[str, Any]) -> str:
         ["memory at the end", f"{memory_mb[-1]:.1f} MB"],
     ]
     return TEXT.format(
+        answer=_answer(result),
         minutes=result["seconds"] / 60.0,
         rate_hz=result["rate_hz"],
         machine=result["provenance"]["config"]["machine"]["name"],
         table=table(["", ""], rows),
+    )
+
+
+def _answer(result: Mapping[str, Any]) -> str:
+    memory_mb = result["memory_mb"]
+    lost = result["published"] - result["bridge"]["sent"]
+    grown = memory_mb[-1] - memory_mb[0]
+    late = memory_mb[-1] - memory_mb[len(memory_mb) // 2 - 1]
+    verdict = "met" if grown <= BAR_MB else "missed"
+    return (
+        f"It lost {lost or 'nothing'}. Its memory grew by {grown:.2f} MB, {late:.2f} MB of this in the second half; "
+        f"asked was no more than {BAR_MB:g} MB, which is {verdict}."
     )

@@ -23,6 +23,9 @@ ELSEWHERE = {
         "[py]": "tests/docs/test_gallery.py::test_it_shows_what_the_example_says_and_its_code",
     },
     "good-data": {"as recorded": "tests/docs/test_good_data.py::test_the_example_prints_what_is_shown"},
+    "identification": {
+        "import yaml": "tests/docs/test_identification_docs.py::test_the_lines_for_isaac_lab_are_those_of_the_report"
+    },
     "policies": {"[python]": "tests/docs/test_policies.py::test_the_python_of_the_page_runs"},
     "realtime": {"[python]": "tests/deploy/test_realtime.py::test_the_python_of_the_page_runs"},
     "ros2": {

@@ -218,7 +218,7 @@ LAID = {
         ),
     },
     "real-robots": {"logs/so101_sage": so101, "logs/dfki_double_pendulum_A0": pendulum},
-    "robots": {"logs/double_pendulum": pendulum},
+    "robots": {"logs/dfki_double_pendulum_A0": pendulum},
     "runtime": {"models/panda-rt": network},
 }
 

@@ -1,9 +1,10 @@
 """The section of docs/close.md that a benchmark makes, from a result of one's choice."""
 
+import json
 from pathlib import Path
 
 from benchmarks import close
-from benchmarks.pages.close import part
+from benchmarks.pages.close import demo_mrad, part
 from benchmarks.pages.markdown import with_section
 
 from trueup.core.close_result import CloseResult, Step
@@ -14,7 +15,7 @@ PAGE = Path(__file__).parent.parent.parent / "docs" / "close.md"
 
 def left(folder, best):
     """What a call leaves: the rungs with their errors on test [rad], one of them chosen."""
-    errors = {"stock": 0.04, "fitted": 0.0101, "fitted+realeasy": 0.0112}
+    errors = {"command": 0.05, "stock": 0.04, "fitted": 0.0101, "fitted+realeasy": 0.0112}
     rungs = []
     for number, (name, error) in enumerate(errors.items()):
         metrics = {"position": {"rmse": MetricResult(Estimate(error, "rad", 0.5 * error, 2.0 * error), {}, 6)}}
@@ -28,7 +29,8 @@ def left(folder, best):
 def result(folder, best="fitted"):
     config = {"machine": {"name": "a computer"}}
     so101 = {"seconds": 1080.0, "code": 3, **left(folder, best), "fit": "at-bound"}
-    return {"so101": so101, "demo": {"seconds": 300.0, "code": 0}, "provenance": {"config": config}}
+    demo = {"seconds": 300.0, "code": 0, **left(folder, "command"), "fit": "not-converged"}
+    return {"so101": so101, "demo": demo, "provenance": {"config": config}}
 
 
 def test_the_best_on_val_is_held_against_the_bar_and_so_is_the_time(tmp_path):
@@ -43,12 +45,25 @@ def test_the_best_on_val_is_held_against_the_bar_and_so_is_the_time(tmp_path):
 
 def test_the_section_shows_the_ladder_and_the_steps(tmp_path):
     made = with_section(PAGE.read_text(), part(result(tmp_path)))
-    assert "| **fitted** | 10.1 [5.0, 20.2] | 10.1 [5.0, 20.2] | 10.1 [5.0, 20.2] | 100 |" in made
+    assert "| **fitted** | 10.1 [5.0, 20.2] | 10.1 [5.0, 20.2] | 10.1 [5.0, 20.2] | 200 |" in made
     assert "| identify | cut short | 21 of 30 | 400 |" in made
     assert "36 \\| 40" in made
     assert "18.0 min" in made
     assert "The fit says `at-bound` of itself." in made
+    said = " ".join(made.split())
+    assert "on test of 10.1 mrad after identification, where the model as it came has 40.0 and the command" in said
+    assert "the motion, 50.0; `command` is marked as the best on val. Its fit says `not-converged` of itself." in said
     assert with_section(made, part(result(tmp_path))) == made
+
+
+def test_the_first_page_says_what_the_demo_ends_with():
+    stored = json.loads((PAGE.parents[1] / "benchmarks" / "results" / "close.json").read_text())
+    said = " ".join((PAGE.parent / "index.md").read_text().split())
+    fitted, stock, command = (demo_mrad(stored, name) for name in ("fitted", "stock", "command"))
+    assert f"{fitted} mrad after identification; the model as it came has {stock}. The command" in said
+    assert f"has {command}, and is marked as the best on val" in said
+    assert [rung["name"] for rung in stored["demo"]["ladder"] if rung["chosen"]] == ["command"]
+    assert stored["demo"]["fit"] == "not-converged"
 
 
 def test_without_the_recording_there_is_nothing_to_measure(monkeypatch):

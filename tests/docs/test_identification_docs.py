@@ -16,6 +16,7 @@ from trueup.identify.experiments.findings import Status
 from trueup.identify.export import ISAAC_FILE, MODEL_FILE, ROBOT_FILE, SAMPLES_FILE
 from trueup.identify.regression.graybox_terms import BLOCKS
 from trueup.identify.solution import SolverName
+from trueup.report import recipes
 from trueup.robots import ControllerSpec, find_model, load_robot
 from trueup.robots.friction import NUMBERS
 
@@ -102,6 +103,12 @@ def test_the_defaults_are_those_of_the_page(follows, controller):
     tried = {name: tuple(extra) for name, *extra in map(code, row[2].split("; "))}
     assert tried == dict(resolved.models)
     assert resolved.data.window_s == (0.5 if follows == "torque" else None)
+
+
+def test_the_lines_for_isaac_lab_are_those_of_the_report():
+    """Those of the report are run by tests/report/test_report_recipes.py."""
+    (block,) = re.findall(r"^```python\n(import yaml\n.*?)\n```$", PAGES["identification"], re.M | re.S)
+    assert block.replace("runs/mine/", "") == recipes._ISAAC
 
 
 def test_every_status_has_its_exit_code():

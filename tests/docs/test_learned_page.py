@@ -119,8 +119,14 @@ def test_a_network_for_control_loops_is_held_against_baselines_that_are_too():
     assert best_baseline(lab, "realeasy", "cartesian") == "moving-average"
     assert best_baseline(lab, "realeasy-rt", "cartesian") == "mlp"
     # Whoever was named first: 3 times more one way is 3 times less the other way.
-    assert duel(lab, "realeasy-rt", "mlp", "") == "`realeasy-rt` leaves more than `mlp`, by a factor of 3.0 [2.4, 3.8]"
-    assert duel(lab, "mlp", "realeasy-rt", "") == "`mlp` leaves 3.0 [2.4, 3.8] times less than `realeasy-rt`"
+    assert (
+        duel(lab, "realeasy-rt", "mlp", "")
+        == "the MSE of `realeasy-rt` is 3.0 [2.4, 3.8] times larger than that of `mlp`"
+    )
+    assert (
+        duel(lab, "mlp", "realeasy-rt", "")
+        == "the MSE of `mlp` is 3.0 [2.4, 3.8] times smaller than that of `realeasy-rt`"
+    )
     assert duel(lab, "gru", "linear", "") == "between `gru` and `linear` nothing is decided (1.0 [0.80, 1.2])"
 
 

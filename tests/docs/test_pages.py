@@ -96,10 +96,15 @@ def test_the_page_of_choices_follows_the_results(monkeypatch):
 
 
 def test_others_are_compared_by_ratios_of_which_below_one_is_ours():
-    assert peers._ratio(0.5, "time") == "0.50"
-    assert peers._ratio(0.5, "speed") == "2.00"
-    assert peers._ratio(1.0024, "error") == "1.002"
+    assert peers._ratio(0.5, "time, trueup / scipy") == "0.50"
+    assert peers._ratio(1.0024, "median error, trueup / scipy") == "1.002"
     shown = peers.section()
+    rows = {row["name"]: row for line in stored("acceptance")["lines"] for row in line["rows"]}
+    assert {name for _, _, name in peers.BESIDE} >= peers.SPEEDS
+    for name in peers.SPEEDS:
+        ratio = 1 / rows[name]["value"]
+        assert peers._ratio(rows[name]["value"], name) == f"{ratio:.2f}"
+        assert f"| {ratio:.2f} |" in shown
     for other in ("mujoco.sysid", "scipy.optimize.least_squares", "PACE", "rosbags"):
         assert other in shown
 

@@ -134,6 +134,11 @@ def test_an_hour_is_a_part_of_the_page():
     assert cells["longest"] == "22.80 ms"
     assert cells["memory of the bridge after a minute"] == "150.0 MB"
     assert cells["memory at the end"] == "150.3 MB"
+    assert (
+        "It lost 1. Its memory grew by 0.26 MB, 0.26 MB of this in the second half; asked was no more than 1 MB" in part
+    )
+    grown = ros2_hour.part({**HOUR, "memory_mb": [150.0, 150.5, 151.5, 151.6]})
+    assert "grew by 1.60 MB, 1.10 MB of this in the second half; asked was no more than 1 MB, which is missed" in grown
     assert page.split("## For an hour")[0] == TEXT.split("## For an hour")[0]
 
 
