@@ -190,3 +190,13 @@ def test_networks_of_other_robots_of_the_future_and_of_other_signals_are_refused
     replace(network.card, outputs=outputs, states=corrector.states).save(tmp_path / "c")
     with pytest.raises(ConfigError, match="is not one for arms that take torques"):
         arms_of(Network.load(tmp_path / "c"))
+
+
+@pytest.mark.parametrize("delay_s", [0.004, 0.01, 0.0137, 0.027])
+def test_torques_may_be_late_by_more_than_a_period_of_the_network(tmp_path, delay_s):
+    """What is read is corrected; what acts, and when, is not."""
+    torque = torques(10, 2)
+    inner = MujocoArms(SIMULATOR, 2, 1.0 / RATE_HZ, delay_s=delay_s)
+    driven(AugmentedArms(inner, reader(tmp_path / "net"), CONTROL_S), torque)
+    plain = driven(MujocoArms(SIMULATOR, 2, CONTROL_S, delay_s=delay_s), torque)
+    np.testing.assert_allclose(np.concatenate([inner.position, inner.velocity], axis=1), plain[-1], atol=1e-9)

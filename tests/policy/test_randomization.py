@@ -11,13 +11,12 @@ from trueup.errors import ConfigError, DataError, NameMismatch
 from trueup.identify.candidate import Nominal
 from trueup.identify.inertial import inertial_of
 from trueup.policy.arms import MujocoArms
-from trueup.policy.config import PolicyConfig
+from trueup.policy.delay_line import DelayLine
 from trueup.policy.environment import ReachVector
 from trueup.policy.posterior import Posterior
 from trueup.policy.randomization import THESIS, Individuals, RandomizationConfig
 from trueup.policy.reach import ReachConfig
 from trueup.policy.reaching import Reaching
-from trueup.policy.simulated import simulated
 from trueup.robots import JointFriction, find_model, load_robot
 
 PANDA = load_robot("panda_torque")
@@ -200,9 +199,6 @@ def test_an_identification_of_another_robot_is_refused_with_both_lists(nominal, 
             config.draws(nominal)
         assert known in str(caught.value)
         assert name.partition("[")[2].removesuffix("]") in str(caught.value)
-    late = RandomizationConfig(posterior=str(fitted(tmp_path / "late", samples={"delay_s": np.array([0.001, 0.05])})))
-    with pytest.raises(ConfigError, match=r"got 0.05 s"):
-        simulated(PolicyConfig(randomization=late), nominal.given, nominal.path)
 
 
 def test_widths_that_are_none():
@@ -225,7 +221,10 @@ def test_every_arm_is_another_and_a_new_one_after_each_episode(nominal):
     assert not set(first) & {model.dof_damping[0] for model in arms._models}
 
 
-def test_a_late_torque_acts_late(nominal):
+@pytest.mark.parametrize("steps", [0, 10, 20, 50])
+def test_a_late_torque_acts_late(nominal, steps):
+    """Within a control step, after one, and after two and a half."""
+
     def moved(delay_s):
         late = lambda _: (nominal.model, np.full(7, delay_s))  # noqa: E731
         arms = MujocoArms(nominal.simulator, 1, 0.02, draw=late)
@@ -236,17 +235,45 @@ def test_a_late_torque_acts_late(nominal):
             way.append(arms.position[0].copy())
         return np.array(way)
 
-    # By hand: ten physics steps of 1 ms each with the torque before.
+    # By hand: each physics step of 1 ms has the torque that was told so many steps ago.
     data = mujoco.MjData(nominal.model)
     data.qpos[:7] = nominal.model.key("home").qpos[:7]
-    before, way = np.zeros(7), []
-    for torque in np.random.default_rng(1).uniform(-3, 3, (10, 7)):
-        for step in range(20):
-            data.ctrl[:] = before if step < 10 else torque
-            mujoco.mj_step(nominal.model, data)
-        before = torque
-        way.append(data.qpos[:7].copy())
-    np.testing.assert_allclose(moved(0.010), way, atol=1e-9)
-    assert np.abs(moved(0.010) - moved(0.0)).max() > 1e-3
-    with pytest.raises(ConfigError, match="late by a control step"):
-        moved(0.05)
+    told = np.repeat(np.random.default_rng(1).uniform(-3, 3, (10, 7)), 20, axis=0)
+    acting, way = np.concatenate([np.zeros((steps, 7)), told])[: len(told)], []
+    for number, torque in enumerate(acting, 1):
+        data.ctrl[:] = torque
+        mujoco.mj_step(nominal.model, data)
+        if number % 20 == 0:
+            way.append(data.qpos[:7].copy())
+    found = moved(steps * 0.001)
+    np.testing.assert_allclose(found, way, atol=1e-9)
+    assert (np.abs(found - moved(0.0)).max() > 1e-3) == (steps > 0)
+    with pytest.raises(ConfigError, match="act later, not earlier"):
+        moved(-0.001)
+
+
+def test_arms_are_late_each_by_its_own_and_forget_when_they_begin(nominal):
+    """Against a list of what was told, for joints with delays of their own that change from episode to episode."""
+    rng = np.random.default_rng(4)
+    line = DelayLine(nominal.simulator, 0.02, count=2)
+    told = {0: [], 1: []}
+    late = np.zeros((2, 7))
+    for number in range(40):
+        if number in (0, 7, 23):
+            row = np.array([number % 2])
+            late[row] = rng.uniform(0, 0.07, 7)
+            line.set(row, late[row[0]])
+            line.clear(row)
+            told[int(row[0])] = []
+        torque = rng.standard_normal((2, 7))
+        acting = line.acting(torque)
+        assert acting.shape == (2, 20, 7)
+        for arm in range(2):
+            told[arm] += [torque[arm]] * 20
+            for joint in range(7):
+                for step in range(20):
+                    # Of what acts within a physics step, the mean.
+                    whole, part = int(np.floor(late[arm, joint] / 0.001)), late[arm, joint] / 0.001 % 1
+                    place = len(told[arm]) - 20 + step - whole
+                    newer, older = (told[arm][k][joint] if k >= 0 else 0.0 for k in (place, place - 1))
+                    assert acting[arm, step, joint] == pytest.approx((1 - part) * newer + part * older, abs=1e-6)

@@ -14,7 +14,6 @@ from trueup.policy import ReachConfig, Reward, register
 from trueup.policy.arms import EngineArm, MujocoArms
 from trueup.policy.config import PolicyConfig
 from trueup.policy.environment import PandaReach, ReachVector
-from trueup.policy.randomization import RandomizationConfig
 from trueup.policy.reaching import Reaching
 from trueup.policy.simulated import simulated
 from trueup.policy.workspace import Chain, Workspace
@@ -107,7 +106,7 @@ def test_an_arm_that_stays_at_rest_is_as_far_away_as_at_the_start():
     np.testing.assert_allclose(reaching._reward, -2.0, rtol=1e-12)
 
 
-@pytest.mark.parametrize("delay_s", [0.0, 0.0104, 0.02])
+@pytest.mark.parametrize("delay_s", [0.0, 0.0104, 0.02, 0.033])
 def test_a_late_robot_is_late_wherever_it_is_simulated(delay_s):
     """Trained on, judged in MuJoCo, in DART, in one environment: torques act as late as the description says."""
     pytest.importorskip("dartpy")
@@ -134,16 +133,6 @@ def test_a_late_robot_is_late_wherever_it_is_simulated(delay_s):
     for action in np.random.default_rng(1).uniform(-1, 1, (4, 7)) * prompt.most:
         prompt.step(np.tile(action, (2, 1)), np.random.default_rng(0))
     assert (np.abs(prompt.arms.position[0] - ends[0]).max() > 1e-3) == (delay_s > 0)
-
-
-def test_a_delay_of_more_than_a_control_step_is_refused_at_once():
-    late = replace(PANDA, controller=replace(PANDA.controller, delay_s=0.03))
-    for made in (lambda: PandaReach(late), lambda: simulated(PolicyConfig(), late, find_model(PANDA))):
-        with pytest.raises(ConfigError, match=r"late by a control step at most: got 0.03 s"):
-            made()
-    drawn = PolicyConfig(randomization=RandomizationConfig(delay_s=(0.0, 0.05)))
-    with pytest.raises(ConfigError, match=r"got 0.05 s"):
-        simulated(drawn, PANDA, find_model(PANDA))
 
 
 def test_a_torque_is_held_for_a_control_step_and_cut_to_the_largest():

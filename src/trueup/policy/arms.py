@@ -12,10 +12,9 @@ from mujoco import batch
 
 from trueup.core.protocols import Hardware, Simulator
 from trueup.errors import ConfigError, DataError, RobotStopped
+from trueup.policy.delay_line import Delay, DelayLine
 from trueup.sim import MujocoSimulator
-from trueup.sim.transitions import late_shares, physics_steps
-
-Delay = float | Sequence[float] | Float64[np.ndarray, "J"]
+from trueup.sim.transitions import physics_steps
 
 
 @runtime_checkable
@@ -60,13 +59,14 @@ class MujocoArms:
         simulator: a robot that follows torques.
         count: N.
         control_s: control step [s].
-        delay_s: torques act this much later, one number per joint or one for all, at most a control step [s].
+        delay_s: torques act this much later, one number per joint or one for all [s].
         threads: of the processor.
         draw: makes the model of an arm for the next episode, with the simulator's joints and the same structure each
             time, and says how much later its torques act, (J,) [s]; the simulator's own and `delay_s` for all if None.
 
     Raises:
-        ConfigError: the control step is no number of physics steps, a delay is longer, or the robot follows no torques.
+        ConfigError: the control step is no number of physics steps, a delay is negative, or the robot follows no
+            torques.
     """
 
     def __init__(
@@ -93,10 +93,7 @@ class MujocoArms:
         self._wires = simulator.control_of({"torque": np.eye(len(simulator.joints))[:, None]})[:, 0]
         self.position = np.zeros((count, len(self.joints)))
         self.velocity = np.zeros_like(self.position)
-        # What of the torque before still acts in each physics step, and that torque.
-        self._late = np.tile(late_shares(simulator, control_s, delay_s), (count, 1, 1))
-        self._before = np.zeros_like(self.position)
-        self._delayed = bool(self._late.any())
+        self._line = DelayLine(simulator, control_s, delay_s, count=count)
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -113,10 +110,9 @@ class MujocoArms:
         if self._draw is not None:
             for row in rows.tolist():
                 self._models[row], delays = self._draw(rng)
-                self._late[row] = late_shares(self._simulator, self.control_s, delays)
-            self._delayed = bool(self._late.any())
+                self._line.set(np.array([row]), delays)
             self._batch.set_models(self._models)
-        self._before[rows] = 0.0
+        self._line.clear(rows)
         self._batch.reset(rows, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         qpos, qvel = (own[rows] for own in self._state)
         self._simulator.place(qpos, qvel, position, np.zeros_like(position))
@@ -127,10 +123,8 @@ class MujocoArms:
         """See `Arms`."""
         failed: np.ndarray | None = None
         try:
-            if self._delayed:
-                acting = self._late * self._before[:, None] + (1.0 - self._late) * torque[:, None]
-                self._batch.rollout(self._substeps, acting @ self._wires, record=())
-                self._before = np.array(torque)
+            if self._line.delayed:
+                self._batch.rollout(self._substeps, self._line.acting(torque) @ self._wires, record=())
             else:
                 np.matmul(torque, self._wires, out=self._ctrl)
                 self._batch.step(nstep=self._substeps)
@@ -160,8 +154,7 @@ class EngineArm:
         self.control_s = control_s
         self._substeps = substeps_of(simulator, control_s)
         self._simulator = simulator
-        self._late = late_shares(simulator, control_s, delay_s)
-        self._before: Float64[np.ndarray, "1 J"] = np.zeros((1, len(simulator.joints)))
+        self._line = DelayLine(simulator, control_s, delay_s)
         self.position = np.zeros((1, len(simulator.joints)))
         self.velocity = np.zeros_like(self.position)
 
@@ -172,17 +165,16 @@ class EngineArm:
 
     def begin(self, rows: Int[np.ndarray, "R"], position: Float[np.ndarray, "R J"], rng: np.random.Generator) -> None:
         """See `Arms`."""
-        del rows, rng
+        del rng
         self.position, self.velocity = np.array(position, np.float64), np.zeros(position.shape)
-        self._before[:] = 0.0
+        self._line.clear(rows)
         self._simulator.reset(self.position, self.velocity)
 
     def step(self, torque: Float[np.ndarray, "N J"]) -> None:
         """See `Arms`."""
         done: dict[str, np.ndarray] = {}
-        for late in self._late:
-            done = self._simulator.step({"torque": late * self._before + (1.0 - late) * torque})
-        self._before = np.array(torque, np.float64)
+        for acting in self._line.acting(torque)[0]:
+            done = self._simulator.step({"torque": acting[None]})
         self.position, self.velocity = (np.asarray(done[name], np.float64) for name in ("position", "velocity"))
 
 

@@ -62,12 +62,6 @@ class Posterior:
         samples = _read_samples(folder / SAMPLES_FILE, fit)
         return Posterior(folder, samples, {item.name: item.value for item in fit.parameters})
 
-    @property
-    def latest_s(self) -> float:
-        """The longest delay that it may draw [s]."""
-        late = (values for name, values in self.samples.items() if name.partition("[")[0] == "delay_s")
-        return max((float(values.max()) for values in late), default=0.0)
-
     def check(self, nominal: Nominal) -> None:
         """Look whether it can be drawn around this model.
 

@@ -138,36 +138,24 @@ class RandomizationConfig:
             if getattr(self, name) >= 1:
                 raise ConfigError(f"randomization: {name} is a share", got=getattr(self, name), expected="below 1")
 
-    def draws(
-        self, nominal: Nominal | None = None, *, control_s: float = np.inf, force: bool = False
-    ) -> tuple[Draw, ...]:
+    def draws(self, nominal: Nominal | None = None, *, force: bool = False) -> tuple[Draw, ...]:
         """The functions, in their order.
 
         Args:
             nominal: the model that they change; what an identification has numbers of is looked for in it.
-            control_s: control step, which no delay may exceed [s].
             force: also draw from an identification whose status is not ok.
 
         Raises:
-            ConfigError: the identification is not ok, and nobody forces it, or a delay is too long.
+            ConfigError: the identification is not ok, and nobody forces it, or that of another fitted model.
             DataError: it has no samples.
             NameMismatch: it is of a robot with other joints or bodies.
         """
         found: list[Draw] = []
-        latest_s = self.delay_s[1]
         if self.posterior:
             posterior = Posterior.load(Path(self.posterior), force=force)
-            latest_s = latest_s or posterior.latest_s
             if nominal is not None:
                 posterior.check(nominal)
             found.append(posterior)
-        # Drawn one day, it would end a training in the middle.
-        if latest_s > control_s:
-            raise ConfigError(
-                "randomization: torques may be late by a control step at most",
-                got=f"{latest_s:g} s",
-                expected=f"at most {control_s:g} s",
-            )
         for name, make in (("friction", friction), ("inertia", inertia), ("gains", gains)):
             if share := getattr(self, name):
                 found.append(make(share))

@@ -51,7 +51,7 @@ def simulated(
         return _in_engine(config, nominal, engine)
     network = Network.load(config.network) if config.network else None
     step_s = config.reach.control_s if network is None else 1.0 / network.card.rate_hz
-    draws = config.randomization.draws(nominal, control_s=step_s, force=force) if randomized else ()
+    draws = config.randomization.draws(nominal, force=force) if randomized else ()
     friction = None
     if config.friction == "thesis":
         draws, friction = (*draws, _without_friction), ThesisFriction()
