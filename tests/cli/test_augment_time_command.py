@@ -64,7 +64,7 @@ def test_a_place_that_takes_no_file_is_found_out_before_the_loop(run, tmp_path):
 def test_a_mistyped_model_is_not_made(run, tmp_path):
     code, _, err = run(tmp_path / "tr", "--seconds", 0.05)
     assert code == 2
-    assert "model.json does not exist" in err
+    assert "holds no network: got no such folder; expected model.json" in err
     assert not (tmp_path / "tr").exists()
 
 

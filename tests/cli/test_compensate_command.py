@@ -2,6 +2,7 @@
 
 import pytest
 
+from cli.hidden_packages import without
 from compensate.arm_cases import arm_of, recorded
 from trueup.cli.main import main
 from trueup.dataset import Dataset
@@ -40,6 +41,16 @@ def run(capsys):
         return left.value.code, printed.out, printed.err
 
     return call
+
+
+@pytest.mark.parametrize("command", [("train", "--out", "net"), ("replay", "--network", "net")])
+def test_without_torch_one_is_told_how_to_get_it(world, tmp_path, command):
+    words = ["compensate", command[0], str(world / "data"), "--robot", "demo_arm", *command[1:]]
+    code, said = without("torch", words, tmp_path)
+    assert code == 2
+    assert "needs torch" in said
+    assert said.endswith("next: pip install 'trueup[learn]'")
+    assert not any(tmp_path.iterdir())
 
 
 def test_train_and_replay(world, run):

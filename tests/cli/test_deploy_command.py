@@ -74,6 +74,7 @@ def test_real_time_says_how_punctual_it_was(run):
         (("still", "--late-ms", 0), "late_s"),
         (("still", "--robot", "panda"), "takes"),
         (("zoo:nothing",), "the zoo has no 'nothing'"),
+        (("zoo:panda-realeasy-rt",), "holds no policy: got a network"),
     ],
 )
 def test_bad_input(run, tmp_path, arguments, said):

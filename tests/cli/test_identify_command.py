@@ -109,6 +109,15 @@ def test_a_wrong_configuration_is_one_line(run, demo, tmp_path, text, expected):
     assert len(said.removeprefix("looking for a start\n").strip().splitlines()) <= 2
 
 
+def test_no_search_is_announced_that_does_not_begin(run, demo, tmp_path):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file").write_text("mine")
+    for data, out in ((tmp_path / "empty", tmp_path / "fit"), (demo, tmp_path / "file")):
+        code, _, said = run("identify", data, "--robot", "demo_arm", "--out", out)
+        assert code == 2
+        assert said.startswith("error: ")
+
+
 def test_an_unknown_solver_lists_the_known(run, demo, tmp_path):
     code, _, said = run("identify", demo, "--robot", "demo_arm", "--solver", "bfgs", "--out", tmp_path / "fit")
     assert code == 2

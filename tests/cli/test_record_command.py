@@ -117,7 +117,7 @@ BAD = {
     "other robot": (("--robot", "demo_arm"), "yaw"),
     "springs for a robot that needs none": (("--servo-hz", "3"), "follows positions by itself"),
     "springs that are none": (("--robot", "panda_torque", "--servo-hz", "0"), "frequency of a servo"),
-    "hardware": (("--hardware", "franka"), "lab, mujoco, dart"),
+    "hardware": (("--hardware", "franka"), "lab, mujoco, dart, ros2"),
     "plan": (("--plan", "papre"), "paper"),
     "plan file": (("--plan", "nothing.yaml"), "does not exist"),
     "scale": (("--scale", "0"), "scale must be positive"),

@@ -53,9 +53,23 @@ def test_yaml_that_is_no_plain_mapping_is_refused(tmp_path, text):
         read_yaml(path)
 
 
+def test_what_yaml_is_instead_of_a_mapping_is_said_in_words(tmp_path):
+    path = tmp_path / "robot.yaml"
+    for text, said in (("", "is empty"), ("# nothing\n", "is empty"), ("- 1", "got a list"), ("5", "got one value")):
+        path.write_text(text)
+        with pytest.raises(ConfigError, match=said):
+            read_yaml(path)
+    with pytest.raises(ConfigError, match="cannot be read: got a folder; expected a YAML file"):
+        read_yaml(tmp_path)
+
+
 def test_a_missing_or_binary_file_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="does not exist"):
+    with pytest.raises(ConfigError, match="does not exist") as error:
         read_yaml(tmp_path / "nothing.yaml")
+    assert error.value.hint == f"Check the path: there is no nothing.yaml in {tmp_path}."
+    with pytest.raises(ConfigError, match="does not exist") as error:
+        read_yaml(tmp_path / "no" / "such" / "nothing.yaml")
+    assert error.value.hint == f"Check the path: there is no folder {tmp_path / 'no'}."
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ConfigError, match="cannot be read"):
         read_yaml(tmp_path / "binary.yaml")

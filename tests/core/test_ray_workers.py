@@ -74,8 +74,12 @@ def test_work_that_the_cluster_lacks_is_said(monkeypatch):
 
 @needs_ray
 def test_no_cluster_is_said():
-    with pytest.raises(ConfigError, match="no Ray cluster answers"):
-        list(on_ray(errands.square, [1], address="nowhere", begin=dict))
+    for address in ("nowhere", "nowhere:", ":6379", "host:port", "host:99999", "host:-1"):
+        with pytest.raises(ConfigError, match=r"no Ray cluster has such an address.*expected HOST:PORT, or local"):
+            list(on_ray(errands.square, [1], address=address, begin=dict))
+    with pytest.raises(ConfigError, match="no Ray cluster answers") as error:
+        list(on_ray(errands.square, [1], address="127.0.0.1:1", begin=dict))
+    assert "ray start --head" in error.value.hint
 
 
 def test_ray_that_is_missing_is_said(monkeypatch):

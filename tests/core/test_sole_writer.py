@@ -102,7 +102,10 @@ def test_a_function_is_alone_with_the_folder_that_it_is_given(tmp_path):
     assert "another process writes into" in work(out=tmp_path / "a" / "out")
     assert work(None) == "nothing to lock"
     (tmp_path / "file").touch()
-    assert work(tmp_path / "file") == "nothing to lock"
+    for place in ("file", "file/below"):
+        with pytest.raises(DataError, match=r"cannot make the folder .*: (it|.*file) is a file") as error:
+            work(tmp_path / place)
+        assert "choose another name" in error.value.hint
 
 
 def test_a_folder_that_was_made_for_nothing_is_gone(tmp_path):

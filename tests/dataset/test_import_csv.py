@@ -272,12 +272,16 @@ def test_a_mapping_is_a_file_a_shipped_name_or_beside_the_data(tmp_path):
         episodes(tmp_path, mapping=Path("nowhere.yaml"))
 
 
-def test_unknown_columns_are_printed_with_a_mapping_to_start_from(tmp_path):
+def test_unknown_columns_are_printed_with_where_a_mapping_to_start_from_is(tmp_path):
     (tmp_path / "x.csv").write_text(ROWS)
     with pytest.raises(FormatError, match=r"x.csv with columns t, q1, q2") as caught:
         episodes(tmp_path)
-    skeleton = caught.value.hint.split("e.g.\n")[1]
-    assert parse_mapping(skeleton, name="skeleton").columns("command", "position") == ("q_des1", "q_des2")
+    assert len(str(caught.value).splitlines()) == 2
+    page = (Path(__file__).parents[2] / "docs" / "logs.md").read_text()
+    assert "docs/logs.md#csv" in caught.value.hint
+    _, _, section = page.partition("\n## CSV\n")
+    mapping = section.partition("```yaml\n")[2].partition("```")[0]
+    assert parse_mapping(mapping, name="page").columns("measured", "position")
 
 
 def test_shipped_mappings_are_recognized_when_they_fit_every_file(tmp_path):

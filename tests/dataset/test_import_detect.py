@@ -47,8 +47,23 @@ def test_an_unknown_format_says_what_was_looked_for(tmp_path):
     with pytest.raises(FormatError) as caught:
         find_importer(tmp_path)
     message = str(caught.value)
-    for part in ("notes.docx", "control.csv", "measured.time_s", *FORMATS, "--format"):
+    for part in ("notes.docx", *FORMATS, "docs/logs.md"):
         assert part in message
+    for number in range(20):
+        (tmp_path / f"{number}{'x' * 99}").write_text("x")
+    with pytest.raises(FormatError) as caught:
+        find_importer(tmp_path)
+    lines = str(caught.value).replace(str(tmp_path), "LOGS").splitlines()
+    assert len(lines) == 2
+    assert max(map(len, lines)) <= 220
+
+
+def test_what_is_empty_is_said_to_be(tmp_path):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").touch()
+    for name in ("folder", "file"):
+        with pytest.raises(FormatError, match=rf"{name} is empty"):
+            find_importer(tmp_path / name)
 
 
 def test_a_named_format_wins_and_must_exist(tmp_path):
@@ -65,7 +80,7 @@ def test_an_importer_that_cannot_be_loaded_does_not_hurt_the_others(tmp_path, mo
     assert find_importer(tmp_path).NAME == "csv"
     with pytest.raises(MissingDependency, match="absent"):
         find_importer(tmp_path, "absent")
-    (tmp_path / "x.csv").unlink()
+    (tmp_path / "x.csv").rename(tmp_path / "x.docx")
     with pytest.raises(FormatError, match="absent was not tried"):
         find_importer(tmp_path)
 

@@ -30,7 +30,7 @@ def says(error, *words):
 def test_missing_and_empty_folders(tmp_path):
     with pytest.raises(DataError) as error:
         Network.load(tmp_path / "nowhere")
-    says(error, "nowhere", CARD_NAME, "does not exist")
+    says(error, "nowhere", CARD_NAME, "no such folder", "trueup augment train")
     (tmp_path / CARD_NAME).write_text("")
     with pytest.raises(DataError) as error:
         Network.load(tmp_path)

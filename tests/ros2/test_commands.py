@@ -123,7 +123,7 @@ def test_a_robot_that_is_not_there_is_said_before_anything_is_written(tmp_path):
         (("--states", "/bad name"), "no name of a topic"),
         (("--domain", "400"), "domain"),
         (("--hz", "130"), "fits no loop"),
-        (("--payload-kg", "1"), "payload"),
+        (("--payload-kg", "1"), "Leave --payload-kg out"),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_line(folder, options, told):
@@ -131,6 +131,18 @@ def test_what_cannot_be_is_refused_in_a_line(folder, options, told):
     assert code == 2, err
     assert told in err
     assert "Traceback" not in err
+
+
+def test_what_is_no_network_or_has_no_model_is_said_with_what_to_give(tmp_path):
+    (tmp_path / "empty").mkdir()
+    for given, is_a in (("zoo:panda-reach", "a policy"), (tmp_path / "empty", "an empty folder")):
+        code, _, err = ended(started("deploy", "ros2", given, domain=network().number))
+        assert code == 2
+        assert f"holds no network: got {is_a}" in err
+        assert "zoo:panda-realeasy-rt" in err
+    code, _, err = ended(started("deploy", "serve", "--robot", "so101", domain=network().number))
+    assert code == 2
+    assert err.strip().endswith("next: Give its path with --model.")
 
 
 def test_compensations_need_limits_and_correct_commands(tmp_path):

@@ -86,12 +86,14 @@ def close(
 
     Exit code 3 if a step failed, the fit is of no use, or a bar was not met.
     """
+    from trueup.dataset import refuse_results
     from trueup.identify import IdentifyConfig
     from trueup.measure import parse_bar, refuse_unknown
     from trueup.robots import load_robot
     from trueup.stages import close as run
     from trueup.stages.close_networks import METHODS, possible_runs
 
+    refuse_results(dataset)
     bars = [parse_bar(text) for text in fail_above or []]
     if bars and until in _BEFORE_GAP:
         raise ConfigError(
@@ -128,6 +130,11 @@ def close(
     show(closed, out_dir)
     if closed.measurement is not None:
         hold_bars(closed.measurement.gap, bars)
+    return exit_code(closed, skip_bad=skip_bad)
+
+
+def exit_code(closed: Closed, *, skip_bad: bool = False) -> int:
+    """2 if motions were refused, 3 if something is lacking, which is said."""
     refused = bool(closed.replayed and closed.replayed.failed) or bool(closed.imported and closed.imported.refused)
     if refused and not skip_bad:
         return 2

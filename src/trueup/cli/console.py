@@ -120,15 +120,14 @@ def status_line() -> Iterator[Callable[[str], None]]:
 
 
 @contextlib.contextmanager
-def iterations() -> Iterator[OnModel]:
-    """Shows where a search stands."""
+def iterations() -> Iterator[tuple[Callable[[], None], OnModel]]:
+    """Shows that a search begins, and where it stands."""
     with status_line() as show:
 
         def on_model(model: str, progress: SearchProgress) -> None:
             show(search_line(model, progress))
 
-        show("looking for a start")
-        yield on_model
+        yield lambda: show("looking for a start"), on_model
 
 
 def search_line(model: str, progress: SearchProgress) -> str:

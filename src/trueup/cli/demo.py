@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from trueup.cli import options
-from trueup.cli.close import UntilStep, show, watching
+from trueup.cli.close import UntilStep, exit_code, show, watching
 from trueup.cli.console import err, out, track
 
 
@@ -20,7 +20,8 @@ def register(app: typer.Typer) -> None:
 def demo(
     out_dir: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("runs/demo"),
     robot: Annotated[
-        str, typer.Option("--robot", help="panda, or demo_arm: three joints, simulated and fitted in seconds.")
+        Literal["panda", "demo_arm"],
+        typer.Option("--robot", help="panda, or demo_arm: three joints, simulated and fitted in seconds."),
     ] = "panda",
     seed: options.Seed = 0,
     jobs: options.Jobs = None,
@@ -29,24 +30,28 @@ def demo(
         str, typer.Option("--budget", help="Time for all of it, e.g. 5m; `none` for as long as it takes.")
     ] = "5m",
     overwrite: options.Overwrite = False,
+    resume: options.Resume = False,
 ) -> int:
     """Record virtual hardware, and close on the recording.
 
     Its model does not know its physics.
+
+    Exit code 3 if a step failed or the fit is of no use.
     """
     from trueup.stages.demonstrating import demo as run
 
-    # Before the first motion come processes that start and plans that are made.
-    err.print(f"planning and recording motions of a virtual {robot}", markup=False)
     with watching() as watch:
         closed = run(
             out_dir,
-            robot=robot,  # type: ignore[arg-type]
+            robot=robot,
             seed=seed,
             jobs=jobs,
             overwrite=overwrite,
+            resume=resume,
             until=until,
             budget_s=options.budget_s(budget),
+            # Before the first motion come processes that start and plans that are made.
+            on_begin=lambda: err.print(f"planning and recording motions of a virtual {robot}", markup=False),
             track=track,
             watch=watch,
         )
@@ -54,4 +59,4 @@ def demo(
         f"{len(closed.dataset)} motions of a virtual {robot}, whose physics its model does not know", markup=False
     )
     show(closed, out_dir)
-    return 0
+    return exit_code(closed)

@@ -15,15 +15,18 @@ from rich.table import Table
 
 from trueup.cli import options
 from trueup.cli.console import out
+from trueup.errors import ConfigError
 
 # Extra -> (what it is for, the modules that it brings: distribution name, import name).
-_EXTRAS = {
+EXTRAS = {
+    "dynamics": ("inverse dynamics in identification", [("pin", "pinocchio")]),
     "dart": ("a second physics engine", [("dartpy", "dartpy")]),
     "run": ("trained networks beside a robot", [("onnxruntime", "onnxruntime")]),
     "learn": ("training and export of networks", [("torch", "torch"), ("onnx", "onnx"), ("onnxruntime", "onnxruntime"),
                                                    ("safetensors", "safetensors")]),
+    "tensorboard": ("curves of trainings in a browser", [("tensorboard", "tensorboard")]),
     "rl": ("policies", [("gymnasium", "gymnasium"), ("stable-baselines3", "stable_baselines3"),
-                        ("sb3-contrib", "sb3_contrib")]),
+                        ("sb3-contrib", "sb3_contrib"), ("optuna", "optuna")]),
     "plan": ("planning and recording", [("mink", "mink"), ("daqp", "daqp"), ("ompl", "ompl"), ("toppra", "toppra")]),
     "ros2": ("live bridge", [("cyclonedds", "cyclonedds")]),
     "warp": ("MuJoCo on a GPU", [("mujoco-warp", "mujoco_warp"), ("warp-lang", "warp")]),
@@ -42,8 +45,12 @@ def doctor(
     realtime: Annotated[
         bool, typer.Option("--realtime", help="Also whether this machine can run a loop in time, and how well it does.")
     ] = False,
-    hz: Annotated[float, typer.Option("--hz", min=1.0, help="With --realtime: rate of the loop.")] = 1000.0,
-    seconds: Annotated[float, typer.Option("--seconds", min=0.1, help="With --realtime: how long.")] = 5.0,
+    hz: Annotated[
+        float | None, typer.Option("--hz", min=1.0, help="With --realtime: rate of the loop; 1000 if not given.")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", min=0.1, help="With --realtime: how long; 5 if not given.")
+    ] = None,
     priority: options.Priority = None,
     cpu: options.Cpu = None,
 ) -> int:
@@ -52,7 +59,10 @@ def doctor(
     Versions, extras, threads and GPU.
     """
     if realtime:
-        return _realtime(hz, seconds, priority, cpu)
+        return _realtime(1000.0 if hz is None else hz, 5.0 if seconds is None else seconds, priority, cpu)
+    of_the_loop = {"--hz": hz, "--seconds": seconds, "--priority": priority, "--cpu": cpu}
+    if given := [name for name, value in of_the_loop.items() if value is not None]:
+        raise ConfigError(f"{', '.join(given)}: of the loop that --realtime runs", hint="Give --realtime, too.")
     out.print(f"trueup {metadata.version('trueup')}, Python {platform.python_version()}, {platform.platform()}")
     out.print(f"threads: {os.cpu_count()}")
     out.print(f"GPU: {_gpu()}")
@@ -65,7 +75,7 @@ def doctor(
         table.add_column(heading, overflow="fold")
     missing = [name for name in _BASE if _version(name) is None]
     out.print("base: " + ", ".join(f"{name} {_version(name)}" for name in _BASE if name not in missing))
-    for extra, (purpose, modules) in _EXTRAS.items():
+    for extra, (purpose, modules) in EXTRAS.items():
         there = {name: _version(name) for name, module in modules if util.find_spec(module)}
         complete = len(there) == len(modules)
         shown = ", ".join(f"{name} {version}" for name, version in there.items()) or "-"

@@ -119,7 +119,8 @@ def gap(
         folder.forget_other_ladder(out_dir)
         report = write_report(out_dir)
     if explain and robot is not None:
-        with iterations() as on_progress:
+        with iterations() as (begin, on_progress):
+            begin()
             attribution = attribute(
                 data, load_robot(robot), model=model, config=chosen, seed=seed, jobs=jobs, on_progress=on_progress
             )

@@ -65,7 +65,7 @@ def identify(
     if solver is not None:
         name = build(SolverChoice, {"name": solver}, "--solver").name
         chosen = replace(chosen, solver=replace(chosen.solver, name=name))
-    with iterations() as on_progress:
+    with iterations() as (begin, on_progress):
         identified = run(
             Dataset(dataset),
             load_robot(robot),
@@ -78,6 +78,7 @@ def identify(
             overwrite=overwrite,
             resume=resume,
             track=track,
+            on_begin=begin,
             on_progress=on_progress,
         )
     show(identified, out_dir)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Sequence
 from importlib import metadata
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -61,6 +62,21 @@ for module in (
 # Letters of a file's name that are shown.
 _NAME = 200
 _INTERRUPTED = 130  # typer's code for Ctrl-C, too
+# What to do about what the machine refuses.
+_REMEDIES = {
+    errno.ENAMETOOLONG: "Give a shorter name.",
+    errno.ENOTDIR: "A part of this path is a file and no folder: give another path.",
+    errno.EEXIST: "Give another name.",
+    errno.ENOENT: "Look whether the path is right.",
+    errno.EISDIR: "It is a folder: give a file.",
+    errno.EACCES: "Give a path that you may read and write.",
+    errno.EPERM: "Give a path that you may read and write.",
+    errno.EROFS: "Give a path that you may read and write.",
+    errno.ENOSPC: "Make room on this disk, or give a path on another one.",
+    errno.EDQUOT: "Make room on this disk, or give a path on another one.",
+    errno.EMFILE: "Allow more open files (`ulimit -n`), or give fewer --jobs.",
+    errno.ENOMEM: "Give fewer --jobs, or less data.",
+}
 
 
 @app.callback(invoke_without_command=True)
@@ -98,26 +114,60 @@ def main(argv: Sequence[str] | None = None) -> None:
             raise
         # What the machine refuses (names that are too long, disks, rights) is none of ours.
         named = "" if error.filename is None else f" {str(error.filename)[:_NAME]!r}"
-        problem(f"this machine refuses{named}", error.strerror or str(error))
+        problem(
+            f"this machine refuses{named}: got {error.strerror or error}",
+            _REMEDIES.get(error.errno or 0, "Try another path or machine; --debug shows where it was refused."),
+        )
         code = 2
     except Exception as error:
         # Usage errors of typer and click share no public base class, but only they can format themselves.
-        usage = getattr(error, "format_message", None)
-        if usage is not None:
-            problem(usage(), "trueup --help lists the commands, trueup COMMAND --help their options.")
-            raise SystemExit(2) from None
+        if hasattr(error, "format_message"):
+            raise SystemExit(_misused(error)) from None
         if debug:
             raise
-        problem(
-            f"this is a bug in trueup: {type(error).__name__}: {error}",
-            "Run it again with --debug and report the traceback.",
-        )
-        code = 1
+        extra = _extra_of(error)
+        if extra is None:
+            problem(
+                f"this is a bug in trueup: {type(error).__name__}: {error}",
+                "Run it again with --debug and report the traceback.",
+            )
+        else:
+            problem(f"this needs a package that cannot be imported: got {error}", f"pip install 'trueup[{extra}]'")
+        code = 1 if extra is None else 2
     if code == _INTERRUPTED:
         problem(
             "interrupted", "What was finished is kept: give the same command again, with --resume if it asks for that."
         )
     raise SystemExit(code if isinstance(code, int) else 0)
+
+
+def _misused(error: Any) -> int:
+    """Say what is wrong with a line, and what the commands or options are; of a group alone, show its help."""
+    context, message = getattr(error, "ctx", None), error.format_message()
+    if context is None or context.parent is None:
+        problem(message, "trueup --help lists the commands, trueup COMMAND --help their options.")
+        return 2
+    if message == context.get_help():  # what typer says of a group without a command
+        out.print(message, markup=False)
+        return 0
+    own = f"{context.command_path} --help"
+    if hasattr(context.command, "commands"):
+        problem(
+            f"{message} Commands of {context.command_path}: {', '.join(context.command.commands)}.",
+            f"{own} says what they do.",
+        )
+    else:
+        problem(message, f"{own} lists the options.")
+    return 2
+
+
+def _extra_of(error: Exception) -> str | None:
+    """The extra that brings the package which an import lacks; None if it is another error."""
+    if not isinstance(error, ImportError):
+        return None
+    package = str(error.name).partition(".")[0]
+    extras = doctor.EXTRAS.items()
+    return next((extra for extra, (_, modules) in extras if package in (module for _, module in modules)), None)
 
 
 if __name__ == "__main__":

@@ -80,20 +80,24 @@ _SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}
 
 
 def budget_s(text: str) -> float | None:
-    """`90s`, `10m`, `1.5h` in seconds, of which a bare number is some; None for `none`.
+    """`90s`, `10m`, `1.5h` in seconds; None for `none`.
 
     Raises:
-        ConfigError: something else, or no time.
+        ConfigError: something else, or no time; a bare number, which some take for seconds and others for minutes.
     """
     if text == "none":
         return None
-    number, unit = (text[:-1], text[-1]) if text[-1:] in _SECONDS else (text, "s")
+    number, unit = (text[:-1], text[-1]) if text[-1:] in _SECONDS else (text, "")
     try:
-        found = float(number) * _SECONDS[unit]
+        found = float(number) * _SECONDS.get(unit, 1.0)
     except ValueError:
         found = math.nan
     if not 0 < found < math.inf:
         raise ConfigError("--budget", got=repr(text), expected="a time such as 90s, 10m or 1h, or none")
+    if not unit:
+        raise ConfigError(
+            "--budget has no unit", got=text, hint=f"Give {text}s for seconds, or {text}m for minutes; h is hours."
+        )
     return found
 
 

@@ -110,8 +110,10 @@ def record(
     from trueup.robots import find_model, load_robot
     from trueup.stages import plans_named
     from trueup.stages.recording import record as run
-    from trueup.stages.rigs import CompensatedRig, Rig, make_rig
+    from trueup.stages.rigs import HARDWARE, CompensatedRig, Rig, make_rig
 
+    if hardware not in (*HARDWARE, "ros2"):
+        raise ConfigError(f"there is no hardware {hardware!r}", available=(*HARDWARE, "ros2"))
     spec = load_robot(robot)
     plans = plans_named(plan, scale=scale, seed=seed)
     if seed is None:  # a stored plan set says nothing of the days on which it is executed

@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeVar
 
 from trueup.augment.config import NetworkConfig
-from trueup.augment.networks.operator import OperatorConfig
 from trueup.compensate.ppo_config import PAPER, PpoConfig
 from trueup.core.config import build, read_yaml
-from trueup.errors import ConfigError
+from trueup.errors import ConfigError, needing
+
+with needing("training", "learn"):
+    from trueup.augment.networks.operator import OperatorConfig
 
 if TYPE_CHECKING:
     import numpy as np

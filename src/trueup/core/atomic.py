@@ -26,6 +26,12 @@ def make_folder(path: Path) -> None:
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        there = next((place for place in (path, *path.parents) if os.path.lexists(place)), path)
+        what = f"{'it' if there == path else there} is {'a file' if there.is_file() else 'no folder'}"
+        raise DataError(
+            f"cannot make the folder {path}: {what}", hint="It must be a folder: choose another name."
+        ) from error
     except OSError as error:
         raise DataError(f"cannot make the folder {path}", got=error.strerror or str(error)) from error
 
@@ -77,8 +83,8 @@ def appearing(folder: Path) -> Iterator[Path]:
         OutputExists: another program made the folder meanwhile.
     """
     folder, temporary = folder.resolve(), None
+    make_folder(folder.parent)
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".tmp", dir=folder.parent))
         yield temporary
         for path in (*sorted(temporary.rglob("*")), temporary):
@@ -183,6 +189,14 @@ def regular(path: Path) -> Path:
     return path
 
 
+def where_missing(path: Path) -> str:
+    """What to do about a path that leads nowhere, for messages: which part of it is not there."""
+    nowhere = next((place for place in reversed(path.absolute().parents) if not place.is_dir()), None)
+    if nowhere is not None:
+        return f"Check the path: there is no folder {nowhere}."
+    return f"Check the path: there is no {path.name} in {path.absolute().parent}."
+
+
 def is_inside(folder: Path, path: Path) -> bool:
     """Whether a path stays inside a folder after links are followed; not if it leads nowhere, as a loop of links."""
     try:
@@ -226,7 +240,7 @@ def read_json(path: Path) -> Any:
         tree = json.loads(text, parse_float=_number, parse_int=_number, parse_constant=_number)
         json.dumps(tree, ensure_ascii=False).encode()  # half a character could not be written again
     except FileNotFoundError:
-        raise DataError(f"{path} does not exist") from None
+        raise DataError(f"{path} does not exist", hint=where_missing(path)) from None
     except (OSError, UnicodeDecodeError, ValueError, OverflowError, RecursionError) as error:
         raise DataError(f"{path} is not readable JSON", got=error) from error
     return tree

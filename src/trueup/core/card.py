@@ -11,6 +11,16 @@ from trueup.core.atomic import as_read_back, json_hash, regular, without_nan
 from trueup.errors import DataError, FormatError
 
 _HASH = "sha256"
+# What a folder is that has a file of this name.
+_MARKS = {
+    "model.json": "a network",
+    "policy.json": "a policy",
+    "dataset.json": "a dataset",
+    "model.onnx": "a network without its model.json",
+    "policy.onnx": "a policy without its policy.json",
+    "checkpoint.safetensors": "a training that has not ended",
+}
+_RESULTS = "gap.json"
 
 
 def sealed(schema: str, content: Mapping[str, Any]) -> dict[str, Any]:
@@ -43,6 +53,23 @@ def unsealed(data: Any, where: str, *, schema: str, what: str) -> dict[str, Any]
         )
     del content["schema"]
     return content
+
+
+def what_is(folder: Path) -> str:
+    """What there is instead of the folder of a card, for messages."""
+    if not folder.is_dir():
+        return "a file" if folder.exists() else "no such folder"
+    for name, what in _MARKS.items():
+        if (folder / name).is_file():
+            return what
+    cards = [path for below in ("*", "*/*") for path in folder.glob(f"{below}/model.json")]
+    below = sorted(path.parent.relative_to(folder).as_posix() for path in cards)
+    if below:
+        return f"networks in {', '.join(below[:4])}{', …' if len(below) > 4 else ''}"
+    names = sorted(path.name for path in folder.iterdir())
+    if not names:
+        return "an empty folder"
+    return "results" if _RESULTS in names else f"a folder with {names[0]}{' and more' if len(names) > 1 else ''}"
 
 
 def verified(folder: Path, name: str, files: Mapping[str, str], card: str) -> bytes:

@@ -13,10 +13,11 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 import yaml
 
-from trueup.core.atomic import regular, whole_number
+from trueup.core.atomic import regular, where_missing, whole_number
 from trueup.errors import ConfigError, DataError, FormatError
 
 T = TypeVar("T")
+_KINDS_OF_YAML: Mapping[type, str] = {list: "a list", str: "a text"}
 
 
 class _Loader(yaml.SafeLoader):
@@ -36,12 +37,19 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         text = regular(path).read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise ConfigError(f"{path} does not exist") from None
-    except (OSError, UnicodeDecodeError, DataError) as error:
-        raise ConfigError(f"{path} cannot be read", got=error) from error
+        raise ConfigError(f"{path} does not exist", hint=where_missing(path)) from None
+    except DataError as error:
+        found = "a folder" if path.is_dir() else "no regular file"
+        raise ConfigError(f"{path} cannot be read", got=found, expected="a YAML file") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} cannot be read", got=error, expected="a YAML file") from error
     tree = parse_yaml(text, str(path))
+    if tree is None:
+        raise ConfigError(
+            f"{path} is empty", expected="lines such as `key: value`", hint="Write them, or leave the file out."
+        )
     if not isinstance(tree, dict):
-        raise ConfigError(f"{path} must hold a mapping", got=type(tree).__name__)
+        raise ConfigError(f"{path} must hold a mapping", got=_KINDS_OF_YAML.get(type(tree), "one value"))
     return tree
 
 

@@ -30,7 +30,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from trueup.core.atomic import file_hash, read_json, write_json
-from trueup.core.card import sealed, unsealed, verified
+from trueup.core.card import sealed, unsealed, verified, what_is
 from trueup.core.config import build
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.errors import ConfigError, DataError, MissingSignal
@@ -310,7 +310,18 @@ class ModelCard:
             DataError: missing, truncated or changed.
             FormatError: of another version.
         """
-        return ModelCard.from_json(read_json(folder / CARD_NAME), str(folder / CARD_NAME))
+        where = folder / CARD_NAME
+        if not where.exists():
+            found = what_is(folder)
+            policies = "`trueup deploy run` and `trueup policy eval` take policies. " if found == "a policy" else ""
+            raise DataError(
+                f"{folder} holds no network",
+                got=found,
+                expected=CARD_NAME,
+                hint=f"{policies}Give a folder that `trueup augment train` or `trueup compensate train` has written, "
+                "or zoo:panda-realeasy-rt.",
+            )
+        return ModelCard.from_json(read_json(where), str(where))
 
     def verified(self, folder: Path, name: str) -> bytes:
         """The bytes of a file beside the card, after a look at its hash.

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from trueup.core.atomic import file_hash, read_json, write_json
-from trueup.core.card import sealed, unsealed, verified
+from trueup.core.card import sealed, unsealed, verified, what_is
 from trueup.core.config import build
 from trueup.errors import ConfigError, DataError
 
@@ -116,6 +116,7 @@ class PolicyCard:
         if not where.exists():
             raise DataError(
                 f"{folder} holds no policy",
+                got=what_is(folder),
                 expected=POLICY_CARD,
                 hint="Give a folder that `trueup policy train` has written, or zoo:panda-reach.",
             )

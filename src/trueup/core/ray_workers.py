@@ -153,12 +153,21 @@ def connected(address: str | None, jobs: int | None = None) -> Iterator[None]:
 def _refuse_silent(address: str) -> None:
     """Ray itself waits for minutes for somebody who is not there."""
     host, _, port = address.rpartition(":")
+    if not (host and port.isascii() and port.isdigit() and int(port) < 2**16):
+        raise ConfigError(
+            "no Ray cluster has such an address",
+            got=repr(address),
+            expected="HOST:PORT, or local",
+            hint="`ray start --head` says the address of a cluster; 6379 is its usual port.",
+        )
     try:
         with socket.create_connection((host.strip("[]"), int(port)), timeout=_PATIENCE_S):
             return
-    except (OSError, ValueError, OverflowError) as error:
+    except (OSError, ValueError) as error:
         raise ConfigError(
-            "no Ray cluster answers", got=f"{address}: {error}", expected="local, or HOST:PORT"
+            "no Ray cluster answers",
+            got=f"{address}: {error}",
+            hint="Start one by `ray start --head` and give its HOST:PORT, or give local for one on this machine.",
         ) from error
 
 

@@ -24,7 +24,7 @@ def writes_alone(parameter: str = "out") -> Callable[[Callable[_P, _R]], Callabl
     """A function that is the `sole_writer` of the folder that it is given.
 
     Args:
-        parameter: its name. Without a folder (None) nothing is locked; a file is left to the function to refuse.
+        parameter: its name. Without a folder (None) nothing is locked.
     """
 
     def decorated(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -33,7 +33,7 @@ def writes_alone(parameter: str = "out") -> Callable[[Callable[_P, _R]], Callabl
         @functools.wraps(function)
         def alone(*args: _P.args, **kwargs: _P.kwargs) -> _R:
             folder = signature.bind(*args, **kwargs).arguments.get(parameter)
-            if folder is None or Path(folder).is_file():
+            if folder is None:
                 return function(*args, **kwargs)
             with sole_writer(Path(folder)):
                 return function(*args, **kwargs)

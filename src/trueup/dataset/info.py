@@ -13,6 +13,10 @@ from trueup.errors import ConfigError, DataError, FormatError
 
 DATASET_SCHEMA = "trueup.dataset/1"
 INFO_NAME = "dataset.json"
+# Where folders of results have the dataset from which they were made.
+_INSIDE = "dataset"
+# Two of their files; of the second one an import would make what it can.
+_RESULTS = ("gap.json", "traces.npz")
 
 
 @dataclass(frozen=True)
@@ -121,16 +125,18 @@ class DatasetInfo:
 
         Raises:
             FormatError: the folder is no dataset, or one of another version.
+            DataError: the file is damaged.
             ConfigError: it names a path outside its folder.
         """
         path = folder / INFO_NAME
         if not path.is_file():
+            refuse_results(folder)
             got = "no dataset.json in it" if folder.is_dir() else "no such folder"
             raise FormatError(
                 f"{folder} is no trueup dataset", got=got, hint="`trueup import LOGS --out DIR` makes one"
             )
         try:
-            info = DatasetInfo.from_json(read_json(path))
+            info = DatasetInfo.from_json(_read(path))
         except FormatError as error:
             raise FormatError(f"{path}: {error}", hint="a newer trueup may read it; or import the logs again") from None
         info.model_path(folder)
@@ -157,6 +163,34 @@ def _is(value: Any, kind: type) -> bool:
 
 def _units(values: Mapping[str, Any]) -> list[Any]:
     return list(values.get("units", {}).values())
+
+
+def _read(path: Path) -> Any:
+    try:
+        return read_json(path)
+    except DataError as error:
+        raise DataError(
+            f"{path} is broken",
+            got=error.details.removeprefix("got "),
+            hint="Restore it from a copy, or import the logs again.",
+        ) from error
+
+
+def refuse_results(path: Path) -> None:
+    """Refuse what is neither logs nor a dataset, although data are in it.
+
+    Raises:
+        FormatError: a folder of results, be the dataset from which they were made in it or not.
+        DataError: a dataset whose dataset.json is damaged, which would be taken for logs.
+    """
+    if (path / INFO_NAME).is_file():
+        _read(path / INFO_NAME)
+    elif is_dataset(path / _INSIDE):
+        raise FormatError(
+            f"{path} holds results; its data are in {path / _INSIDE}", hint=f"Give {path / _INSIDE} instead."
+        )
+    elif all((path / name).is_file() for name in _RESULTS):
+        raise FormatError(f"{path} holds results, no data", hint="Give the dataset from which they were made.")
 
 
 def is_dataset(path: Path) -> bool:

@@ -374,6 +374,8 @@ def refuse_occupied(path: Path, *, overwrite: bool) -> None:
     """Raise OutputExists unless the folder is missing, empty, or, with `overwrite`, a dataset."""
     if not _occupied(path):
         return
+    if not path.is_dir():
+        raise OutputExists(f"{path} is no folder", hint="--out is a folder: choose another name.")
     if not is_dataset(path):
         raise OutputExists(f"{path} is not empty and is no trueup dataset", hint="choose another folder for --out")
     if not overwrite:

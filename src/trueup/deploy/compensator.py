@@ -181,7 +181,7 @@ class Compensator:
             DataError: a payload that is none.
         """
         if self._payload is None:
-            raise MissingSignal(f"model {self.card.name!r} reads no payload", available=())
+            raise MissingSignal(f"model {self.card.name!r} reads no payload", hint="Leave the payload out.")
         if not 0 <= payload_kg < math.inf:
             raise DataError("a payload", got=f"{payload_kg} kg", expected=">= 0 kg")
         nearest = _nearest(self._payload, payload_kg)
@@ -287,7 +287,7 @@ def calls_per_step(card: ModelCard, loop_hz: float) -> int:
             f"model {card.name!r} fits no loop of this rate",
             got=f"{loop_hz:g} Hz",
             expected=f"a whole multiple of {card.rate_hz:g} Hz",
-            hint=f"Run the loop at {max(every, 1) * card.rate_hz:g} Hz, or train a compensation for your rate.",
+            hint=f"Run the loop at {max(every, 1) * card.rate_hz:g} Hz, or train a network for your rate.",
         )
     return every
 

@@ -142,7 +142,11 @@ class Stream:
         places = self._intake.conditions
         for name, value in conditions.items():
             if name not in places:
-                raise MissingSignal(f"model {self._card.name!r} reads no condition {name!r}", available=places)
+                raise MissingSignal(
+                    f"model {self._card.name!r} reads no condition {name!r}",
+                    available=places or None,
+                    hint=f"Leave {name} out: what the network says does not depend on it.",
+                )
             if not math.isfinite(value):
                 raise DataError(f"condition {name!r} of model {self._card.name!r}", got=value, expected="a number")
             places[name][:] = value

@@ -36,6 +36,7 @@ class InverseKinematics:
         scene.require_site()
         self._scene = scene
         self._mink: Any = load("mink")
+        load("daqp")  # its solver
         self._configuration = self._mink.Configuration(scene.model)
         self._task = self._mink.FrameTask(
             scene.site, "site", position_cost=1.0, orientation_cost=1.0 if hold_rotation else 0.0

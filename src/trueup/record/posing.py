@@ -48,6 +48,7 @@ class SiteKinematics:
                 raise ConfigError(f"the model of {scene.robot.name!r} has no site {name!r}", available=there)
         self._scene = scene
         self._mink: Any = load("mink")
+        load("daqp")  # its solver
         self._configuration = self._mink.Configuration(scene.model)
         self._tasks = {
             name: self._mink.FrameTask(name, "site", position_cost=1.0, orientation_cost=1.0 if turned else 0.0)

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from trueup.core.atomic import is_inside
+from trueup.core.atomic import is_inside, where_missing
 from trueup.core.config import build, read_yaml
 from trueup.errors import ConfigError
 from trueup.robots.friction import JointFriction
@@ -402,7 +402,7 @@ def find_model(spec: RobotSpec, *, given: Path | None = None, folder: Path | Non
     """
     if given is not None:
         if not given.is_file():
-            raise ConfigError(f"there is no model at {given}")
+            raise ConfigError(f"there is no model at {given}", hint=where_missing(given))
         return given
     folders = [folder] if folder and is_inside(folder, folder / spec.model) else []
     if spec.folder:
@@ -413,5 +413,6 @@ def find_model(spec: RobotSpec, *, given: Path | None = None, folder: Path | Non
             return place / spec.model
     raise ConfigError(
         f"the model {spec.model!r} of robot {spec.name!r} was not found in {', '.join(map(str, folders))}",
-        hint="Give its path with --model, or put it into the folder `model/` of the dataset.",
+        hint="Give its path with --model"
+        + ("." if folder is None else ", or put it into the folder `model/` of the dataset."),
     )

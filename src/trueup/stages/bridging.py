@@ -121,6 +121,10 @@ def bridge(
     opened = opened.of_joints(joints)
     card = opened.card
     compensation = all(output.series == "command" for output in card.outputs)
+    if payload_kg is not None and not any(item.series == "condition" for item in card.inputs):
+        raise ConfigError(
+            f"model {card.name!r} reads no payload", got=f"{payload_kg:g} kg", hint="Leave --payload-kg out."
+        )
     rate_hz = card.rate_hz if message_hz is None else message_hz
     stream = Stream(opened, rate_hz=rate_hz / calls_per_step(card, rate_hz), joints=joints)
     beside: list[tuple[str, Callable[[Any], None]]] = []

@@ -17,7 +17,7 @@ from trueup.core.interpolation import columns_at
 from trueup.core.provenance import provenance
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset, RunWriter, refuse_run
-from trueup.errors import DataError, TrueupError
+from trueup.errors import DataError, TrueupError, needing
 from trueup.robots import RobotSpec
 from trueup.stages.compensating import motion_of, network_for_simulator, units_of
 from trueup.stages.progress import Track, silent
@@ -64,8 +64,10 @@ def compensated_replay(
         ConfigError: the network corrects the robot, not its simulator.
         NameMismatch: network and robot do not have the same joints.
         DataError: no episode could be replayed.
+        MissingDependency: torch is not installed.
     """
-    from trueup.compensate.plants import Plants
+    with needing("a network that corrects commands", "learn"):
+        from trueup.compensate.plants import Plants
 
     began = time.perf_counter()
     compensation = network_for_simulator(Path(network), robot)

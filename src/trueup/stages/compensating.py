@@ -434,8 +434,10 @@ def network_for_simulator(folder: Path, robot: RobotSpec) -> Compensation:
         ConfigError: it was trained for the robot itself.
         NameMismatch: it has other joints.
         DataError: it is broken.
+        MissingDependency: torch is not installed.
     """
-    from trueup.compensate.compensation import Compensation
+    with needing("a network that corrects commands", "learn"):
+        from trueup.compensate.compensation import Compensation
 
     found = Compensation.load(folder)
     if found.direction != "simulator":

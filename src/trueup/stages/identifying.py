@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -70,6 +70,7 @@ def fit(
     resume: bool = False,
     keep_gap: bool = False,
     track: Track = silent,
+    on_begin: Callable[[], None] = lambda: None,
     on_progress: OnModel | None = None,
     limit: TimeLimit | None = None,
 ) -> Identified:
@@ -94,6 +95,7 @@ def fit(
         resume: go on where an earlier call was interrupted; what is finished is not done again.
         keep_gap: leave the files of `gap` and the ladder that are in `out` as they are, since they are of more runs.
         track: shows progress of the replays.
+        on_begin: called when the search begins: inputs and `out` are fit for it.
         on_progress: called after every iteration of every model.
         limit: when the searches have to end; see `identify.identify`.
 
@@ -125,6 +127,7 @@ def fit(
         # Before the fit, since what keeps a replay from working must not come to light after an hour of it.
         stock = replay_unless_same(dataset, robot, model=path, label=STOCK, jobs=jobs, track=track)
         if result is None:
+            on_begin()
             found = identify(
                 motions.by_split,
                 robot,

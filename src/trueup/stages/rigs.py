@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from trueup.deploy import Limits
     from trueup.lab import Fault, LabSpec, Truth, VirtualRobot
 
+# What `make_rig` knows.
+HARDWARE = ("lab", "mujoco", "dart")
 # A recording of many motions takes a working robot about this long each; it is switched off every two hours.
 _MOTION_S = 8.0
 _DAY_S = 7200.0
@@ -391,8 +393,8 @@ def make_rig(
     rig: LabRig | EngineRig
     if hardware == "lab":
         rig = LabRig(_lab_of(robot, lab, base, torques=torques), unit, seed, fault_share)
-    elif hardware not in ("mujoco", "dart"):
-        raise ConfigError(f"there is no hardware {hardware!r}", available=("lab", "mujoco", "dart"))
+    elif hardware not in HARDWARE:
+        raise ConfigError(f"there is no hardware {hardware!r}", available=HARDWARE)
     elif lab is not None or fault_share or base is not None:
         raise ConfigError(f"{hardware} has no faults, no base and no lab file", hint="Give --hardware lab.")
     else:

@@ -25,18 +25,6 @@ EPISODE = "what the mapping says"
 ASSUMES = "nothing: the mapping says all"
 
 _HEADER_BYTES = 1 << 16
-_SKELETON = """\
-joints: [joint1, joint2]
-series:
-  measured:
-    time: {column: time, unit: s}
-    signals:
-      position: {columns: "q{n}", unit: rad}
-  command:
-    time: {column: time, unit: s}
-    signals:
-      position: {columns: "q_des{n}", unit: rad}
-"""
 
 
 def detects(path: Path) -> bool:
@@ -103,10 +91,9 @@ def _recognize(path: Path, root: Path, names: Sequence[str]) -> CsvMapping:
     shown = next(iter(headers.items()), None)
     raise FormatError(
         f"no mapping says what the columns of {path} are",
-        got=f"{shown[0]} with columns {', '.join(shown[1])[:400]}" if shown else "no CSV file",
+        got=f"{shown[0]} with columns {', '.join(shown[1])[:100]}" if shown else "no CSV file",
         available=[mapping.name for mapping in fitting] or known,
-        hint="Write the columns, joints and units into a file and give it as --mapping (all keys: see 'CSV' in the "
-        f"documentation), e.g.\n{_SKELETON}",
+        hint="Write columns, joints and units into a YAML file for --mapping; docs/logs.md#csv has one to begin with.",
     )
 
 

@@ -6,6 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import cast
 
+from trueup.core.atomic import where_missing
 from trueup.dataset.importers.base import Importer
 from trueup.errors import ConfigError, DataError, FormatError, MissingDependency
 
@@ -18,6 +19,8 @@ FORMATS = (
     "npz",
     "csv",
 )
+# What is said of a folder of no known format: so many names, each of so many letters.
+_NAMES, _NAME = 4, 24
 
 
 def importer(name: str) -> Importer:
@@ -50,10 +53,9 @@ def find_importer(path: Path, name: str | None = None) -> Importer:
     if name is not None and name not in FORMATS:
         raise ConfigError(f"there is no format {name!r}", available=FORMATS)
     if not path.exists():
-        raise DataError(f"{path} does not exist")
+        raise DataError(f"{path} does not exist", hint=where_missing(path))
     if name is not None:
         return importer(name)
-    looked_for: list[str] = []
     missing: list[str] = []
     found: list[str] = []
     for candidate in FORMATS:
@@ -62,7 +64,6 @@ def find_importer(path: Path, name: str | None = None) -> Importer:
         except MissingDependency as error:
             missing.append(f"{candidate} was not tried: {error.details}")
             continue
-        looked_for.append(f"{candidate} ({module.LOOKS_FOR})")
         if not (found and candidate == FORMATS[-1]) and module.detects(path):
             found.append(candidate)
     if len(found) == 1:
@@ -73,22 +74,25 @@ def find_importer(path: Path, name: str | None = None) -> Importer:
             available=found,
             hint="Choose one with --format, or import a subfolder.",
         )
+    content = _content(path)
+    if not content:
+        raise FormatError(f"{path} is empty", hint="Give the folder or file that holds the logs.")
     raise FormatError(
         f"{path} is of no known format",
-        got=_content(path),
-        expected="; ".join([*looked_for, *missing]),
-        hint="Name the format with --format, or write a mapping for CSV files.",
+        got=content,
+        expected="; ".join([f"one of {', '.join(FORMATS)}", *missing]),
+        hint="docs/logs.md says what each format looks like; --mapping says what the columns of CSV files are.",
     )
 
 
 def _content(path: Path) -> str:
-    """A few of the names that are there."""
+    """A few of the names that are there; nothing of what is empty."""
     if path.is_file():
-        return f"a file of {path.stat().st_size} bytes"
+        size = path.stat().st_size
+        return f"a file of {size} bytes" if size else ""
     try:
         names = sorted(child.name + ("/" if child.is_dir() else "") for child in path.iterdir())
     except OSError as error:
         return error.strerror or str(error)
-    if not names:
-        return "an empty folder"
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+    shown = ", ".join(name if len(name) <= _NAME else f"{name[:_NAME]}…" for name in names[:_NAMES])
+    return shown + (f" and {len(names) - _NAMES} more" if len(names) > _NAMES else "")
