@@ -62,7 +62,9 @@ TABLE = (
     Smaller("policy eval", {"--goals": "2", "--jobs": "1"}, "100 goals take minutes"),
     Smaller("deploy run", {"--seconds": "0.5"}, "4 seconds for each goal if not given"),
     Smaller("deploy run", {"--goals": "2"}, "they are gone for one after the other", has="--goals"),
-    Smaller("deploy run", {"--goals": "5"}, "of which 3 are of train, one of val, one of test", has="--goals 50 "),
+    Smaller(
+        "deploy run", {"--goals": "5", "--seconds": "2"}, "3 are of train, one of val, one of test", has="--goals 50 "
+    ),
     Smaller("deploy run", {"--late-ms": "10000"}, "a machine that tests run on is late", has="--real-time"),
     Smaller("doctor", {"--seconds": "0.3"}, "5 seconds if not given", has="--realtime"),
     Smaller("design", {"--evaluations": "5", "--duration": "3", "--jobs": "1"}, "each simulates all parameters"),

@@ -105,6 +105,8 @@ def demo(
     out = Path(out)
     if robot not in DEMO_ROBOTS:
         raise ConfigError(f"there is no demo of {robot!r}", available=DEMO_ROBOTS)
+    if overwrite and resume:
+        raise ConfigError("--overwrite begins anew and --resume goes on", hint="Give one of them.")
     if any(out.iterdir()) and not (overwrite or resume):
         raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
     if until == "import":
@@ -125,7 +127,7 @@ def demo(
         budget_s=left_s,
         seed=seed,
         jobs=jobs,
-        overwrite=overwrite or not resume,
+        overwrite=not resume,
         resume=resume,
         track=track,
         watch=watch,
