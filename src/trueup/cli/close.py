@@ -86,14 +86,12 @@ def close(
 
     Exit code 3 if a step failed, the fit is of no use, or a bar was not met.
     """
-    from trueup.dataset import refuse_results
     from trueup.identify import IdentifyConfig
     from trueup.measure import parse_bar, refuse_unknown
     from trueup.robots import load_robot
     from trueup.stages import close as run
     from trueup.stages.close_networks import METHODS, possible_runs
 
-    refuse_results(dataset)
     bars = [parse_bar(text) for text in fail_above or []]
     if bars and until in _BEFORE_GAP:
         raise ConfigError(

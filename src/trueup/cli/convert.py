@@ -42,11 +42,9 @@ def import_(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only list what would be imported.")] = False,
 ) -> int:
     """Read logs of any known format into a dataset."""
-    from trueup.dataset import refuse_results
     from trueup.robots import load_robot
     from trueup.stages import import_logs, plan_import
 
-    refuse_results(source)
     choices = ImportOptions(
         mapping=mapping,
         units=options.unit_choices(unit),

@@ -11,7 +11,7 @@ from trueup.augment.networks import METHODS as KNOWN_METHODS
 from trueup.core.close_result import STEPS, StepName
 from trueup.core.provenance import provenance
 from trueup.core.sole_writer import sole_writer
-from trueup.dataset import Dataset, is_dataset
+from trueup.dataset import Dataset, is_dataset, refuse_results
 from trueup.dataset.importers.base import ImportOptions
 from trueup.errors import ConfigError, OutputExists
 from trueup.robots import RobotSpec, find_model
@@ -96,6 +96,7 @@ def close(
     if overwrite and resume:
         raise ConfigError("--overwrite begins anew and --resume goes on", hint="Give one of them.")
     source, out, watch = Path(source), Path(out), watch or Watch()
+    refuse_results(source)
     if not is_dataset(source):
         refuse_nesting(source, out / "dataset")
     elif format is not None or splits is not None or (options or ImportOptions()) != ImportOptions():

@@ -26,6 +26,7 @@ from trueup.dataset import (
     match_splits,
     read_split,
     refuse_occupied,
+    refuse_results,
 )
 from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
 from trueup.dataset.importers.detect import find_importer
@@ -69,8 +70,9 @@ def plan_import(source: Path, *, format: str | None = None, options: ImportOptio
     """What an import of `source` would read, without reading it.
 
     Raises:
-        TrueupError: the format is unknown, or nothing can be imported.
+        TrueupError: the format is unknown, nothing can be imported, or it is a folder of results.
     """
+    refuse_results(source)
     plan = find_importer(source, format).scan(source, options or ImportOptions())
     if not plan.episodes:
         raise DataError(f"{source} holds no episodes", got=f"format {plan.format}", hint="; ".join(plan.notes) or None)
