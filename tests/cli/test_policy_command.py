@@ -178,7 +178,7 @@ def test_a_folder_without_a_policy_says_what_to_give(command, tmp_path, capsys):
         main([*command, str(tmp_path)])
     assert end.value.code == 2
     said = capsys.readouterr().err
-    assert "holds no policy: expected policy.json" in " ".join(said.split())
+    assert "holds no policy: got an empty folder; expected policy.json" in " ".join(said.split())
     assert "zoo:panda-reach" in said
 
 

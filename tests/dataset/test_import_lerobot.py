@@ -237,7 +237,7 @@ def test_export_does_not_touch_what_is_there_and_needs_episodes(tmp_path):
     with pytest.raises(ConfigError, match="fps"):
         export_lerobot([episode()], tmp_path / "new", fps=0, robot_type="x")
     (tmp_path / "file").write_text("")
-    with pytest.raises(DataError, match="cannot write"):
+    with pytest.raises(DataError, match="it is a file"):
         export([episode()], tmp_path / "file" / "new")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "out"]
 

@@ -291,7 +291,10 @@ def test_what_makes_no_sense_is_refused_before_anything_is_simulated(world, tmp_
     refused(MissingSignal, "no split 'val'", split="val")
     refused(NameMismatch, "for other joints", model=network(tmp_path / "arm", load_robot("demo_arm")))
     refused(
-        NameMismatch, "differ", robot=load_robot("demo_arm"), model=network(tmp_path / "arm", load_robot("demo_arm"))
+        NameMismatch,
+        "no joint of the log is one of the robot's",
+        robot=load_robot("demo_arm"),
+        model=network(tmp_path / "arm", load_robot("demo_arm")),
     )
     refused(MissingSignal, "was not measured", datasets=(recorded(tmp_path / "blind", motions=1, position=False),))
 
