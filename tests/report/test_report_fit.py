@@ -29,6 +29,7 @@ from report.run_folders import (
 from trueup.core.attribution import UNEXPLAINED, Attribution, AttributionStep, shares_of
 from trueup.core.fit_result import Direction, FitResult
 from trueup.core.graybox_result import GrayboxResult
+from trueup.core.parameters import split_name
 from trueup.core.results import Estimate
 from trueup.errors import DataError, FormatError, TrueupError
 from trueup.report import build_report
@@ -39,7 +40,6 @@ from trueup.report.fit_words import (
     change_words,
     kind_of,
     listed,
-    split_name,
     sure_sentence,
 )
 from trueup.report.folder import RunFolder

@@ -12,6 +12,12 @@ from jaxtyping import Float64
 from trueup.errors import ConfigError, NameMismatch
 
 
+def split_name(name: str) -> tuple[str, str]:
+    """`damping[elbow]` -> quantity and target; the target is empty for what the robot has once."""
+    about, _, target = name.partition("[")
+    return about, target.removesuffix("]")
+
+
 @dataclass(frozen=True)
 class SearchRange:
     """Where and how far a kind of number is looked for, if nobody says.
@@ -101,12 +107,12 @@ class Parameter:
     @property
     def quantity(self) -> str:
         """The part of the name before the bracket."""
-        return self.name.partition("[")[0]
+        return split_name(self.name)[0]
 
     @property
     def target(self) -> str:
         """The part of the name in brackets: a joint, a body, or empty."""
-        return self.name.partition("[")[2].removesuffix("]")
+        return split_name(self.name)[1]
 
     @property
     def untouched(self) -> bool:

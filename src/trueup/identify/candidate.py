@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -164,7 +165,7 @@ class Nominal:
                 moving.append(model.body(body).name)
         return tuple(moving)
 
-    @property
+    @cached_property
     def payload_place(self) -> tuple[str, tuple[float, float, float]]:
         """Body that carries the payload and where in its frame: the site `payload`, or the last body's origin."""
         model = self.model

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from trueup.core.config import build
 from trueup.core.fit_result import FitResult, FittedParameter
-from trueup.core.parameters import Parameter, ParameterSet
+from trueup.core.parameters import Parameter, ParameterSet, split_name
 from trueup.errors import ConfigError, DataError, NameMismatch
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import IdentifyConfig, make_parameters
@@ -161,7 +161,7 @@ def _parameter(item: FittedParameter) -> Parameter:
         low=item.low,
         high=item.high,
         transform=item.transform,
-        scale=quantity(item.name.partition("[")[0]).search.scale,
+        scale=quantity(split_name(item.name)[0]).search.scale,
         frozen=item.frozen,
         nominal=item.nominal,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from trueup.core.fit_result import FitStatus, FittedParameter
+from trueup.core.parameters import split_name
 from trueup.core.results import Estimate
 from trueup.identify.solution import Solution
 from trueup.identify.uncertainty import Posterior
@@ -77,7 +78,7 @@ def verdict(
 def _remarks(parameters: Sequence[FittedParameter], *, chosen_by_user: bool, torque_seen: bool) -> list[str]:
     """What the status does not depend on."""
     remarks = []
-    fitted = {item.name.partition("[")[0] for item in parameters if not item.frozen}
+    fitted = {split_name(item.name)[0] for item in parameters if not item.frozen}
     if "kp" in fitted and not torque_seen:
         rest = "the priors of the masses" if "mass" in fitted else "the model's masses"
         remarks.append(

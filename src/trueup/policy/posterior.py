@@ -12,6 +12,7 @@ from jaxtyping import Float64
 from trueup.core.atomic import read_json
 from trueup.core.fit_result import FitResult
 from trueup.core.npz import read_arrays
+from trueup.core.parameters import split_name
 from trueup.errors import ConfigError, DataError, NameMismatch
 from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.export import MODEL_FILE, SAMPLES_FILE
@@ -134,8 +135,8 @@ class Posterior:
 
 def _parts(name: str) -> tuple[Quantity, str]:
     """What a parameter's name is about, and of which joint or body."""
-    about, _, target = name.partition("[")
-    return quantity(about), target.removesuffix("]")
+    about, target = split_name(name)
+    return quantity(about), target
 
 
 def _read_samples(path: Path, fit: FitResult) -> dict[str, Float64[np.ndarray, "S"]]:
@@ -145,7 +146,7 @@ def _read_samples(path: Path, fit: FitResult) -> dict[str, Float64[np.ndarray, "
         samples = {name: np.asarray(values, np.float64) for name, values in read_arrays(path).items()}
     except (DataError, ValueError) as error:
         raise DataError(f"{path} holds no samples", got=error) from error
-    strangers = [name for name in samples if name.partition("[")[0] not in QUANTITIES]
+    strangers = [name for name in samples if split_name(name)[0] not in QUANTITIES]
     if strangers:
         raise NameMismatch(f"{path}: unknown parameters", left=strangers, right=sorted(QUANTITIES))
     if any(values.ndim != 1 or not np.isfinite(values).all() for values in samples.values()):
@@ -163,7 +164,7 @@ def _read_samples(path: Path, fit: FitResult) -> dict[str, Float64[np.ndarray, "
     if len({len(values) for values in samples.values()}) > 1:
         raise DataError(f"{path}: parameters with different numbers of samples")
     # What belongs to single recordings is no part of a model.
-    samples = {name: values for name, values in samples.items() if quantity(name.partition("[")[0]).of != "motion"}
+    samples = {name: values for name, values in samples.items() if _parts(name)[0].of != "motion"}
     if not samples or not len(next(iter(samples.values()))):
         raise ConfigError(f"{path} has no samples to draw from")
     return samples

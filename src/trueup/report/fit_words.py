@@ -104,12 +104,6 @@ def sure_sentence(fit: FitResult) -> str:
     return " ".join([f"These motions determine {which}.", *ends])
 
 
-def split_name(name: str) -> tuple[str, str]:
-    """`damping[elbow]` -> quantity and target; the target is empty for what the robot has once."""
-    quantity, bracket, target = name.partition("[")
-    return (quantity, target.removesuffix("]")) if bracket else (name, "")
-
-
 def kind_of(item: FittedParameter) -> str:
     """One of `KINDS`; a law that ended on zero is one that the robot does not have, no cause for alarm."""
     if item.frozen:

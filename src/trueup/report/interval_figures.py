@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from trueup.core.fit_result import FittedParameter
+from trueup.core.parameters import split_name
 from trueup.report.chooser import Figure
 from trueup.report.figures import reference_line, rounded
-from trueup.report.fit_words import KINDS, is_factor, kind_of, nominal_words, shown_value, split_name
+from trueup.report.fit_words import KINDS, is_factor, kind_of, nominal_words, shown_value
 from trueup.report.labels import plot_text
 from trueup.report.numbers import pretty_unit, significant, with_unit
 from trueup.report.palette import KIND_STYLES, Style

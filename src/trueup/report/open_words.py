@@ -6,7 +6,8 @@ import re
 from collections.abc import Mapping, Sequence
 
 from trueup.core.fit_result import Direction, FittedParameter
-from trueup.report.fit_words import as_sentence, kind_of, listed, split_name
+from trueup.core.parameters import split_name
+from trueup.report.fit_words import as_sentence, kind_of, listed
 from trueup.report.numbers import fixed, percent, significant
 
 # Below this share of the prior's the data say nothing along a direction; see `Direction`.

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from trueup.core.fit_result import FitResult
-from trueup.report.fit_words import listed, shown_value, split_name
+from trueup.core.parameters import split_name
+from trueup.report.fit_words import listed, shown_value
 from trueup.report.folder import RunFolder
 from trueup.report.numbers import significant
 

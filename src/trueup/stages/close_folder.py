@@ -15,7 +15,7 @@ import yaml
 from trueup.core.atomic import as_read_back, remove, write_text
 from trueup.core.close_result import CLOSE_NAME, STEPS, CloseResult, Step, StepName, StepStatus
 from trueup.core.results import Ladder
-from trueup.errors import MissingDependency, OutputExists, TrueupError
+from trueup.errors import ConfigError, MissingDependency, OutputExists, TrueupError
 from trueup.stages.close_asked import refuse_other
 from trueup.stages.folder import forget_fit
 
@@ -27,6 +27,19 @@ EXPLAIN_CONFIG, IDENTIFY_CONFIG = "explain.yaml", "identify.yaml"
 LADDER_NAME = "ladder.json"
 # Steps after which what was measured before is outdated.
 _MAKE_RUNS = ("replay", "identify", "augment")
+
+
+def may_begin(path: Path, *, overwrite: bool, resume: bool) -> None:
+    """Refuse a folder that holds results, and options that contradict each other.
+
+    Raises:
+        OutputExists: it is not empty, and neither is given.
+        ConfigError: both are.
+    """
+    if overwrite and resume:
+        raise ConfigError("--overwrite begins anew and --resume goes on", hint="Give one of them.")
+    if any(path.iterdir()) and not (overwrite or resume):
+        raise OutputExists(f"{path} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
 
 
 class StepOutcome:

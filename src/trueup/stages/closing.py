@@ -13,14 +13,14 @@ from trueup.core.provenance import provenance
 from trueup.core.sole_writer import sole_writer
 from trueup.dataset import Dataset, is_dataset, refuse_results
 from trueup.dataset.importers.base import ImportOptions
-from trueup.errors import ConfigError, OutputExists
+from trueup.errors import ConfigError
 from trueup.robots import RobotSpec, find_model
 from trueup.stages.close_asked import asked_beforehand
 from trueup.stages.close_budget import Budget
-from trueup.stages.close_folder import CloseFolder
+from trueup.stages.close_folder import CloseFolder, may_begin
 from trueup.stages.close_networks import METHODS
 from trueup.stages.close_steps import Closed, CloseSteps, Watch
-from trueup.stages.importing import import_logs, plan_import, refuse_nesting, refuse_other_robot
+from trueup.stages.importing import import_logs, refuse_nesting
 from trueup.stages.progress import Track, silent
 
 if TYPE_CHECKING:
@@ -93,8 +93,6 @@ def close(
     for method in methods:
         if method not in KNOWN_METHODS:
             raise ConfigError("there is no such method", got=method, available=KNOWN_METHODS)
-    if overwrite and resume:
-        raise ConfigError("--overwrite begins anew and --resume goes on", hint="Give one of them.")
     source, out, watch = Path(source), Path(out), watch or Watch()
     refuse_results(source)
     if not is_dataset(source):
@@ -112,11 +110,8 @@ def close(
     if model is not None:
         find_model(robot, given=Path(model))
     asked_for = asked_beforehand(robot, config, seed=seed, drop_flagged=drop_flagged, metrics=metrics, splits=splits)
-    if not is_dataset(source) and not resume:
-        refuse_other_robot(plan_import(source, format=format, options=options), robot)
     with sole_writer(out):
-        if any(out.iterdir()) and not (overwrite or resume):
-            raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
+        may_begin(out, overwrite=overwrite, resume=resume)
         asked = {"until": until, "budget_s": budget_s, "methods": list(methods), "drop_flagged": drop_flagged}
         folder = CloseFolder(
             out,
@@ -138,6 +133,7 @@ def close(
                     format=format,
                     options=options,
                     robot=robot,
+                    refuse_others=not resume,
                     splits=splits,
                     seed=seed,
                     overwrite=overwrite,

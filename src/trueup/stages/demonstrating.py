@@ -14,6 +14,7 @@ from trueup.core.time_limit import TimeLimit
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter, is_dataset
 from trueup.errors import ConfigError, OutputExists
 from trueup.robots import load_robot
+from trueup.stages.close_folder import may_begin
 from trueup.stages.close_steps import Closed, Watch
 from trueup.stages.closing import close
 from trueup.stages.importing import checked
@@ -105,10 +106,7 @@ def demo(
     out = Path(out)
     if robot not in DEMO_ROBOTS:
         raise ConfigError(f"there is no demo of {robot!r}", available=DEMO_ROBOTS)
-    if overwrite and resume:
-        raise ConfigError("--overwrite begins anew and --resume goes on", hint="Give one of them.")
-    if any(out.iterdir()) and not (overwrite or resume):
-        raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
+    may_begin(out, overwrite=overwrite, resume=resume)
     if until == "import":
         raise ConfigError("a demo records its data: there is nothing to import", available=STEPS[1:])
     limit = None if budget_s is None else TimeLimit.after(budget_s)

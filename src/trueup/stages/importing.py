@@ -79,12 +79,8 @@ def plan_import(source: Path, *, format: str | None = None, options: ImportOptio
     return plan
 
 
-def refuse_other_robot(plan: ImportPlan, robot: RobotSpec) -> None:
-    """Look at the first, the middle and the last episode, before all are read: are they of another robot?
-
-    Raises:
-        NameMismatch: none of them has a joint of the robot; both lists are printed.
-    """
+def _refuse_other_robot(plan: ImportPlan, robot: RobotSpec) -> None:
+    """Look at the first, the middle and the last episode, before all are read: are they of another robot?"""
     joint_map = JointMap.from_dict(robot.joint_rules())
     first: NameMismatch | None = None
     for number in sorted({0, len(plan.episodes) // 2, len(plan.episodes) - 1}):
@@ -109,6 +105,7 @@ def import_logs(
     format: str | None = None,
     options: ImportOptions | None = None,
     robot: RobotSpec | None = None,
+    refuse_others: bool = False,
     splits: Path | Mapping[str, float] | None = None,
     seed: int = 0,
     overwrite: bool = False,
@@ -127,6 +124,7 @@ def import_logs(
         format: name of the format; detected if None.
         options: mapping file, units, topics.
         robot: whose logs they are; its limits enter the quality checks.
+        refuse_others: refuse logs of which neither the first, the middle nor the last has a joint of this robot.
         splits: a split.json, or fractions such as {"train": 0.8, "val": 0.1, "test": 0.1} drawn by whole motion;
             None takes what lies beside the data.
         seed: of that draw.
@@ -136,11 +134,14 @@ def import_logs(
 
     Raises:
         OutputExists: `out` is there, and neither `overwrite` nor `resume` is given.
+        NameMismatch: the logs are of another robot, and such are refused; both lists are printed.
         TrueupError: the format is unknown, or no episode could be read.
     """
     source, out = Path(source), Path(out)
     refuse_nesting(source, out)
     plan = plan_import(source, format=format, options=options)
+    if refuse_others and robot is not None:
+        _refuse_other_robot(plan, robot)
     # Read before anything is written: a dataset whose splits cannot be had would pass for one that has none.
     entries = None if splits is None or isinstance(splits, Mapping) else read_split(splits)
     notes = list(plan.notes)

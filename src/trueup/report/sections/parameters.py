@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from trueup.core.fit_result import FitResult, FittedParameter
+from trueup.core.parameters import split_name
 from trueup.report.chooser import Chooser, Variant, make_chooser
 from trueup.report.fit_words import (
     CAUSES,
@@ -16,7 +17,6 @@ from trueup.report.fit_words import (
     kind_of,
     nominal_words,
     shown_value,
-    split_name,
     sure_sentence,
 )
 from trueup.report.folder import RunFolder
