@@ -124,7 +124,15 @@ def _difference(own: Mapping[str, Any]) -> str:
 
 
 def _manners(found: Mapping[str, Any]) -> str:
-    heads = ["went on in", "randomized", "reward of a control step", "minus stock", "overshoot [cm]", "smoothness"]
+    heads = [
+        "went on in",
+        "randomized",
+        "reward of a control step",
+        "minus stock",
+        "overshoot [cm]",
+        "smoothness",
+        "too fast [%]",
+    ]
     rows = []
     for simulator, by_draws in found.items():
         for draws, own in by_draws.items():
@@ -140,6 +148,7 @@ def _manners(found: Mapping[str, Any]) -> str:
                     else f"{value:+.3f} [{low:+.3f}, {high:+.3f}]".replace("-", "\N{MINUS SIGN}"),
                     f"{100 * item['overshoot']:.1f}",
                     f"{item['smoothness']:.3f}",
+                    f"{100 * item['velocity_violation']:.1f}",
                 ]
             )
     return table(heads, rows, left=2)
