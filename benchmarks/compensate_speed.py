@@ -22,12 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.networks import compensation
 from benchmarks.table import Row, at_least, at_most, shown
-from trueup.compensate.compensation import Compensation, channels
-from trueup.compensate.config import METHODS
-from trueup.compensate.correctors import blank
 from trueup.core.atomic import make_folder, write_json
-from trueup.core.model_card import Input, ModelCard, Output
 from trueup.core.provenance import provenance
 from trueup.deploy import Compensator, Limits, Network, Stream, StreamSettings
 from trueup.deploy.cell import Cell
@@ -47,7 +44,7 @@ def run() -> list[Row]:
     """Steps and batches; a minute. Writes the result file."""
     load = list(os.getloadavg())
     with TemporaryDirectory() as folder:
-        made(Path(folder))
+        compensation(Path(folder), JOINTS, rate_hz=RATE_HZ)
         steps, batch = _steps(Path(folder)), _batch(Path(folder))
     packages = {name: metadata.version(name) for name in ("onnxruntime", "numba", "torch")}
     machine = {"name": machine_name(), "load_before": load, "load_after": list(os.getloadavg())}
@@ -71,45 +68,6 @@ def rows(result: Mapping[str, Any]) -> list[Row]:
     rows.append(shown("of its quietest batch", batch["most_samples_s"], "1/s"))
     rows.append(shown("samples per second of one core's time", batch["samples_cpu_s"], "1/s"))
     return rows
-
-
-def made(folder: Path) -> Compensation:
-    """The default operator with random weights, for ten joints and a payload."""
-    config = METHODS["operator"]
-    corrector = blank(config, len(JOINTS), RATE_HZ)
-    corrector.out_scale.fill_(0.05)
-    ends = {"velocity": 4.0, "payload": 3.0}
-    inputs = tuple(
-        Input(
-            channel.signal,
-            channel.joint,
-            channel.unit,
-            channel.series,
-            low=0.0 if channel.signal == "payload" else -ends.get(channel.signal, 2.0),
-            high=ends.get(channel.signal, 2.0),
-            relative=channel.series == "command",
-        )
-        for channel in channels(JOINTS, ["rad"] * len(JOINTS))
-    )
-    outputs = tuple(
-        Output("position", joint, "rad", "command", base=2 * len(JOINTS) + number)
-        for number, joint in enumerate(JOINTS)
-    )
-    card = ModelCard(
-        name="random-operator",
-        method=config.method,
-        robot="made-up",
-        joints=JOINTS,
-        run="mujoco/stock",
-        rate_hz=RATE_HZ,
-        causal=True,
-        inputs=inputs,
-        outputs=outputs,
-        states=corrector.states,
-        provenance={"direction": "robot"},
-    )
-    folder.mkdir(parents=True, exist_ok=True)
-    return Compensation(card, corrector, config).save(folder)
 
 
 def _steps(folder: Path) -> dict[str, dict[str, float]]:

@@ -11,7 +11,11 @@ import torch
 from trueup.augment.config import NetworkConfig
 from trueup.augment.corrector import Corrector
 from trueup.augment.networks import build_network
+from trueup.augment.networks.operator import OperatorConfig
 from trueup.augment.scaling import Scaling
+from trueup.compensate.compensation import Compensation, channels
+from trueup.compensate.config import METHODS
+from trueup.compensate.correctors import blank
 from trueup.core.model_card import CARD_NAME, ONNX_NAME, Channel, Input, ModelCard, Output
 
 JOINTS = tuple(f"joint{number + 1}" for number in range(7))
@@ -114,6 +118,75 @@ def _made(folder: Path, config: NetworkConfig, seed: int, **changes: object) -> 
     corrector = corrector_of(card, config, seed)
     made = written(folder, replace(card, states=corrector.states), corrector.exported({}))
     return replace(made, corrector=corrector)
+
+
+def compensation(
+    folder: Path,
+    joints: Sequence[str] = JOINTS,
+    *,
+    rate_hz: float = RATE_HZ,
+    size: float = 0.05,
+    seed: int = 0,
+    reach: float = 2.0,
+    payload: tuple[float, float] = (0.0, 3.0),
+    network: OperatorConfig | None = None,
+    direction: str = "robot",
+    relative: bool = True,
+) -> Compensation:
+    """A network for commands, saved; its corrections are of about `size`, and vary with all that it reads.
+
+    Args:
+        folder: of the model.
+        joints: that it corrects.
+        rate_hz: of its commands.
+        size: of corrections [rad].
+        seed: of its weights.
+        reach: commands, from where the joints are if `relative`, that it knows [rad].
+        payload: masses that it knows [kg].
+        network: its layers; those of the default operator if None.
+        direction: what it is for, as its card says.
+        relative: whether commands are read from where the joints are.
+    """
+    base = METHODS["operator"]
+    config = replace(base, network=network or base.network, relative=relative)
+    corrector = blank(config, len(joints), rate_hz, seed)
+    torch.manual_seed(seed)
+    for parameter in corrector.network.parameters():
+        torch.nn.init.normal_(parameter, std=0.5 if parameter.ndim == 1 else parameter[0].numel() ** -0.5)
+    corrector.out_scale.fill_(size)
+    ends = {"velocity": (-4.0, 4.0), "payload": payload}
+    command = (-reach, reach) if relative else (-3.0, 3.0)
+    inputs = tuple(
+        Input(
+            channel.signal,
+            channel.joint,
+            channel.unit,
+            channel.series,
+            *(command if channel.series == "command" else ends.get(channel.signal, (-3.0, 3.0))),
+            relative=relative and channel.series == "command",
+        )
+        for channel in channels(joints, ["rad"] * len(joints))
+    )
+    outputs = tuple(
+        Output("position", joint, "rad", "command", base=2 * len(joints) + number)
+        for number, joint in enumerate(joints)
+    )
+    card = ModelCard(
+        name="random-operator",
+        method="operator",
+        robot="made-up",
+        joints=tuple(joints),
+        run="mujoco/stock",
+        rate_hz=rate_hz,
+        causal=True,
+        inputs=inputs,
+        outputs=outputs,
+        states=corrector.states,
+        margin=0.25,
+        provenance={"direction": direction, "config": {}},
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    return Compensation(card, corrector, config).save(folder)
 
 
 def motion(card: ModelCard, steps: int, *, copies: int = 1, seed: int = 0) -> np.ndarray:

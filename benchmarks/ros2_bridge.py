@@ -1,9 +1,10 @@
 """A bridge on ROS 2's topics at 1 kHz: what it adds, and whether anything is lost.
 
-A publisher of joint states, `trueup deploy ros2` with a network of the size of Realeasy's, and a listener on both
-topics, each a process of its own, on this computer. DDS stamps every message when it is written (its source timestamp;
-it keeps no stamp of when a message was received), and the listener looks at the clock at each message that it takes,
-one by one. Of each message there are three times:
+A publisher, `trueup deploy ros2`, and a listener to what is asked and what is answered, each a process of its own, on
+this computer: joint states that a network of the size of Realeasy's corrects, and targets of a robot that the default
+operator corrects by what the robot says, a thousand times a second, too. DDS stamps every message when it is written
+(its source timestamp; it keeps no stamp of when a message was received), and the listener looks at the clock at each
+message that it takes, one by one. Of each message there are three times:
 
 - direct: from the publisher's stamp until the listener has taken the message itself;
 - whole: from the same stamp until it has taken the answer;
@@ -27,13 +28,14 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Int64
 
-from benchmarks.networks import JOINTS, real_time
+from benchmarks.networks import JOINTS, compensation, real_time
 from benchmarks.table import Row, at_most, rounded, shown
 from trueup.core.atomic import write_json
 from trueup.core.provenance import provenance
@@ -46,7 +48,35 @@ RESULT = Path(__file__).parent / "results" / "ros2_bridge.json"
 RATE_HZ, SECONDS = 1000.0, 60.0
 BAR_MS = 1.0
 DOMAIN = 211
-STATES, ANSWERS = "/joint_states", "/joint_states_corrected"
+STATES = "/joint_states"
+
+
+@dataclass(frozen=True)
+class Way:
+    """What a bridge corrects.
+
+    Attributes:
+        asked: topic of the messages that it answers.
+        answered: topic of its answers.
+        network: makes its network in a folder.
+        options: of its command besides.
+    """
+
+    asked: str
+    answered: str
+    network: Callable[[Path], object]
+    options: tuple[str, ...] = ()
+
+
+WAYS = {
+    "states": Way(STATES, "/joint_states_corrected", lambda folder: real_time(folder, rate_hz=RATE_HZ)),
+    # Positions of a wave of 0.5 rad and its targets are within what it has seen; so are the Panda's limits.
+    "commands": Way(
+        *("/joint_targets", "/joint_commands"),
+        lambda folder: compensation(folder, rate_hz=RATE_HZ),
+        ("--robot", "panda", "--payload-kg", "1.5"),
+    ),
+}
 # Columns of what the listener writes down of each message.
 STAMP, WRITTEN, TAKEN = range(3)
 QUANTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
@@ -56,13 +86,22 @@ START_S, REST_S = 120.0, 5.0
 
 def run() -> list[Row]:
     """Measure, keep the result, and hold it against the bar."""
-    result = measured(SECONDS)
+    load = list(os.getloadavg())
+    result = {
+        "provenance": provenance(config={"machine": {"name": machine_name(), "load_before": load}}, seed=0),
+        "ways": {way: measured(way, SECONDS) for way in WAYS},
+    }
     write_json(RESULT, rounded(result))
     return rows(result)
 
 
 def rows(result: Mapping[str, Any]) -> list[Row]:
     """The figures of a result."""
+    return [replace(row, name=f"{way}: {row.name}") for way, own in result["ways"].items() for row in rows_of(own)]
+
+
+def rows_of(result: Mapping[str, Any]) -> list[Row]:
+    """The figures of one way."""
     added, bridge = result["added_ms"], result["bridge"]
     return [
         shown("published", result["published"], "messages"),
@@ -82,15 +121,13 @@ def rows(result: Mapping[str, Any]) -> list[Row]:
     ]
 
 
-def measured(seconds: float, *, domain: int = DOMAIN) -> dict[str, Any]:
+def measured(way: str, seconds: float, *, domain: int = DOMAIN) -> dict[str, Any]:
     """What a publisher, a bridge and a listener say after so long [s]."""
-    load = list(os.getloadavg())
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        real_time(folder / "network", rate_hz=RATE_HZ)
-        bridge = ("-m", "trueup.cli.main", *bridge_options(folder, domain))
-        listener = ("-m", "benchmarks.ros2_bridge", "listen", domain, folder / "listened.json")
-        publisher = ("-m", "benchmarks.ros2_bridge", "publish", seconds, domain)
+        bridge = ("-m", "trueup.cli.main", *bridge_options(folder, domain, way))
+        listener = ("-m", "benchmarks.ros2_bridge", "listen", way, domain, folder / "listened.json")
+        publisher = ("-m", "benchmarks.ros2_bridge", "publish", way, domain, seconds)
         with processes(bridge, listener, publisher) as (bridging, listening, publishing):
             ended(publishing, within_s=START_S + 2.0 * seconds)
             ended(listening, within_s=START_S)
@@ -98,35 +135,34 @@ def measured(seconds: float, *, domain: int = DOMAIN) -> dict[str, Any]:
             ended(bridging, within_s=START_S)
         heard = json.loads((folder / "listened.json").read_text())
         own = json.loads((folder / "out" / "bridge.json").read_text())
-    states, answers = (np.array(heard[name], np.int64).reshape(-1, 3) for name in ("states", "answers"))
+    asked, answers = (np.array(heard[name], np.int64).reshape(-1, 3) for name in ("asked", "answers"))
     return {
-        "provenance": provenance(config={"machine": {"name": machine_name(), "load_before": load}}, seed=0),
         "seconds": seconds,
         "rate_hz": RATE_HZ,
         "published": round(seconds * RATE_HZ),
-        "delivered": len(states),
+        "delivered": len(asked),
         "answered": len(answers),
         # What the bridge was given and no answer to it arrived; what only the listener was not given is none of its.
-        "lost": own["received"] - own["sent"] + len(np.setdiff1d(states[:, STAMP], answers[:, STAMP])),
+        "lost": own["received"] - own["sent"] + len(np.setdiff1d(asked[:, STAMP], answers[:, STAMP])),
         "out_of_order": int((np.diff(answers[:, STAMP]) <= 0).sum()),
-        **times_ms(states, answers),
+        **times_ms(asked, answers),
         "bridge": {key: own[key] for key in ("received", "sent", "most_waiting", "counts")}
         | {key: {name: own[key][name] for name in own[key] if name != "bins"} for key in ("added", "way")},
     }
 
 
-def times_ms(states: Int64[np.ndarray, "N 3"], answers: Int64[np.ndarray, "M 3"]) -> dict[str, dict[str, float]]:
+def times_ms(asked: Int64[np.ndarray, "N 3"], answers: Int64[np.ndarray, "M 3"]) -> dict[str, dict[str, float]]:
     """Quantiles of the three times, of messages whose answer the listener had [ms].
 
     Args:
-        states: of each message the publisher's stamp, DDS's of when it was written, and when the listener took it [ns].
+        asked: of each message the publisher's stamp, DDS's of when it was written, and when the listener took it [ns].
         answers: the same of the answers, whose first stamp is that of their message.
     """
-    _, of_states, of_answers = np.intersect1d(states[:, STAMP], answers[:, STAMP], return_indices=True)
-    states, answers = states[of_states], answers[of_answers]
+    _, of_asked, of_answers = np.intersect1d(asked[:, STAMP], answers[:, STAMP], return_indices=True)
+    asked, answers = asked[of_asked], answers[of_answers]
     times_ns = {
-        "added_ms": answers[:, WRITTEN] - states[:, WRITTEN],
-        "direct_ms": states[:, TAKEN] - states[:, STAMP],
+        "added_ms": answers[:, WRITTEN] - asked[:, WRITTEN],
+        "direct_ms": asked[:, TAKEN] - asked[:, STAMP],
         "whole_ms": answers[:, TAKEN] - answers[:, STAMP],
     }
     return {
@@ -135,9 +171,11 @@ def times_ms(states: Int64[np.ndarray, "N 3"], answers: Int64[np.ndarray, "M 3"]
     }
 
 
-def bridge_options(folder: Path, domain: int) -> tuple[object, ...]:
-    """The command of a bridge that runs until it is stopped."""
-    return ("deploy", "ros2", folder / "network", "--domain", domain, "--localhost", "--out", folder / "out")
+def bridge_options(folder: Path, domain: int, way: str = "states") -> tuple[object, ...]:
+    """Make a network, and the command of a bridge with it that runs until it is stopped."""
+    WAYS[way].network(folder / "network")
+    where = ("--domain", domain, "--localhost", "--out", folder / "out")
+    return ("deploy", "ros2", folder / "network", *where, *WAYS[way].options)
 
 
 @contextmanager
@@ -169,12 +207,12 @@ def ended(process: subprocess.Popen[bytes], *, within_s: float) -> None:
 
 
 @contextmanager
-def listening(domain: int) -> Iterator[tuple[Node, dict[str, Inbox[JointState]]]]:
+def listening(domain: int, way: str = "states") -> Iterator[tuple[Node, dict[str, Inbox[JointState]]]]:
     """A listener to messages and answers; a publisher that sees it may begin, since it hears the answers by then."""
     with Node(Network(domain, localhost=True)) as node:
-        answers = node.listen(ANSWERS, JointState)
+        answers = node.listen(WAYS[way].answered, JointState)
         wait_for(lambda: answers.writers > 0)
-        yield node, {"states": node.listen(STATES, JointState), "answers": answers}
+        yield node, {"asked": node.listen(WAYS[way].asked, JointState), "answers": answers}
 
 
 def wait_for(what: Callable[[], bool]) -> None:
@@ -200,11 +238,12 @@ def until_quiet(node: Node) -> Iterator[None]:
             yield
 
 
-def _publish(seconds: float, domain: int = DOMAIN) -> None:
-    """Joint states of slow waves, each at its time."""
+def _publish(way: str, domain: int, seconds: float) -> None:
+    """Slow waves, each sample at its time; targets after what the robot says of itself."""
     with Node(Network(domain, localhost=True)) as node:
-        out = node.publish(STATES, JointState)
-        wait_for(lambda: out.readers >= 2)
+        out = node.publish(WAYS[way].asked, JointState)
+        states = node.publish(STATES, JointState) if WAYS[way].asked != STATES else None
+        wait_for(lambda: out.readers >= 2 and (states is None or states.readers >= 1))
         time.sleep(1.0)  # those who listen to the bridge are found by it meanwhile
         names, began = list(JOINTS), time.monotonic()
         for number in range(round(seconds * RATE_HZ)):
@@ -214,15 +253,17 @@ def _publish(seconds: float, domain: int = DOMAIN) -> None:
             left = began + time_s - time.monotonic()
             if left > 0:
                 time.sleep(left)
-            stamp = Time.of_ns(time.time_ns())
-            out.send(JointState(Header(stamp, "base"), names, position, velocity, [10.0 * value for value in position]))
+            effort = [10.0 * value for value in position]
+            if states is not None:
+                states.send(JointState(Header(Time.of_ns(time.time_ns()), "base"), names, position, velocity, effort))
+            out.send(JointState(Header(Time.of_ns(time.time_ns()), "base"), names, position, velocity, effort))
         time.sleep(0.5)
 
 
-def _listen(domain: int, path: Path) -> None:
+def _listen(way: str, domain: int, path: Path) -> None:
     """Of messages and answers: their stamp, when they were written, and when they were taken [ns]."""
-    heard: dict[str, list[tuple[int, int, int]]] = {"states": [], "answers": []}
-    with listening(domain) as (node, inboxes):
+    heard: dict[str, list[tuple[int, int, int]]] = {"asked": [], "answers": []}
+    with listening(domain, way) as (node, inboxes):
         for _ in until_quiet(node):
             for name, inbox in inboxes.items():
                 while messages := inbox.take(1):
@@ -233,7 +274,8 @@ def _listen(domain: int, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1] == "publish":
-        _publish(float(sys.argv[2]), *map(int, sys.argv[3:]))
+    what, way, domain, last = sys.argv[1:]
+    if what == "publish":
+        _publish(way, int(domain), float(last))
     else:
-        _listen(int(sys.argv[2]), Path(sys.argv[3]))
+        _listen(way, int(domain), Path(last))

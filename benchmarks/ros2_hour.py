@@ -19,7 +19,6 @@ import numpy as np
 import psutil
 from jaxtyping import Float64
 
-from benchmarks.networks import real_time
 from benchmarks.ros2_bridge import DOMAIN, RATE_HZ, START_S, bridge_options, ended, listening, processes, until_quiet
 from benchmarks.table import Row, at_most, rounded, shown
 from trueup.core.atomic import write_json
@@ -59,10 +58,9 @@ def measured(seconds: float) -> dict[str, Any]:
     """What a publisher, a bridge and a listener say after so long [s]."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        real_time(folder / "network", rate_hz=RATE_HZ)
         bridge = ("-m", "trueup.cli.main", *bridge_options(folder, DOMAIN))
         listener = ("-m", "benchmarks.ros2_hour", folder / "answers.json")
-        publisher = ("-m", "benchmarks.ros2_bridge", "publish", seconds)
+        publisher = ("-m", "benchmarks.ros2_bridge", "publish", "states", DOMAIN, seconds)
         with processes(bridge, listener, publisher) as (bridging, counting, publishing):
             memory = _memory_mb(bridging.pid, publishing)
             ended(publishing, within_s=START_S)
@@ -99,7 +97,7 @@ def _count(path: Path) -> None:
     with listening(DOMAIN) as (node, inboxes):
         for _ in until_quiet(node):
             came += len(inboxes["answers"].take())
-            inboxes["states"].take()
+            inboxes["asked"].take()
     path.write_text(json.dumps(came))
 
 

@@ -1,9 +1,13 @@
-"""A few damaged files for every parser, a few kills of every writer; `make attack` tries thousands."""
+"""A few damaged files for every parser, a few kills of every writer; `make attack` tries thousands.
+
+And a disk without room for each of them.
+"""
 
 import os
 
 import pytest
 
+from attack.full import filled
 from attack.harness import Attacker, all_parsers, attack
 from attack.kill import WRITERS, assaulted
 
@@ -25,8 +29,14 @@ def test_damaged_files_are_answered_clearly(attacker, name):
     assert set(tally.outcomes) - {"read"}, "none of these files was damaged"
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * writer.slow) for name, writer in WRITERS.items()]
-)
+_EVERY_WRITER = [pytest.param(name, marks=[pytest.mark.slow] * writer.slow) for name, writer in WRITERS.items()]
+
+
+@pytest.mark.parametrize("name", _EVERY_WRITER)
 def test_a_killed_writer_loses_nothing_that_was_finished(name, tmp_path):
     assert not assaulted(name, tmp_path / "base", kills=1)
+
+
+@pytest.mark.parametrize("name", _EVERY_WRITER)
+def test_a_full_disk_is_said_and_room_completes_what_was_begun(name, tmp_path):
+    assert not filled(name, tmp_path / "base")

@@ -146,18 +146,20 @@ def test_the_table_of_what_it_adds_has_a_row_for_each_time():
     from benchmarks.pages import ros2_bridge
 
     quantiles = ("p50", "p99", "p999", "max")
-    result = {
-        **{name: HOUR[name] for name in ("provenance", "seconds", "rate_hz", "published")},
+    own = {
+        **{name: HOUR[name] for name in ("seconds", "rate_hz", "published")},
         **{name: dict.fromkeys(quantiles, value) for name, value in (("added_ms", 0.3), ("direct_ms", 0.2))},
         "whole_ms": dict.fromkeys(quantiles, 0.5),
         "delivered": 3600000,
         "lost": 0,
         "bridge": {name: dict.fromkeys((f"{at}_us" for at in quantiles), 100.0) for name in ("added", "way")},
     }
-    part = ros2_bridge.part(result)
-    firsts = dict(re.findall(r"^\| (.+?) \| ([\d.]+) \|", part, re.M))
-    assert list(firsts.values()) == ["0.30", "0.10", "0.10", "0.20", "0.50"]
+    ways = {"states": own, "commands": {**own, "lost": 3, "whole_ms": dict.fromkeys(quantiles, 0.7)}}
+    part = ros2_bridge.part({"provenance": HOUR["provenance"], "ways": ways})
+    firsts = re.findall(r"^\| .+? \| ([\d.]+) \|", part, re.M)
+    assert firsts == ["0.30", "0.10", "0.10", "0.20", "0.50", "0.30", "0.10", "0.10", "0.20", "0.70"]
     assert "all of these were answered" in part
+    assert "3 of these were not answered" in part
 
 
 @pytest.mark.parametrize("option", ["--states", "--publish", "--hz", "--measured", "--reliable", "--domain"])

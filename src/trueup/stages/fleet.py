@@ -19,7 +19,7 @@ from trueup.core.ray_workers import connected
 from trueup.core.results import Ladder
 from trueup.core.sole_writer import sole_writer
 from trueup.core.spread import here, spread
-from trueup.dataset import Dataset, DatasetWriter
+from trueup.dataset import Dataset, DatasetWriter, is_dataset
 from trueup.errors import ConfigError, DataError, OutputExists, TrueupError
 from trueup.measure.population import population
 from trueup.robots import RobotSpec
@@ -217,11 +217,10 @@ def _part(dataset: Dataset, unit: str, path: Path) -> Path:
     """The motions of one unit as a dataset, with what the whole one says."""
     info = replace(dataset.info, notes=(*dataset.info.notes, f"unit {unit} of {dataset.path.name}"))
     ids = [meta.id for meta in dataset.metas if meta.unit == unit]
-    if path.is_dir() and set(Dataset(path).ids) == set(ids):
-        return path
-    with DatasetWriter.create(path, info, overwrite=True) as writer:
-        for name in ids:
-            writer.append(dataset.episode(name))
+    if not is_dataset(path) or set(Dataset(path).ids) != set(ids):
+        with DatasetWriter.create(path, info, overwrite=True) as writer:
+            for name in ids:
+                writer.append(dataset.episode(name))
     models = dataset.path / "model"
     if models.is_dir():
         shutil.copytree(models, path / "model", dirs_exist_ok=True)
