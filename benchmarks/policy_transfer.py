@@ -239,24 +239,15 @@ def table(results: Mapping[str, Any]) -> dict[str, Any]:
         for draws, by_seed in by_draws.items():
             own = {}
             for spot, names in spots.items():
-                distances = _distances(by_seed, names)
-                base = _distances(results["stock"]["none"], names).mean(axis=1)
-                difference = paired_difference(
-                    distances.mean(axis=(0, 1)),
-                    base.mean(axis=0),
-                    run=f"{simulator}, {draws}",
-                    baseline="stock, none",
-                    split="goals",
-                    signal="reach",
-                    metric="distance",
-                    unit="m",
-                ).difference
+                distances = _values(by_seed, names, "distances")
+                base = _values(results["stock"]["none"], names, "distances").mean(axis=1)
                 own[spot] = {
                     "median": float(np.median(distances)),
                     "interval": _interval(distances),
                     "by_seed": np.median(distances, axis=(1, 2)).tolist(),
                     "success": float((distances <= BAR_M).mean()),
-                    "minus_stock": [difference.value, difference.low, difference.high],
+                    "minus_stock": _minus(by_seed, results["stock"]["none"], names, "distances"),
+                    "minus_stock_reward": _minus(by_seed, results["stock"]["none"], names, "rewards"),
                     "minus_stock_seeds": list(seeds_interval(distances.mean(axis=1), base)),
                     **{
                         name: float(np.mean([s["places"][n][name] for s in by_seed.values() for n in names]))
@@ -267,9 +258,24 @@ def table(results: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _distances(by_seed: Mapping[str, Any], names: list[str]) -> np.ndarray:
-    """(seeds, robots, goals) [m]."""
-    return np.array([[own["places"][name]["distances"] for name in names] for own in by_seed.values()])
+def _values(by_seed: Mapping[str, Any], names: list[str], key: str) -> np.ndarray:
+    """(seeds, robots, goals)."""
+    return np.array([[own["places"][name][key] for name in names] for own in by_seed.values()])
+
+
+def _minus(by_seed: Mapping[str, Any], base: Mapping[str, Any], names: list[str], key: str) -> list[float | None]:
+    """The difference to the simulator as it comes, goal by goal, with its interval."""
+    said = paired_difference(
+        _values(by_seed, names, key).mean(axis=(0, 1)),
+        _values(base, names, key).mean(axis=(0, 1)),
+        run="this",
+        baseline="stock, none",
+        split="goals",
+        signal="reach",
+        metric=key,
+        unit="m" if key == "distances" else "1",
+    ).difference
+    return [said.value, said.low, said.high]
 
 
 def _interval(distances: np.ndarray, draws: int = 2000) -> list[float]:
@@ -285,8 +291,6 @@ def rows(result: Mapping[str, Any]) -> list[Row]:
     """The cells, and the bars."""
     found = []
     for name, steps in (("table", "steps"), ("long_table", "long")):
-        if name not in result:
-            continue
         said = f"{result['provenance']['config'][steps]:,} steps: "
         for simulator, by_draws in result[name].items():
             for draws, own in by_draws.items():

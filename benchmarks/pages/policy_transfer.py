@@ -57,6 +57,24 @@ On robots 1 to 3, how they get there:
 {manners}
 
 {words}
+{long}
+Policies that go on from a first one are the next section's.
+"""
+LONG = """
+### Twice as long
+
+The two that the question is about, trained with the laptop's full {steps:,} control steps ({minutes:.0f} min of one
+core), judged on the same goals; the same tables.
+
+{distances}
+
+{differences}
+
+On robots 1 to 3, how they get there:
+
+{manners}
+
+{words}
 """
 
 
@@ -69,6 +87,26 @@ def part(result: Mapping[str, Any]) -> str:
         seeds=_seeds(result["policies"]),
         distances=_distances(found),
         paired=PAIRED,
+        differences=_differences(found),
+        manners=_manners(found),
+        words=_words(found),
+        long=_long(result) if "long" in result else "",
+    )
+
+
+def _long(result: Mapping[str, Any]) -> str:
+    """What more control steps make of it."""
+    found = result["long_table"]
+    minutes = [
+        own["training"]["cpu_minutes"]
+        for by_draws in result["long"].values()
+        for by_seed in by_draws.values()
+        for own in by_seed.values()
+    ]
+    return LONG.format(
+        steps=result["provenance"]["config"]["long"],
+        minutes=sum(minutes) / len(minutes),
+        distances=_distances(found),
         differences=_differences(found),
         manners=_manners(found),
         words=_words(found),
@@ -123,6 +161,7 @@ def _manners(found: Mapping[str, Any]) -> str:
         "trained in",
         "randomized",
         "reward of a control step",
+        "minus stock",
         "overshoot [cm]",
         "smoothness",
         "torque at limit [%]",
@@ -137,6 +176,11 @@ def _manners(found: Mapping[str, Any]) -> str:
                     SIMULATORS[simulator],
                     DRAWS[draws],
                     f"{said['reward']:.3f}".replace("-", "\N{MINUS SIGN}"),
+                    ""
+                    if (simulator, draws) == ("stock", "none")
+                    else "{:+.3f} [{:+.3f}, {:+.3f}]".format(*said["minus_stock_reward"]).replace(
+                        "-", "\N{MINUS SIGN}"
+                    ),
                     f"{100 * said['overshoot']:.1f}",
                     f"{said['smoothness']:.3f}",
                     f"{100 * said['torque_at_limit']:.0f}",
@@ -144,6 +188,11 @@ def _manners(found: Mapping[str, Any]) -> str:
                 ]
             )
     return table(heads, rows, left=2)
+
+
+def _reward(own: Mapping[str, Any]) -> str:
+    """The difference in reward, with its interval over goals."""
+    return "{:+.3f} [{:+.3f}, {:+.3f}]".format(*own["minus_stock_reward"]).replace("-", "\N{MINUS SIGN}")
 
 
 def _words(found: Mapping[str, Any]) -> str:
@@ -157,8 +206,10 @@ def _words(found: Mapping[str, Any]) -> str:
         f"against those from the simulator as it comes: {_verdict(own['minus_stock'])} over goals, "
         f"{_verdict(own['minus_stock_seeds'])} over goals and seeds. Their median is {median:.1f} cm, "
         f"{'within' if median <= 5 else 'beyond'} 5 cm. In the simulators in which they were trained, the former end "
-        f"{away:.1f} cm from the goal and the latter {home:.1f}: in so many control steps, a simulator with friction "
-        "and draws is not learned as far. Trainings that go on are the next section's."
+        f"{away:.1f} cm from the goal and the latter {home:.1f}"
+        + (": in so many control steps, a simulator with friction and draws is not learned as far." * (away > home))
+        + ("." * (away <= home))
+        + f" The reward of a control step, which is what they learn, differs by {_reward(own)} (over goals)."
     )
 
 
