@@ -1,11 +1,7 @@
-"""How fast networks are trained: beside a bare torch loop, against the papers' configuration, and in how much memory.
-
-Needs the models of `python -m benchmarks.augment_models` for the second part.
-"""
+"""How fast networks are trained, beside a bare torch loop, and in how much memory."""
 
 from __future__ import annotations
 
-import math
 import resource
 import subprocess
 import sys
@@ -19,20 +15,17 @@ import numpy as np
 import torch
 from torch import nn
 
-from benchmarks.augment_models import FOLDER
 from benchmarks.table import Row, at_most, shown
 from trueup.augment import Augmentation, AugmentConfig, Task, preset
 from trueup.augment.config import WindowConfig
 from trueup.augment.corrector import Corrector
-from trueup.augment.loss import Loss
 from trueup.augment.networks import build_network
 from trueup.augment.pairs import Pairs, refuse_overlap, write_pairs
 from trueup.augment.scaling import Scaling
 from trueup.augment.training import train
 from trueup.augment.windows import Windows
-from trueup.core.config import build
 from trueup.core.episode import Episode, EpisodeMeta
-from trueup.core.model_card import Channel, ModelCard
+from trueup.core.model_card import Channel
 from trueup.core.timeseries import TimeSeries
 
 JOINTS = tuple(f"joint{number}" for number in range(1, 8))
@@ -45,20 +38,19 @@ ROUNDS = 5
 
 
 def run() -> list[Row]:
-    """All three parts; five minutes."""
+    """Both parts; five minutes."""
     with TemporaryDirectory() as name:
         pairs = made(Path(name) / "train.f32", 160)
         val = made(Path(name) / "val.f32", 30, seed=1)
         rows = []
         for method in ("realeasy", "realeasy-rt"):
             config = replace(preset(method, paper=True), window=WindowConfig("half-shortest", draws=4), epochs=1)
-            ours, bare = _paired(
+            ours, bare = paired(
                 lambda config=config: _ours(config, pairs, val, Path(name)),
                 lambda config=config: _bare(config, pairs),
             )
             rows.append(at_most(f"{method}, paper: an epoch over that of a bare torch loop", ours / bare, 1.3, "x"))
             rows.append(shown(f"{method}, paper: an epoch of {len(pairs.motions)} motions, 4 draws", ours, "s"))
-    rows += [row for method in ("realeasy", "realeasy-rt") for row in _to_the_papers_error(method)]
     return [*rows, *_memory()]
 
 
@@ -79,13 +71,13 @@ def _episodes(motions: int, seed: int) -> Iterator[Episode]:
         yield Episode(EpisodeMeta(f"m{number}"), measured, simulated={"s": simulated})
 
 
-def _paired(first: Callable[[], float], second: Callable[[], float]) -> tuple[float, float]:
+def paired(first: Callable[[], float], second: Callable[[], float]) -> tuple[float, float]:
     """Medians of both, taken in turn, since the machine is never quiet."""
     times = [(first(), second()) for _ in range(ROUNDS)]
     return tuple(np.median(times, axis=0))
 
 
-def _corrector(config: AugmentConfig) -> Corrector:
+def corrector_of(config: AugmentConfig) -> Corrector:
     torch.manual_seed(0)
     one = np.ones(21)
     network = build_network(config.network, inputs=21, base=range(21))
@@ -94,7 +86,7 @@ def _corrector(config: AugmentConfig) -> Corrector:
 
 def _ours(config: AugmentConfig, pairs: Pairs, val: Pairs, folder: Path) -> float:
     started = time.perf_counter()
-    train(_corrector(config), pairs, val, config, seed=0, checkpoint=folder / "checkpoint", inputs="")
+    train(corrector_of(config), pairs, val, config, seed=0, checkpoint=folder / "checkpoint", inputs="")
     return time.perf_counter() - started
 
 
@@ -118,69 +110,6 @@ def _bare(config: AugmentConfig, pairs: Pairs) -> float:
         loss.backward()
         optimizer.step()
     return time.perf_counter() - started
-
-
-def _to_the_papers_error(method: str) -> list[Row]:
-    """How long ours takes to the error on val that the papers' configuration ends with, over what that takes.
-
-    Epochs are counted in the trainings of the comparison, which share their machine with others; what an epoch of each
-    costs is measured here, in turn, by the time of a batch.
-    """
-    paper = ModelCard.load(FOLDER / "models" / ("paper" if method == "realeasy" else "paper-rt"))
-    ours = ModelCard.load(FOLDER / "models" / method)
-    rms = np.array([output.far / 2 for output in ours.outputs])  # far off is twice the simulator's error on train
-    names = [(output.signal, output.joint) for output in ours.outputs]
-    end = [paper.metrics["val"][signal][joint]["corrected"] for signal, joint in names]
-    target = float(np.mean((np.array(end) / rms) ** 2))
-    history = ours.provenance["training"]["history"]
-    reached = next((item["number"] for item in history if item["val"] <= target), None)
-    with TemporaryDirectory() as name:
-        pairs = made(Path(name) / "train.f32", 160)
-        steps = _paired(
-            lambda: _batch_seconds(_config(ours), pairs),
-            lambda: _batch_seconds(_config(paper), pairs),
-        )
-    took = paper.provenance["training"]["history"]
-    seconds = [per_batch * _batches(card) for per_batch, card in zip(steps, (ours, paper), strict=True)]
-    share = math.inf if reached is None else reached * seconds[0] / (len(took) * seconds[1])
-    return [
-        at_most(f"{method}: time to the papers' error on val over the papers' time", share, 0.5, "x"),
-        shown(f"{method}: epochs to the papers' error, of {len(history)}", reached or math.nan, ""),
-    ]
-
-
-def _config(card: ModelCard) -> AugmentConfig:
-    return build(AugmentConfig, card.provenance["config"], card.name)
-
-
-def _batches(card: ModelCard) -> int:
-    """Batches in an epoch of a training."""
-    config, motions = _config(card), card.provenance["training"]["motions"]["train"]
-    if config.window.rule == "half-shortest":
-        return config.window.draws * math.ceil(motions / config.batch)
-    rows = card.provenance["training"]["rows"]["train"]
-    return round(config.window.draws * rows / config.window.samples / config.batch)
-
-
-def _batch_seconds(config: AugmentConfig, pairs: Pairs) -> float:
-    """Median time of a batch, as training runs it."""
-    corrector = _corrector(config)
-    kind = torch.optim.RMSprop if config.optimizer.name == "rmsprop" else torch.optim.AdamW
-    optimizer = kind(corrector.parameters(), lr=1e-4)
-    of = Loss(config.loss, pairs.outputs, pairs.rate_hz)
-    times = []
-    for batch, _ in zip(
-        Windows(pairs, config.window, config.batch).epoch(np.random.default_rng(0)), range(40), strict=False
-    ):
-        started = time.perf_counter()
-        loss = of.of(corrector, batch)
-        optimizer.zero_grad()
-        loss.backward()
-        if config.optimizer.clip:
-            nn.utils.clip_grad_norm_(corrector.parameters(), config.optimizer.clip)
-        optimizer.step()
-        times.append(time.perf_counter() - started)
-    return float(np.median(times))
 
 
 def _memory() -> list[Row]:

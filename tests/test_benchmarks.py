@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from benchmarks import __main__ as command
 from benchmarks.__main__ import LONG, NAMES
 from benchmarks.figures import cells, keep, known, own_result, print_all, rows_of, stored
 from benchmarks.table import Row, at_least, at_most, shown
@@ -62,6 +63,23 @@ def test_the_command_prints_the_table_without_measuring():
     )
     assert done.returncode == 2
     assert "no benchmark nothing" in done.stderr
+
+
+def test_one_that_breaks_off_keeps_no_other_from_its_turn(monkeypatch, capsys):
+    kept = {}
+
+    def run_of(name):
+        if name == "lab":
+            raise OSError("no room")
+        return [at_most("time", 1.0, 2.0, "s")]
+
+    monkeypatch.setattr(command, "_run", run_of)
+    monkeypatch.setattr(command, "keep", lambda name, rows: kept.update({name: rows}))
+    monkeypatch.setattr(sys, "argv", ["benchmarks", "replay", "lab", "fleet"])
+    with pytest.raises(SystemExit, match=r"broke off: lab$"):
+        command.main()
+    assert list(kept) == ["replay", "fleet"]
+    assert "no room" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name in stored() or own_result(name).is_file()])
