@@ -9,11 +9,10 @@ import argparse
 import sys
 import traceback
 from concurrent.futures import ProcessPoolExecutor
-from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
 
-from benchmarks.figures import keep, known, print_all
+from benchmarks.figures import keep, known, measured, print_all
 from benchmarks.table import Row, print_table, write_rows
 
 # Minutes each.
@@ -114,8 +113,7 @@ def main() -> None:
 def _run(name: str) -> list[Row]:
     """In a process of its own: threads, cores and memory that one benchmark has settled are not those of the next."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        rows: list[Row] = pool.submit(import_module(f"benchmarks.{name}").run).result()
-    return rows
+        return pool.submit(measured, name).result()
 
 
 if __name__ == "__main__":

@@ -60,6 +60,12 @@ def known(name: str, path: Path = PATH) -> dict[str, Any] | None:
     return {"created": made["created"], "git": made["git"], "rows": [asdict(row) for row in found]}
 
 
+def measured(name: str) -> list[Row]:
+    """Run a benchmark."""
+    rows: list[Row] = import_module(f"benchmarks.{name}").run()
+    return rows
+
+
 def rows_of(entry: Mapping[str, Any]) -> list[Row]:
     """The rows as they were measured."""
     return [Row(**row) for row in entry["rows"]]

@@ -157,15 +157,9 @@ def compensation(
     ends = {"velocity": (-4.0, 4.0), "payload": payload}
     command = (-reach, reach) if relative else (-3.0, 3.0)
     inputs = tuple(
-        Input(
-            channel.signal,
-            channel.joint,
-            channel.unit,
-            channel.series,
-            *(command if channel.series == "command" else ends.get(channel.signal, (-3.0, 3.0))),
-            relative=relative and channel.series == "command",
-        )
+        replace(channel, low=low, high=high, relative=relative and channel.series == "command")
         for channel in channels(joints, ["rad"] * len(joints))
+        for low, high in [command if channel.series == "command" else ends.get(channel.signal, (-3.0, 3.0))]
     )
     outputs = tuple(
         Output("position", joint, "rad", "command", base=2 * len(joints) + number)

@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 from benchmarks.policy_data import FIT, FOLDER, STOCK
-from benchmarks.policy_transfer import BAR_M, DART_GOALS, GOALS, TASK, judged_on, of_training, places
+from benchmarks.policy_transfer import BAR_M, DART_GOALS, GOALS, TASK, judged_on, minus, of_training, places
 from benchmarks.table import Row, at_most, rounded, shown
 from trueup.core.atomic import read_json, write_json
 from trueup.core.config import build
@@ -32,7 +32,6 @@ from trueup.core.provenance import provenance
 from trueup.dataset import Dataset
 from trueup.deploy.policy import Policy
 from trueup.identify import IdentifyConfig
-from trueup.measure import paired_difference
 from trueup.measure.seeds import seeds_interval
 from trueup.policy.config import LAPTOP, PolicyConfig
 from trueup.policy.randomization import RandomizationConfig
@@ -186,16 +185,17 @@ def table(policies: Mapping[str, Any]) -> dict[str, Any]:
         for draws, by_unit in by_draws.items():
             own = {}
             for spot, names in _spots(by_unit).items():
-                distances = _values(by_unit, names, "distances")
+                distances, rewards = (_values(by_unit, names, key) for key in ("distances", "rewards"))
+                base = {key: _values(policies["stock"]["none"], names, key) for key in ("distances", "rewards")}
                 own[spot] = {
                     "median": float(np.median(distances)),
                     "mean": float(distances.mean()),
                     "worst": float(distances.max()),
                     "by_robot": np.median(distances, axis=1).tolist(),
                     "success": float((distances <= BAR_M).mean()),
-                    "minus_stock": _minus(by_unit, policies["stock"]["none"], names, "distances"),
+                    "minus_stock": minus(distances, base["distances"], "distances"),
                     "minus_stock_robots": _minus_robots(by_unit, policies["stock"]["none"], names),
-                    "minus_stock_reward": _minus(by_unit, policies["stock"]["none"], names, "rewards"),
+                    "minus_stock_reward": minus(rewards, base["rewards"], "rewards"),
                     **{
                         name: float(
                             np.mean([by_unit[unit]["places"][n][name] for unit in by_unit for n in names[unit]])
@@ -235,23 +235,6 @@ def _minus_robots(by_unit: Mapping[str, Any], base: Mapping[str, Any], names: Ma
         return np.array([np.mean(rows, axis=0) for rows in places])
 
     return list(seeds_interval(of(by_unit) - of(base)))
-
-
-def _minus(
-    by_unit: Mapping[str, Any], base: Mapping[str, Any], names: Mapping[str, list[str]], key: str
-) -> list[float | None]:
-    """The difference of two cells, goal by goal, with its interval."""
-    said = paired_difference(
-        _values(by_unit, names, key).mean(axis=0),
-        _values(base, names, key).mean(axis=0),
-        run="this",
-        baseline="stock, none",
-        split="goals",
-        signal="reach",
-        metric=key,
-        unit="m" if key == "distances" else "1",
-    ).difference
-    return [said.value, said.low, said.high]
 
 
 def rows(result: Mapping[str, Any]) -> list[Row]:

@@ -239,16 +239,17 @@ def table(results: Mapping[str, Any]) -> dict[str, Any]:
         for draws, by_seed in by_draws.items():
             own = {}
             for spot, names in spots.items():
-                distances = _values(by_seed, names, "distances")
-                base = _values(results["stock"]["none"], names, "distances").mean(axis=1)
+                stock = results["stock"]["none"]
+                distances, base = (_values(cell, names, "distances") for cell in (by_seed, stock))
+                rewards = [_values(cell, names, "rewards") for cell in (by_seed, stock)]
                 own[spot] = {
                     "median": float(np.median(distances)),
                     "interval": _interval(distances),
                     "by_seed": np.median(distances, axis=(1, 2)).tolist(),
                     "success": float((distances <= BAR_M).mean()),
-                    "minus_stock": _minus(by_seed, results["stock"]["none"], names, "distances"),
-                    "minus_stock_reward": _minus(by_seed, results["stock"]["none"], names, "rewards"),
-                    "minus_stock_seeds": list(seeds_interval(distances.mean(axis=1), base)),
+                    "minus_stock": minus(distances, base, "distances"),
+                    "minus_stock_reward": minus(*rewards, "rewards"),
+                    "minus_stock_seeds": list(seeds_interval(distances.mean(axis=1), base.mean(axis=1))),
                     **{
                         name: float(np.mean([s["places"][n][name] for s in by_seed.values() for n in names]))
                         for name in ("overshoot", "smoothness", "torque_at_limit", "velocity_violation", "reward")
@@ -263,11 +264,16 @@ def _values(by_seed: Mapping[str, Any], names: list[str], key: str) -> np.ndarra
     return np.array([[own["places"][name][key] for name in names] for own in by_seed.values()])
 
 
-def _minus(by_seed: Mapping[str, Any], base: Mapping[str, Any], names: list[str], key: str) -> list[float | None]:
-    """The difference to the simulator as it comes, goal by goal, with its interval."""
+def minus(values: np.ndarray, base: np.ndarray, key: str) -> list[float | None]:
+    """The difference of two cells, goal by goal, with its interval.
+
+    Args:
+        values: of all policies and robots, (..., goals).
+        base: of the simulator as it comes, (..., goals).
+        key: what they are, `distances` or `rewards`.
+    """
     said = paired_difference(
-        _values(by_seed, names, key).mean(axis=(0, 1)),
-        _values(base, names, key).mean(axis=(0, 1)),
+        *(every.mean(axis=tuple(range(every.ndim - 1))) for every in (values, base)),
         run="this",
         baseline="stock, none",
         split="goals",

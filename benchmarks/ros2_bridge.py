@@ -241,9 +241,8 @@ def until_quiet(node: Node) -> Iterator[None]:
 def _publish(way: str, domain: int, seconds: float) -> None:
     """Slow waves, each sample at its time; targets after what the robot says of itself."""
     with Node(Network(domain, localhost=True)) as node:
-        out = node.publish(WAYS[way].asked, JointState)
-        states = node.publish(STATES, JointState) if WAYS[way].asked != STATES else None
-        wait_for(lambda: out.readers >= 2 and (states is None or states.readers >= 1))
+        outs = [node.publish(topic, JointState) for topic in dict.fromkeys((STATES, WAYS[way].asked))]
+        wait_for(lambda: outs[0].readers >= 1 and outs[-1].readers >= 2)
         time.sleep(1.0)  # those who listen to the bridge are found by it meanwhile
         names, began = list(JOINTS), time.monotonic()
         for number in range(round(seconds * RATE_HZ)):
@@ -254,9 +253,8 @@ def _publish(way: str, domain: int, seconds: float) -> None:
             if left > 0:
                 time.sleep(left)
             effort = [10.0 * value for value in position]
-            if states is not None:
-                states.send(JointState(Header(Time.of_ns(time.time_ns()), "base"), names, position, velocity, effort))
-            out.send(JointState(Header(Time.of_ns(time.time_ns()), "base"), names, position, velocity, effort))
+            for out in outs:
+                out.send(JointState(Header(Time.of_ns(time.time_ns()), "base"), names, position, velocity, effort))
         time.sleep(0.5)
 
 

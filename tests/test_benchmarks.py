@@ -65,6 +65,18 @@ def test_the_command_prints_the_table_without_measuring():
     assert "no benchmark nothing" in done.stderr
 
 
+def test_the_command_measures_in_another_process_and_prints_the_figures():
+    lines = ("import runpy, sys, benchmarks.figures as figures", "figures.keep = lambda name, rows: None")
+    start = "; ".join(
+        (*lines, "sys.argv = ['benchmarks', 'friction']", "runpy.run_module('benchmarks', run_name='__main__')")
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", start], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert "broke off" not in done.stderr, done.stderr  # how fast it is does not matter here
+    assert "full law / MuJoCo's own" in done.stdout
+
+
 def test_one_that_breaks_off_keeps_no_other_from_its_turn(monkeypatch, capsys):
     kept = {}
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchmarks.pages.markdown import table
-from benchmarks.pages.policy_transfer import DRAWS, SIMULATORS
+from benchmarks.pages.policy_transfer import DRAWS, SIMULATORS, mean_minutes, minus_stock_reward
 from benchmarks.policy_going_on import table as tabulated
 
 PLACES = {
@@ -65,16 +65,10 @@ def part(result: Mapping[str, Any]) -> str:
     """The section as Markdown."""
     found, config = tabulated(result["policies"]), result["provenance"]["config"]
     heads = [name.format(strangers=_range(config["strangers"])) for name in PLACES.values()]
-    minutes = [
-        own["training"]["cpu_minutes"]
-        for by_draws in result["policies"].values()
-        for by_unit in by_draws.values()
-        for own in by_unit.values()
-    ]
     return TEXT.format(
         robots=_range([int(unit) for unit in result["before"]]),
         driven=config["driven"],
-        minutes=sum(minutes) / len(minutes),
+        minutes=mean_minutes(result["policies"]),
         where=_where(found),
         distances=_each(found, heads, _distance),
         differences=_each(found, heads, _difference, but=("stock", "none")),
@@ -137,15 +131,12 @@ def _manners(found: Mapping[str, Any]) -> str:
     for simulator, by_draws in found.items():
         for draws, own in by_draws.items():
             item = own["own robot"]
-            value, low, high = item["minus_stock_reward"]
             rows.append(
                 [
                     SIMULATORS[simulator],
                     DRAWS[draws],
                     f"{item['reward']:.3f}".replace("-", "\N{MINUS SIGN}"),
-                    ""
-                    if (simulator, draws) == ("stock", "none")
-                    else f"{value:+.3f} [{low:+.3f}, {high:+.3f}]".replace("-", "\N{MINUS SIGN}"),
+                    "" if (simulator, draws) == ("stock", "none") else minus_stock_reward(item),
                     f"{100 * item['overshoot']:.1f}",
                     f"{item['smoothness']:.3f}",
                     f"{100 * item['velocity_violation']:.1f}",

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchmarks.pages.markdown import table
-from benchmarks.policy_transfer import STEPS
 
 SIMULATORS = {
     "stock": "as it comes",
@@ -80,47 +79,35 @@ On robots 1 to 3, how they get there:
 
 def part(result: Mapping[str, Any]) -> str:
     """The section as Markdown."""
-    found = result["table"]
+    found, config = result["table"], result["provenance"]["config"]
     return TEXT.format(
         rows={1: "one", 2: "two", 3: "three", 4: "four"}[len(found)],
-        steps=result["provenance"]["config"].get("steps", STEPS),
+        steps=config["steps"],
         seeds=_seeds(result["policies"]),
-        distances=_distances(found),
         paired=PAIRED,
-        differences=_differences(found),
-        manners=_manners(found),
-        words=_words(found),
-        long=_long(result) if "long" in result else "",
+        long=LONG.format(
+            steps=config["long"], minutes=mean_minutes(result["long"]), **_tables_and_words(result["long_table"])
+        ),
+        **_tables_and_words(found),
     )
 
 
-def _long(result: Mapping[str, Any]) -> str:
-    """What more control steps make of it."""
-    found = result["long_table"]
-    minutes = [
-        own["training"]["cpu_minutes"]
-        for by_draws in result["long"].values()
-        for by_seed in by_draws.values()
-        for own in by_seed.values()
+def mean_minutes(policies: Mapping[str, Any]) -> float:
+    """Minutes of one core that a training took."""
+    trainings = [
+        own["training"] for by_draws in policies.values() for cell in by_draws.values() for own in cell.values()
     ]
-    return LONG.format(
-        steps=result["provenance"]["config"]["long"],
-        minutes=sum(minutes) / len(minutes),
-        distances=_distances(found),
-        differences=_differences(found),
-        manners=_manners(found),
-        words=_words(found),
-    )
+    return sum(training["cpu_minutes"] for training in trainings) / len(trainings)
 
 
-def _distances(found: Mapping[str, Any]) -> str:
-    """Where policies end, in every place."""
-    return _each(found, PLACES, _distance)
-
-
-def _differences(found: Mapping[str, Any]) -> str:
-    """What that is against the simulator as it comes."""
-    return _each(found, PLACES, _difference, but=("stock", "none"))
+def _tables_and_words(found: Mapping[str, Any]) -> dict[str, str]:
+    """Where policies end, what that is against the simulator as it comes, how they get there, and the bars."""
+    return {
+        "distances": _each(found, PLACES, _distance),
+        "differences": _each(found, PLACES, _difference, but=("stock", "none")),
+        "manners": _manners(found),
+        "words": _words(found),
+    }
 
 
 def _seeds(policies: Mapping[str, Any]) -> str:
@@ -176,11 +163,7 @@ def _manners(found: Mapping[str, Any]) -> str:
                     SIMULATORS[simulator],
                     DRAWS[draws],
                     f"{said['reward']:.3f}".replace("-", "\N{MINUS SIGN}"),
-                    ""
-                    if (simulator, draws) == ("stock", "none")
-                    else "{:+.3f} [{:+.3f}, {:+.3f}]".format(*said["minus_stock_reward"]).replace(
-                        "-", "\N{MINUS SIGN}"
-                    ),
+                    "" if (simulator, draws) == ("stock", "none") else minus_stock_reward(said),
                     f"{100 * said['overshoot']:.1f}",
                     f"{said['smoothness']:.3f}",
                     f"{100 * said['torque_at_limit']:.0f}",
@@ -190,7 +173,7 @@ def _manners(found: Mapping[str, Any]) -> str:
     return table(heads, rows, left=2)
 
 
-def _reward(own: Mapping[str, Any]) -> str:
+def minus_stock_reward(own: Mapping[str, Any]) -> str:
     """The difference in reward, with its interval over goals."""
     return "{:+.3f} [{:+.3f}, {:+.3f}]".format(*own["minus_stock_reward"]).replace("-", "\N{MINUS SIGN}")
 
@@ -201,15 +184,15 @@ def _words(found: Mapping[str, Any]) -> str:
     base = found["stock"]["none"]
     home, away = (100 * item["median"] for item in (base["stock"], found["identified"]["posterior"]["identified"]))
     median = 100 * own["median"]
+    farther = ": in so many control steps, a simulator with friction and draws is not learned as far"
+    farther = farther if away > home else ""
     return (
         "Policies from the identified simulator with draws from its posterior, on the robots that were recorded, "
         f"against those from the simulator as it comes: {_verdict(own['minus_stock'])} over goals, "
         f"{_verdict(own['minus_stock_seeds'])} over goals and seeds. Their median is {median:.1f} cm, "
         f"{'within' if median <= 5 else 'beyond'} 5 cm. In the simulators in which they were trained, the former end "
-        f"{away:.1f} cm from the goal and the latter {home:.1f}"
-        + (": in so many control steps, a simulator with friction and draws is not learned as far." * (away > home))
-        + ("." * (away <= home))
-        + f" The reward of a control step, which is what they learn, differs by {_reward(own)} (over goals)."
+        f"{away:.1f} cm from the goal and the latter {home:.1f}{farther}. The reward of a control step, "
+        f"which is what they learn, differs by {minus_stock_reward(own)} (over goals)."
     )
 
 

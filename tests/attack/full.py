@@ -11,28 +11,28 @@ import os
 import re
 import shutil
 from collections.abc import Callable
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 import pytest
 
-from attack.harness import Writer, forking
-from attack.kill import WRITERS, forked, prepare
+from attack.harness import apart
+from attack.kill import WRITERS, forked, prepared
 from trueup.errors import TrueupError
 
 SAID = "No space left on device"
 
 
 class Disk:
-    """Full as soon as a file of some name is to be on it, and from then on; keeps the names that were synced.
+    """Full when a file of some name is to be on it; keeps the names of the files that were synced.
 
     Args:
         full_at: the name; never full if None.
+        for_good: whether it stays full from then on, and not for this file alone.
     """
 
-    def __init__(self, full_at: str | None = None) -> None:
+    def __init__(self, full_at: str | None = None, *, for_good: bool = True) -> None:
         self.names: dict[str, None] = {}
-        self._full_at, self._sync = full_at, os.fsync
+        self.full_at, self._for_good, self._sync = full_at, for_good, os.fsync
 
     def fsync(self, descriptor: int) -> None:
         """In place of `os.fsync`."""
@@ -40,7 +40,7 @@ class Disk:
         name = re.sub(r"^\.(.*)\.\w+\.tmp$", r"\1", path.name)
         if path.is_file():
             self.names[name] = None
-        if self._full_at in self.names:
+        if self.full_at in (self.names if self._for_good else (name,)):
             raise OSError(errno.ENOSPC, SAID)
         self._sync(descriptor)
 
@@ -73,36 +73,22 @@ def filled(name: str, base: Path) -> dict[str, str]:
 
     In a process that is free to be forked.
     """
-    context = forking()
-    mine, other = context.Pipe()
-    process = context.Process(target=_fill, args=(name, base, other))
-    process.start()
-    other.close()
-    wrong = dict(mine.recv())
-    process.join()
-    return wrong
+    return dict(apart(fill, name, base))
 
 
-def _fill(name: str, base: Path, answer: Connection) -> None:
-    answer.send(fill(WRITERS[name], base))
-
-
-def fill(writer: Writer, base: Path) -> dict[str, str]:
+def fill(name: str, base: Path) -> dict[str, str]:
     """As `filled`, here and now."""
-    base.mkdir(parents=True)
-    complaint, _ = forked(writer.prepare or prepare, base)
-    assert not complaint, complaint
-    backup, names = base.with_name("backup"), base.with_name("names")
-    shutil.copytree(base, backup)
+    writer, names = WRITERS[name], base.with_name("names")
+    backup = prepared(writer, base)
     complaint, _ = forked(_watched(writer.write, names), base)
     assert not complaint, complaint
     files = names.read_text().splitlines()
     wrong: dict[str, str] = {}
-    for name in dict.fromkeys((files[0], files[len(files) // 2], files[-1])):
+    for file in dict.fromkeys((files[0], files[len(files) // 2], files[-1])):
         shutil.rmtree(base)
         shutil.copytree(backup, base)
-        steps = (_refused(writer.write, name), writer.check_part, writer.write, writer.check_whole)
+        steps = (_refused(writer.write, file), writer.check_part, writer.write, writer.check_whole)
         complaint = next((said for step in steps if (said := forked(step, base)[0])), "")
         if complaint:
-            wrong[name] = complaint
+            wrong[file] = complaint
     return wrong

@@ -224,6 +224,22 @@ def forking() -> Any:
     return context
 
 
+def apart(what: Callable[..., Any], *arguments: Any) -> Any:
+    """What it returns, called in a process that is free to be forked."""
+    context = forking()
+    mine, other = context.Pipe()
+    process = context.Process(target=_answer, args=(other, what, arguments))
+    process.start()
+    other.close()
+    answer = mine.recv()
+    process.join()
+    return answer
+
+
+def _answer(connection: Connection, what: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    connection.send(what(*arguments))
+
+
 class Attacker:
     """Runs cases in a worker process, and a new one when that dies or hangs."""
 

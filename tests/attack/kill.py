@@ -13,13 +13,12 @@ import signal
 import time
 import traceback
 from collections.abc import Callable
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from attack.harness import Writer, forking
+from attack.harness import Writer, apart
 from attack.parsers_robots import make_robot
 from attack.writers_commands import COMMAND_WRITERS
 from attack.writers_results import RESULT_WRITERS
@@ -192,31 +191,26 @@ def forked(what: Callable[[Path], object], base: Path, *, kill_after_s: float | 
 
 def assaulted(name: str, base: Path, kills: int) -> dict[int, str]:
     """Kill a writer so many times, in processes that are free to be forked; what went wrong after which kill."""
-    context = forking()
-    mine, other = context.Pipe()
-    process = context.Process(target=_assault, args=(name, base, kills, other))
-    process.start()
-    other.close()
-    wrong = dict(mine.recv())
-    process.join()
-    return wrong
+    return dict(apart(assault, name, base, kills))
 
 
-def _assault(name: str, base: Path, kills: int, answer: Connection) -> None:
-    answer.send(assault(WRITERS[name], base, kills))
-
-
-def assault(writer: Writer, base: Path, kills: int) -> dict[int, str]:
-    """Kill a writer so many times, now and then going on to the end; what went wrong after which kill."""
-    rng = random.Random(writer.name)
+def prepared(writer: Writer, base: Path) -> Path:
+    """Make what is there before a writer, in an empty base folder; returns a copy of that."""
     shutil.rmtree(base, ignore_errors=True)
     base.mkdir(parents=True)
-    wrong: dict[int, str] = {}
     backup = base.with_name("backup")
     complaint, _ = forked(writer.prepare or prepare, base)
     assert not complaint, complaint
     shutil.rmtree(backup, ignore_errors=True)
     shutil.copytree(base, backup)
+    return backup
+
+
+def assault(name: str, base: Path, kills: int) -> dict[int, str]:
+    """Kill a writer so many times, now and then going on to the end; what went wrong after which kill."""
+    writer, rng = WRITERS[name], random.Random(name)
+    wrong: dict[int, str] = {}
+    backup = prepared(writer, base)
     complaint, whole_s = forked(writer.write, base)
     for number in range(kills):
         if number == 0 or rng.random() < 0.4:  # else the next call goes on where this one was killed

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -90,11 +90,8 @@ class Compensation:
         read = command - state[:, :count] if config.relative else command
         rows = np.concatenate([state, read, payload], axis=1)
         inputs = tuple(
-            Input(
-                channel.signal,
-                channel.joint,
-                channel.unit,
-                channel.series,
+            replace(
+                channel,
                 low=float(low),
                 high=float(high),
                 relative=config.relative and channel.series == "command",
