@@ -8,6 +8,7 @@ from pathlib import Path
 from attack.harness import Parser, Unsound
 from dataset.store_cases import INFO, make_episode, make_series, same_episode
 from trueup.dataset import Dataset, DatasetWriter, RunWriter, match_splits, read_split
+from trueup.dataset.export_csv import export_csv
 from trueup.errors import TrueupError
 
 EPISODES = 3
@@ -47,8 +48,9 @@ def _read_all(path: Path) -> Iterator[Exception]:
 
 
 def read_dataset(folder: Path) -> Iterator[Exception]:
-    """Everything."""
+    """Everything, and write it again as CSV."""
     yield from _read_all(folder / "d")
+    export_csv(Dataset(folder / "d").episodes(), folder / "exported")
 
 
 def resume_dataset(folder: Path) -> Iterator[Exception]:

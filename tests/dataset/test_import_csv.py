@@ -412,6 +412,16 @@ def test_export_refuses_what_one_mapping_cannot_say(tmp_path):
         export_csv([simple("y")], tmp_path / "c")
 
 
+def test_export_writes_nothing_outside_its_folder(tmp_path):
+    """Whoever made the episodes: this is the second fence, behind the ids that a dataset takes."""
+    series = TimeSeries(np.arange(2.0), ("a",), {"position": np.zeros((2, 1))}, {"position": ("rad",)})
+    for id in ("../../x", str(tmp_path / "x")):
+        with pytest.raises(DataError, match="outside the folder"):
+            export_csv([Episode(EpisodeMeta(id), series)], tmp_path / "a" / "out")
+    assert not list(tmp_path.rglob("*.csv"))
+    assert not list(tmp_path.rglob("*out*"))
+
+
 def test_exported_files_are_plain_csv(tmp_path):
     export_csv([simple("x")], tmp_path)
     with (tmp_path / "x" / "measured.csv").open(newline="") as file:

@@ -130,6 +130,10 @@ def replace_index(path, change):
         {"flags": "{"},
         {"flags": '[{"odd": 1}]'},
         {"id": "e001"},
+        {"id": "../../x"},
+        {"id": "/home/u/data"},
+        {"id": "a/./b"},
+        {"id": ""},
     ],
 )
 def test_an_index_that_lies_is_found_out(path, changes):
@@ -187,8 +191,12 @@ def test_another_version_of_index_or_run(path):
 
 
 @pytest.mark.parametrize(
-    "change", [{"series": ["x"]}, {"series": []}, {"duration_s": None}, {"measured_samples": "many"}, {"robot": 1}]
-)
+    "change",
+    [
+        {"series": ["x"]}, {"series": []}, {"duration_s": None}, {"measured_samples": "many"}, {"robot": 1},
+        {"id": "../x"}, {"id": "/home/u/data"},
+    ],
+)  # fmt: skip
 def test_a_journal_that_lies_is_found_out(path, change):
     """Its checksums are right: whoever wrote it knew how."""
     row, tables = unpack(

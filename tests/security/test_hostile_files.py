@@ -15,11 +15,13 @@ from benchmarks.networks import real_time
 from onnx import TensorProto, helper
 
 from attack.parsers_results import make_gap_file
+from dataset.store_cases import INFO, make_episode
 from trueup.cli.main import main
 from trueup.core.atomic import file_hash, read_json, write_json
 from trueup.core.card import sealed
 from trueup.core.model_card import CARD_NAME, CARD_SCHEMA, ONNX_NAME
-from trueup.dataset import Dataset, DatasetWriter
+from trueup.dataset import Dataset, DatasetWriter, index, writer
+from trueup.errors import DataError
 from trueup.robots import load_robot
 from trueup.stages import demo_dataset, replay
 from trueup.stages.exporting import export_dataset
@@ -161,6 +163,23 @@ def test_units_whose_names_lead_elsewhere(tmp_path, data):
     assert {path.name for path in tmp_path.iterdir()} - before <= {"o"}
     assert not (tmp_path.parent / "outside").exists()
     assert all(not path.name.startswith(".") for path in (tmp_path / "o").iterdir())
+
+
+@pytest.mark.parametrize("closed", [True, False], ids=["in the index", "in the journal"])
+@pytest.mark.parametrize("name", ["../../owned", "ABSOLUTE"])
+def test_a_dataset_whose_ids_lead_elsewhere(name, closed, tmp_path, monkeypatch):
+    """Written by somebody who knows the format; an export would make files of them."""
+    name = name.replace("ABSOLUTE", str(tmp_path / "owned"))
+    with monkeypatch.context() as patch:
+        patch.setattr(writer, "is_id", lambda _: True)
+        patch.setattr(index, "_refuse_ids", lambda *_: None)
+        hostile = DatasetWriter.create(tmp_path / "in" / "hostile", INFO)
+        hostile.append(make_episode(0, id=name))
+        hostile.close() if closed else hostile.release()
+    with pytest.raises(DataError, match="a row of the index has the id"):
+        export_dataset(tmp_path / "in" / "hostile", tmp_path / "in" / "out")
+    assert not list(tmp_path.rglob("owned*"))
+    assert not (tmp_path / "in" / "out").exists()
 
 
 @pytest.mark.parametrize(

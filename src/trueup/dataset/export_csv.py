@@ -14,7 +14,7 @@ import pyarrow.csv
 import yaml
 from jaxtyping import Float
 
-from trueup.core.atomic import appearing, replacing, write_json, write_text
+from trueup.core.atomic import appearing, is_inside, replacing, write_json, write_text
 from trueup.core.episode import Episode
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.errors import DataError, NameMismatch, OutputExists
@@ -39,7 +39,8 @@ def export_csv(episodes: Iterable[Episode], folder: Path) -> int:
     Raises:
         OutputExists: the folder holds files.
         NameMismatch: episodes do not agree on joints, bodies or units, which one mapping cannot say.
-        DataError: there is no episode; a joint's name cannot be a column; the disk is full or not writable.
+        DataError: there is no episode; an id leads out of the folder; a joint's name cannot be a column; the disk is
+            full or not writable.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise OutputExists(f"{folder} is not an empty folder", hint="Give another folder.")
@@ -53,7 +54,10 @@ def export_csv(episodes: Iterable[Episode], folder: Path) -> int:
         for episode in episodes:
             for label, series in _all_series(episode):
                 _extend(layout.setdefault(label, {"episodes": 0, "signals": {}}), label, series)
-                _write(whole / episode.id / f"{label}.csv", series)
+                path = whole / episode.id / f"{label}.csv"
+                if not is_inside(whole, path):
+                    raise DataError("an episode would be written outside the folder", got=repr(episode.id))
+                _write(path, series)
             payload_kg = episode.meta.payload_kg
             texts = {"payload_kg": "" if payload_kg is None else repr(payload_kg)}
             writer.writerow((episode.id, *(texts.get(key, getattr(episode.meta, key, "")) for key in _META)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +18,14 @@ from trueup.errors import DataError, FormatError
 
 INDEX_SCHEMA = "trueup.index/1"
 _INDEX_KEY = b"trueup"
+# An id is a path below some folder: parts of letters, digits and `_ . -`, none of them `.` or `..`.
+_PART = r"(?!\.{1,2}(?:/|\Z))[\w.\-]+"
+_ID = re.compile(rf"{_PART}(?:/{_PART})*")
+
+
+def is_id(text: str) -> bool:
+    """Whether a text can be the id of an episode, and thus a path below a folder."""
+    return bool(_ID.fullmatch(text))
 
 
 @dataclass(frozen=True)
@@ -81,6 +90,7 @@ class StoreSpec:
             raise damaged(self.folder, f"a row of the index: {error}") from error
         if any(table.column(field.name).null_count for field in self.schema if not field.nullable):
             raise damaged(self.folder, "a row of the index lacks a value")
+        _refuse_ids(self.folder, table)
         return table
 
 
@@ -134,9 +144,18 @@ def read_index(spec: StoreSpec) -> pa.Table:
             table = file.read(use_threads=False)
             # A row group number of a damaged index must be an error here, not a wrong episode later.
             table.validate(full=True)
-            return table.select(spec.schema.names).cast(spec.schema)
+            table = table.select(spec.schema.names).cast(spec.schema)
         except READ_ERRORS as error:
             raise damaged(path, error) from error
+    _refuse_ids(path, table)
+    return table
+
+
+def _refuse_ids(path: Path, table: pa.Table) -> None:
+    """Refuse rows with ids that no writer takes: others make paths of ids, and these would lead anywhere."""
+    unfit = next((id for id in table.column("id").to_pylist() if not is_id(id)), None)
+    if unfit is not None:
+        raise damaged(path, f"a row of the index has the id {unfit!r}")
 
 
 def write_index(spec: StoreSpec, table: pa.Table) -> None:

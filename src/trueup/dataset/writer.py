@@ -19,7 +19,7 @@ from trueup.core.atomic import make_folder, read_json, write_json
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset.append import StoreWriter, refuse_elsewhere
-from trueup.dataset.index import StoreSpec
+from trueup.dataset.index import StoreSpec, is_id
 from trueup.dataset.info import DatasetInfo, is_dataset
 from trueup.dataset.lock import LOCK_NAME, FolderLock
 from trueup.dataset.store import StoreReader
@@ -34,7 +34,6 @@ SIMULATED = "simulated"
 _OWNED = ("episodes.parquet", "journal.bin", "measured", "command", SIMULATED, "model")
 _RUN_OWNED = ("index.parquet", "journal.bin")
 
-_ID = re.compile(r"[\w.\-/]+")
 _LABEL_PART = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+=-]*")
 
 
@@ -75,7 +74,7 @@ def meta_to_row(meta: EpisodeMeta) -> dict[str, Any]:
     Raises:
         DataError: the id has other characters than letters, digits and `_ . - /`, or a flag is not JSON.
     """
-    if not _ID.fullmatch(meta.id) or any(part in ("", ".", "..") for part in meta.id.split("/")):
+    if not is_id(meta.id):
         raise DataError("this is no id for an episode", got=repr(meta.id), expected="letters, digits, _ . - /")
     texts = ("robot", "unit", "condition", "split", "source", "source_hash")
     return {
