@@ -386,24 +386,30 @@ def _npz(data: bytes, rng: random.Random) -> bytes:
 
 
 @functools.cache
-def _parquet_bomb(schema: Any, width: int) -> bytes:
-    """Rows that cost nothing on disk: 1.6 GB of zeros in some kB."""
+def _parquet_bomb(schema: Any, width: int, kind: str) -> bytes:
+    """Much that costs nothing on disk: 1.6 GB of zeros in some kB, one text for 10 GB of rows, or lists without end."""
     import numpy as np
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    rows = 1_000_000
-    columns = [
-        pa.array(np.zeros(rows, field.type.to_pandas_dtype()))
-        if pa.types.is_integer(field.type) or pa.types.is_floating(field.type)
-        else pa.nulls(rows, field.type)
-        for field in schema
-    ]
+    rows, groups = {"rows": (1_000_000, 200 // width + 1), "texts": (100_000, 1), "lists": (1, 20)}[kind]
+    long = 20_000_000
+
+    def column(field: Any) -> Any:
+        if pa.types.is_integer(field.type) or pa.types.is_floating(field.type):
+            return pa.array(np.zeros(rows, field.type.to_pandas_dtype()))
+        if kind == "texts" and pa.types.is_string(field.type):
+            return pa.DictionaryArray.from_arrays(np.zeros(rows, np.int32), ["x" * 100_000])
+        if kind == "lists" and pa.types.is_list(field.type) and pa.types.is_floating(field.type.value_type):
+            return pa.ListArray.from_arrays([0, long], np.zeros(long, field.type.value_type.to_pandas_dtype()))
+        return pa.nulls(rows, field.type)
+
+    table = pa.table([column(field) for field in schema], names=schema.names).replace_schema_metadata(schema.metadata)
     out = io.BytesIO()
-    plain = pa.schema([pa.field(field.name, field.type) for field in schema], schema.metadata)
-    with pq.ParquetWriter(out, plain, compression="zstd") as writer:
-        for _ in range(200 // width + 1):
-            writer.write_table(pa.table(columns, schema=plain))
+    with pq.ParquetWriter(out, table.schema, compression="zstd", store_schema=False) as writer:
+        for _ in range(groups):
+            writer.write_table(table)
+        writer.add_key_value_metadata(schema.metadata or {})
     return out.getvalue()
 
 
@@ -411,11 +417,13 @@ def _parquet(data: bytes, rng: random.Random) -> bytes:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    if pq.ParquetFile(io.BytesIO(data)).metadata.num_rows > 1_000_000:
+    metadata = pq.ParquetFile(io.BytesIO(data)).metadata
+    groups = [metadata.row_group(k) for k in range(min(1, metadata.num_row_groups))]
+    if any(group.column(k).num_values >= 100_000 for group in groups for k in range(group.num_columns)):
         return data  # a bomb already: it takes minutes to make another of it
     table = pq.read_table(io.BytesIO(data))
     if rng.random() < 0.001:
-        return _parquet_bomb(table.schema, len(table.schema))
+        return _parquet_bomb(table.schema, len(table.schema), rng.choice(("rows", "texts", "lists")))
     metadata = table.schema.metadata
     for _ in range(rng.choice((1, 1, 2))):
         k = rng.randrange(table.num_columns)
@@ -461,6 +469,14 @@ def _parquet(data: bytes, rng: random.Random) -> bytes:
     return out.getvalue()
 
 
+@functools.cache
+def _deflated_zeros() -> bytes:
+    """1.5 GB of them in 1.5 MB."""
+    packer = zlib.compressobj(9)
+    block = bytes(10_000_000)
+    return b"".join([*(packer.compress(block) for _ in range(150)), packer.flush()])
+
+
 def _hdf5(data: bytes, rng: random.Random) -> bytes:
     import h5py
     import numpy as np
@@ -488,7 +504,10 @@ def _hdf5(data: bytes, rng: random.Random) -> bytes:
             del file[name]
             if kind == 0:
                 continue
-            if kind == 1:
+            if kind == 1 and rng.random() < 0.01:
+                table = file.create_dataset(name, (12, 3), "f8", chunks=(12, 3), compression="gzip")
+                table.id.write_direct_chunk((0, 0), _deflated_zeros())
+            elif kind == 1:
                 shape = rng.choice(((10**12,), (10**9, 3), (10**6, 10**6), (0,), (0, 3), ()))
                 file.create_dataset(name, shape, "f8", chunks=True if np.prod(shape, dtype=float) > 10**6 else None)
             elif kind == 2:

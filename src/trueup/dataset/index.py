@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from trueup.core.atomic import replacing
+from trueup.dataset.parquet_tables import read_table
 from trueup.dataset.shards import READ_ERRORS, damaged, open_parquet
 from trueup.errors import DataError, FormatError
 
@@ -141,7 +142,7 @@ def read_index(spec: StoreSpec) -> pa.Table:
             # A row holds a hash that does not compress below 32 bytes: more rows than this are a damaged footer.
             if file.metadata.num_rows * 32 > path.stat().st_size:
                 raise damaged(path, f"{file.metadata.num_rows} rows cannot be in it")
-            table = file.read(use_threads=False)
+            table = read_table(file, path, spec.schema.names)
             # A row group number of a damaged index must be an error here, not a wrong episode later.
             table.validate(full=True)
             table = table.select(spec.schema.names).cast(spec.schema)

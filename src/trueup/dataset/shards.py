@@ -81,21 +81,36 @@ def open_parquet(path: Path) -> pq.ParquetFile:
         if not whole or int.from_bytes(tail[:4], "little") > size - 12:
             raise damaged(path, "truncated or no Parquet file")
         # Neither memory map (a truncated file would kill the process) nor read-ahead (slower for one episode).
-        return believable(pq.ParquetFile(path, pre_buffer=False, page_checksum_verification=True), path)
+        opened = pq.ParquetFile(path, pre_buffer=False, page_checksum_verification=True)
+        row_groups(opened, path)
     except READ_ERRORS as error:
         raise damaged(path, error) from error
+    return opened
 
 
-def believable(file: pq.ParquetFile, path: Path) -> pq.ParquetFile:
-    """The file, unless it claims values by the million for every kilobyte: one value repeated, to fill the memory.
+def row_groups(file: pq.ParquetFile, path: Path) -> list[pq.RowGroupMetaData]:
+    """The row groups of a file, unless they claim values by the million for every kilobyte, or other rows than it.
 
     Raises:
-        DataError: it does.
+        DataError: they do.
     """
-    values = file.metadata.num_rows * file.metadata.num_columns
+    metadata = file.metadata
+    groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+    rows = [group.num_rows for group in groups]
+    if sum(rows) != metadata.num_rows or min(rows, default=0) < 0:
+        raise DataError(f"{path} contradicts itself", got=f"{metadata.num_rows} rows, and {sum(rows)} in its parts")
+    refuse_values(path, metadata.num_rows * metadata.num_columns)
+    return groups
+
+
+def refuse_values(path: Path, values: int) -> None:
+    """Refuse one value that is repeated to fill the memory.
+
+    Raises:
+        DataError: there are more values than a file of this size can hold.
+    """
     if values > max(_FEW_VALUES, _VALUES_PER_BYTE * path.stat().st_size):
         raise DataError(f"{path} claims more than a file of its size can hold", got=f"{values} values")
-    return file
 
 
 def damaged(path: Path, reason: object) -> DataError:
@@ -134,7 +149,7 @@ class ShardReader:
         path = self._folder / shard_name(number)
         shard = self._shard(number, path)
         metadata = shard.file.metadata
-        if not 0 <= group < metadata.num_row_groups or metadata.row_group(group).num_rows != max(samples, 1):
+        if not 0 <= group < metadata.num_row_groups or not _has(metadata.row_group(group), max(samples, 1)):
             raise damaged(path, f"row group {group} is not the one of the index")
         try:
             table = shard.file.read_row_group(group, use_threads=False)
@@ -187,3 +202,8 @@ class ShardReader:
         """Close the open shards."""
         while self._open:
             self._open.popitem()[1].file.close()
+
+
+def _has(group: pq.RowGroupMetaData, rows: int) -> bool:
+    """Whether a row group has so many rows, and each of its columns, too: a reader makes room for what is claimed."""
+    return group.num_rows == rows and all(group.column(k).num_values == rows for k in range(group.num_columns))

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from trueup.core.atomic import regular
 from trueup.dataset.importers.files import files_hash
 from trueup.dataset.importers.lerobot_info import LeRobotInfo
-from trueup.dataset.shards import believable
+from trueup.dataset.parquet_tables import believable, is_list, read_table
 from trueup.errors import DataError, TrueupError
 
 EPISODES = "meta/episodes"
@@ -60,12 +60,11 @@ def read_episodes(root: Path, info: LeRobotInfo) -> list[EpisodeRow]:
     rows = []
     for path in files:
         with reading(path):
-            parquet = believable(pq.ParquetFile(path), path)
+            parquet = pq.ParquetFile(path)
             missing = [name for name in _NEEDED if name not in parquet.schema_arrow.names]
             if missing:
                 raise DataError(f"{path} has no columns {missing}", available=parquet.schema_arrow.names)
-            columns = [name for name in (*_NEEDED, *_OPTIONAL) if name in parquet.schema_arrow.names]
-            for row in parquet.read(columns=columns, use_threads=False).to_pylist():
+            for row in read_table(parquet, path, [*_NEEDED, *_OPTIONAL]).to_pylist():
                 numbers = [row[name] for name in _NEEDED]
                 if not all(type(value) is int and 0 <= value < 1 << 40 for value in numbers):
                     raise DataError(f"{path} has an episode with numbers that make no sense", got=numbers)
@@ -128,7 +127,7 @@ class FrameReader:
             if len(table) != row.length:  # the file holds more than its episodes, or in another order
                 table = self._frames(list(range(len(self._ends))), row.number)
             frames = table["frame_index"].to_numpy()
-        if not np.array_equal(frames, np.arange(row.length)):
+        if len(frames) != row.length or not np.array_equal(frames, np.arange(row.length)):
             raise DataError(
                 f"{row.file}: episode {row.number} is not complete or not in order",
                 got=f"{len(frames)} frames",
@@ -140,10 +139,14 @@ class FrameReader:
         if path == self._path:
             return
         self._path, self._table = None, None
-        self._file = believable(pq.ParquetFile(path), path)
+        self._file = believable(pq.ParquetFile(path), path, self._columns)
         missing = [name for name in self._columns if name not in self._file.schema_arrow.names]
         if missing:
             raise DataError(f"{path} has no columns {missing}", available=self._file.schema_arrow.names)
+        for name in self._columns:  # a text that is repeated would fill the memory before anybody looks at it
+            kind = self._file.schema_arrow.field(name).type
+            if not _is_numeric(kind.value_type if is_list(kind) else kind):
+                raise DataError(f"{path}: {name} has values that are no numbers", got=str(kind))
         # The statistics would name the row groups of an episode, but damaged ones end the process.
         metadata = self._file.metadata
         counts = (metadata.row_group(k).num_rows for k in range(metadata.num_row_groups))
@@ -165,7 +168,7 @@ def vectors(table: pa.Table, name: str, width: int, source: str) -> Float[np.nda
     """
     column = table[name].combine_chunks()
     kind = column.type
-    if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
+    if is_list(kind):
         lengths = pc.unique(pc.list_value_length(column)).to_pylist()
         if lengths != [width]:
             raise DataError(f"{source}: {name} is ragged", got=f"vectors of {lengths[:4]}", expected=width)
@@ -173,11 +176,15 @@ def vectors(table: pa.Table, name: str, width: int, source: str) -> Float[np.nda
         kind = column.type
     elif width != 1:
         raise DataError(f"{source}: {name} holds no vectors", got=str(kind), expected=f"vectors of {width}")
-    if column.null_count or not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
+    if column.null_count or not _is_numeric(kind):
         got = f"{column.null_count} missing values" if column.null_count else str(kind)
         raise DataError(f"{source}: {name} has values that are no numbers", got=got)
     values = np.asarray(column.to_numpy(zero_copy_only=False)).reshape(-1, width)
     return values if values.dtype in (np.float32, np.float64) else values.astype(np.float64)
+
+
+def _is_numeric(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind))
 
 
 @contextlib.contextmanager
