@@ -122,6 +122,35 @@ def test_nanoseconds_since_1970_keep_every_digit(tmp_path):
     np.testing.assert_array_equal(episodes(tmp_path)["x"].measured.time_s, [0.0, 1e-9, 1.000000001])
 
 
+@pytest.mark.parametrize("pattern", [r"(a|a)*b\.csv", r"(a+)+b\.csv", r"(.*,)*(.*,)*(.*,)*(.*,)*x\.csv"])
+def test_a_pattern_of_somebody_else_takes_no_time(tmp_path, pattern):
+    """Years, if it were tried as Python tries it."""
+    make(tmp_path, {"a" * 60 + "c.csv": ROWS, "," * 200 + "c.csv": ROWS}, PLAIN + f"episodes: '{pattern}'")
+    with pytest.raises(FormatError, match=r"no file.*matches `episodes`"):
+        episodes(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "id", "names"),
+    [
+        (r"(?:(?P<folder>.+)/)?x(?P<rest>[^/]*)\.csv", "{folder}-{rest}", ["-1", "deep-2"]),
+        (r"(deep/)?x(?P<rest>[(\d]+)\.csv", "{rest}", ["1", "2"]),
+        (r"(?P<all>(x|[\](]|deep\/)+\d)[.]csv", "{all}", ["x1", "deep/x2"]),
+        (r"(?i).*X(?P<n>\pN)\.(CSV|LOG)", "{n}", ["1", "2"]),
+    ],
+)
+def test_patterns_of_people(tmp_path, pattern, id, names):
+    mapping = PLAIN + f"episodes: '{pattern}'\nid: '{id}'\n"
+    found = episodes(make(tmp_path, {"x1.csv": ROWS, "deep/x2.csv": ROWS}, mapping))
+    assert sorted(found) == sorted(names)
+
+
+def test_a_line_of_blanks_takes_no_time(tmp_path):
+    """A megabyte of them: hours, if each were the beginning of a run of its own."""
+    make(tmp_path, {"x.csv": "t q1 q2\n0 1" + " " * 1_000_000 + "2\n"}, PLAIN + "delimiter: whitespace")
+    np.testing.assert_array_equal(episodes(tmp_path)["x"].measured["position"], [[1, 2]])
+
+
 @pytest.mark.parametrize(
     ("keys", "content"),
     [
@@ -209,6 +238,9 @@ def changed(old, new):
         (PLAIN + "skip_lines: -1", ConfigError, "skip_lines"),
         (PLAIN + "keep_origin: 1", ConfigError, "keep_origin"),
         (PLAIN + "episodes: '('", ConfigError, "regular expression"),
+        (PLAIN + "episodes: 'x)|(y'", ConfigError, "regular expression"),
+        (PLAIN + "episodes: '(?P<a>x).*(?P=a)'", ConfigError, "regular expression.*no back-references"),
+        (PLAIN + f"episodes: '{'a' * 1001}'", ConfigError, "too long.*characters"),
         (PLAIN + "id: '{run}'", ConfigError, r"\{run\}"),
         (PLAIN + "episodes: 'nothing'", FormatError, "no file.*nothing.*x.csv"),
         (PLAIN + "payload_kg: heavy", DataError, "payload.*heavy"),

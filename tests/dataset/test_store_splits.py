@@ -53,6 +53,12 @@ def test_a_file_with_its_own_entry_leaves_its_folder():
     assert match.notes == ("1 of 4 episodes are in no split: energy2/data",)
 
 
+def test_an_entry_of_blanks_takes_no_time():
+    """Hours, if each of them were the beginning of a run of its own."""
+    entry = "a" + " " * 1_000_000 + "b"
+    assert match_splits({"train": [entry, "x  (a.csv)"]}, ["x/a"]).splits == {"x/a": "train"}
+
+
 def test_what_does_not_match_is_said():
     match = match_splits({"train": ["a", "gone"], "val": ["also_gone.csv"]}, ["a", "b"])
     assert match.splits == {"a": "train"}

@@ -656,6 +656,14 @@ def test_the_lines_to_copy_suit_the_files_that_are_there(copied):
     assert "usage" not in sections(build_report(copied))
 
 
+def test_a_model_of_tags_that_never_end_takes_no_time(copied):
+    """Hours, if each of them were looked through to the end of the file."""
+    (copied / "model.fitted.xml").write_text("<joint " * 300_000 + "<numeric " * 300_000)
+    run = RunFolder.load(copied)
+    assert not run.friction_laws
+    assert run.stated_limits == ()
+
+
 def test_the_samples_are_read_as_the_page_says(copied, monkeypatch):
     fit = make_fit(JOINTS)
     run = RunFolder.load(add_identification(copied, fit, JOINTS))

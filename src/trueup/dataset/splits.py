@@ -14,7 +14,7 @@ from trueup.errors import ConfigError, DataError, FormatError
 SPLITS = ("train", "val", "test")
 
 _SUFFIX = re.compile(r"\.[A-Za-z][A-Za-z0-9]{1,7}$")
-_FOLDER_AND_FILE = re.compile(r"(?P<folder>.+?)\s*\((?P<file>[^()]+)\)")
+_FOLDER_AND_FILE = re.compile(r"(?P<folder>.*\S)\s*\((?P<file>[^()]+)\)")
 
 
 @dataclass(frozen=True)

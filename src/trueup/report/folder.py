@@ -42,9 +42,9 @@ FITTED_FILES = ("robot.fitted.yaml", "model.fitted.xml", "isaac.actuators.yaml",
 # Where a close imports logs to, and where the page proposes to put designed motions.
 OWN_DATASET, PLANS = "dataset", "plans"
 # Limits that a model states for the planning of motions.
-_STATED_LIMIT = re.compile(rb'<numeric[^>]*\sname="(velocity|acceleration)_limit"')
+_STATED_LIMIT = re.compile(rb'<numeric[^<>]*\sname="(velocity|acceleration)_limit"')
 # Friction laws beyond MuJoCo's own stand in a model file as user data of a joint that begin with this mark.
-_FRICTION_LAW = re.compile(rb'<joint[^>]*\suser="20261[\s"]')
+_FRICTION_LAW = re.compile(rb'<joint[^<>]*\suser="20261[\s"]')
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import re
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -17,6 +16,7 @@ from trueup.dataset.importers.csv_episode import CsvEpisode, load_episode
 from trueup.dataset.importers.files import data_files, episode_id, inside, read_bytes
 from trueup.dataset.importers.mapping import CsvMapping, substitute
 from trueup.dataset.importers.mapping_file import load_mapping, shipped
+from trueup.dataset.importers.pattern import matches
 from trueup.errors import DataError, FormatError, TrueupError
 
 NAME = "csv"
@@ -108,10 +108,7 @@ def _header(path: Path) -> tuple[str, ...]:
 def _fits(mapping: CsvMapping, headers: Mapping[str, tuple[str, ...]]) -> bool:
     """Whether each file belongs to an episode and has the columns that are read from it."""
     used = set()
-    for name in headers:
-        groups = _match(mapping, name)
-        if groups is None:
-            continue
+    for name, groups in _matching(mapping, list(headers)):
         for series, spec in mapping.series.items():
             file = _file_of(mapping, series, name, groups)
             needed = {spec.time.column}
@@ -123,10 +120,10 @@ def _fits(mapping: CsvMapping, headers: Mapping[str, tuple[str, ...]]) -> bool:
     return used == set(headers)
 
 
-def _match(mapping: CsvMapping, name: str) -> dict[str, str] | None:
-    """The groups of `episodes` for a path, if it matches."""
-    match = re.fullmatch(mapping.episodes, name)
-    return None if match is None else {group: text or "" for group, text in match.groupdict().items()}
+def _matching(mapping: CsvMapping, names: Sequence[str]) -> list[tuple[str, dict[str, str]]]:
+    """The paths that `episodes` matches, and its groups for each."""
+    found = zip(names, matches(mapping.episodes, names, where=f"{mapping.name}: episodes"), strict=True)
+    return [(name, groups) for name, groups in found if groups is not None]
 
 
 def _file_of(mapping: CsvMapping, series: str, name: str, groups: Mapping[str, str]) -> str:
@@ -139,9 +136,8 @@ def _file_of(mapping: CsvMapping, series: str, name: str, groups: Mapping[str, s
 def _episodes(root: Path, names: Sequence[str], mapping: CsvMapping, options: ImportOptions) -> list[CsvEpisode]:
     table = _metadata(root, mapping)
     found = []
-    for name in names:
-        groups = _match(mapping, name)
-        if groups is None or name == mapping.metadata:
+    for name, groups in _matching(mapping, names):
+        if name == mapping.metadata:
             continue
         series = {}
         for label, spec in mapping.series.items():

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from trueup.core.timeseries import BODY_PREFIX
 from trueup.core.units import SI_UNIT, UNITS, conversion
+from trueup.dataset.importers.pattern import group_names
 from trueup.errors import ConfigError, UnitError
 
 _FIELD = re.compile(r"\{(\w+)\}")
@@ -88,8 +89,8 @@ class CsvMapping:
     Attributes:
         joints: names of the joints, in the order of the columns.
         series: `measured`, and optionally `command` and `simulated/LABEL`.
-        episodes: regular expression that the path of one file per episode, below the imported folder, matches in
-            full; its named groups can be used as `{group}` in `id`, `file` and the constants below.
+        episodes: regular expression, as RE2 has them, that the path of one file per episode, below the imported folder,
+            matches in full; its named groups can be used as `{group}` in `id`, `file` and the constants below.
         id: the episode's id; by default the path without its ending.
         robot: name of the robot.
         unit: which individual robot.
@@ -130,10 +131,7 @@ class CsvMapping:
             raise ConfigError(
                 f"{self.name}: delimiter", got=repr(self.delimiter), expected="one character, or whitespace"
             )
-        try:
-            groups = re.compile(self.episodes).groupindex
-        except (re.error, OverflowError, RecursionError) as error:
-            raise ConfigError(f"{self.name}: episodes is not a regular expression", got=error) from error
+        groups = group_names(self.episodes, where=f"{self.name}: episodes")
         templates = [self.id, self.robot, self.unit, self.payload_kg, self.condition]
         for template in (*templates, *(series.file for series in self.series.values())):
             substitute(template, dict.fromkeys(groups, ""), where=self.name)
