@@ -1,5 +1,6 @@
 """HDF5 in GapONet's two layouts: names are never guessed, clocks are merged, damaged and hostile files are refused."""
 
+import zlib
 from pathlib import Path
 
 import h5py
@@ -9,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trueup.core.timeseries import TimeSeries, same_units
-from trueup.dataset.importers import hdf5
+from trueup.dataset.importers import h5file, hdf5
 from trueup.dataset.importers.base import ImportOptions
 from trueup.dataset.importers.parts import on_one_clock
 from trueup.errors import ConfigError, DataError, FormatError, NameMismatch
@@ -376,4 +377,85 @@ def test_a_heap_of_texts_that_never_ends_is_refused(tmp_path, size):
     data[at + 8 : at + 16] = size.to_bytes(8, "little")
     (tmp_path / "a.h5").write_bytes(data)
     with pytest.raises(DataError, match="damaged heap"):
+        load(tmp_path)
+
+
+VELOCITY = "robot/joint_velocity_list"
+
+
+def chunked(path, rows, *, packed=None, filters=("deflate",), name=VELOCITY, kind=h5py.h5t.IEEE_F64LE):
+    """A table of one chunk with these filters: zeros, or these bytes as they are."""
+    with h5py.File(path, "r+") as file:
+        if name in file:
+            del file[name]
+        plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        plan.set_chunk((rows, 3))
+        for one in filters:
+            getattr(plan, f"set_{one}")(*{"deflate": (4,), "scaleoffset": (h5py.h5z.SO_INT, 0)}.get(one, ()))
+        space = h5py.h5s.create_simple((rows, 3))
+        table = h5py.Dataset(h5py.h5d.create(file.id, name.encode(), kind, space, plan))
+        if packed is None:
+            table[...] = np.zeros((rows, 3))
+        else:
+            table.id.write_direct_chunk((0, 0), packed)
+
+
+@pytest.mark.parametrize("rows", [50, 5000])
+@pytest.mark.parametrize("name", [VELOCITY, "command_val_list"])
+def test_a_chunk_that_unpacks_to_more_than_it_says(tmp_path, monkeypatch, rows, name):
+    """Larger than its table already as it is packed, or only when it is unpacked."""
+    monkeypatch.setattr(h5file, "_FEW_BYTES", 1 << 20)
+    write_humanoid(tmp_path / "a.h5", names=LEGS)
+    chunked(tmp_path / "a.h5", rows, packed=zlib.compress(bytes(20_000_000), 9), name=name)
+    with pytest.raises(DataError, match="unpacks to more than it says"):
+        load(tmp_path)
+
+
+def test_chunks_that_are_what_they_say_are_read_whatever_their_size(tmp_path, monkeypatch):
+    monkeypatch.setattr(h5file, "_FEW_BYTES", 1000)
+    _, values = write_humanoid(tmp_path / "a.h5", names=LEGS)
+    kept = {"compression": "gzip", "fletcher32": True, "shuffle": True, "maxshape": (None, 3)}
+    edit(tmp_path / "a.h5", "robot/joint_angle_list", values["position"], chunks=(50, 3), **kept)
+    np.testing.assert_array_equal(load(tmp_path).measured["position"], values["position"])
+
+
+def test_a_single_number_in_a_chunk_that_bursts(tmp_path):
+    write_humanoid(tmp_path / "a.h5", names=LEGS)
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        for name in ("payload_kg", "condition"):
+            table = file.create_dataset(name, (1,), "f8", chunks=(1,), compression="gzip")
+            table.id.write_direct_chunk((0,), zlib.compress(bytes(1_000_000), 9))
+            with pytest.raises(DataError, match="unpacks to more than it says"):
+                load(tmp_path)
+            del file[name]
+
+
+@pytest.mark.parametrize(
+    ("filters", "kind"),
+    [
+        (("deflate", "deflate"), h5py.h5t.IEEE_F64LE),
+        (("shuffle", "deflate", "shuffle"), h5py.h5t.IEEE_F64LE),
+        (("scaleoffset",), h5py.h5t.STD_I32LE),
+    ],
+)
+def test_data_that_are_packed_in_unusual_ways(tmp_path, filters, kind):
+    """Twice: a million to one. Others unpack to what they say themselves."""
+    write_humanoid(tmp_path / "a.h5", names=LEGS)
+    chunked(tmp_path / "a.h5", 50, filters=filters, kind=kind)
+    with pytest.raises(DataError, match=r"unusual way.*gzip or lzf, once"):
+        load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("texts", "as_attribute"),
+    [(["x" * 40_000, *LEGS] * 20, True), (["x" * 40_000, *LEGS] * 20, False), (["x"] * 20_000, False)],
+)
+def test_texts_that_fill_the_memory(tmp_path, monkeypatch, texts, as_attribute):
+    """Each of them may refer to the longest in the file."""
+    monkeypatch.setattr(h5file, "_FEW_BYTES", 1 << 20)
+    write_humanoid(tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        holder = file["robot"].attrs if as_attribute else file["robot"]
+        holder["joint_names"] = texts
+    with pytest.raises(DataError, match="claims more text than names can have"):
         load(tmp_path)
