@@ -458,3 +458,12 @@ def test_missing_frames_and_files_are_refused(tmp_path):
     shutil.rmtree(folder / "data")
     with pytest.raises(DataError, match="does not exist"):
         load(folder)
+
+
+def test_links_are_followed_since_the_download_cache_consists_of_them(tmp_path):
+    folder = foreign(tmp_path / "d", {"observation.state": (ARM, values(3))})
+    for number, path in enumerate(sorted(path for path in folder.rglob("*") if path.is_file())):
+        path.rename(tmp_path / f"blob{number}")
+        path.symlink_to(tmp_path / f"blob{number}")
+    _, episodes = load(folder)
+    assert [len(episode.measured) for episode in episodes] == [20, 30]

@@ -12,7 +12,9 @@ import trueup.dataset
 from dataset.store_cases import INFO, make_episode, make_series, same_episode, same_series
 from trueup.core.episode import Episode, EpisodeMeta, Flag
 from trueup.core.timeseries import TimeSeries
-from trueup.dataset import Dataset, DatasetInfo, DatasetWriter, append, is_dataset, shards
+from trueup.dataset import Dataset, DatasetInfo, DatasetWriter, append, is_dataset, shards, writer
+from trueup.dataset.append import StoreWriter
+from trueup.dataset.lock import FolderLock
 from trueup.errors import ConfigError, DataError, FormatError, MissingSignal, NameMismatch, OutputExists
 
 
@@ -197,6 +199,30 @@ def test_one_writer_at_a_time(tmp_path):
             Dataset(path).set_splits({"e000": "val"})
         writer.append(make_episode(1))
     assert len(Dataset(path)) == 2
+
+
+def test_a_dataset_that_another_process_has_finished_meanwhile_is_kept(tmp_path, monkeypatch):
+    path = tmp_path / "d"
+
+    def meanwhile(folder):
+        monkeypatch.undo()
+        write(folder, [make_episode(0)])
+
+    monkeypatch.setattr(writer, "make_folder", meanwhile)
+    with pytest.raises(OutputExists, match="--resume"):
+        DatasetWriter.create(path, INFO)
+    assert Dataset(path).ids == ("e000",)
+
+
+def test_nobody_comes_between_deleting_and_writing(tmp_path, monkeypatch):
+    def looked_at(spec, lock=None):
+        with pytest.raises(DataError, match="another process"):
+            FolderLock(spec.folder)
+        return StoreWriter(spec, lock)
+
+    monkeypatch.setattr(writer, "StoreWriter", looked_at)
+    write(tmp_path / "d", [make_episode(0)], overwrite=True)
+    FolderLock(tmp_path / "d").release()
 
 
 def test_what_append_refuses(tmp_path):

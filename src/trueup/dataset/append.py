@@ -55,16 +55,20 @@ class StoreWriter:
 
     Opening recovers what a writer that died left in the journal.
 
+    Args:
+        spec: what is stored where.
+        lock: of its folder, if the caller holds it already; released by the writer.
+
     Raises:
         DataError: another process writes the store, the disk is full, or the index is damaged.
     """
 
-    def __init__(self, spec: StoreSpec) -> None:
+    def __init__(self, spec: StoreSpec, lock: FolderLock | None = None) -> None:
         self.spec = spec
         for series in spec.series:
             refuse_elsewhere(spec.folder, spec.shard_folder(series))
             make_folder(spec.shard_folder(series))
-        self._lock = FolderLock(spec.folder)
+        self._lock = FolderLock(spec.folder) if lock is None else lock
         try:
             self._table = read_index(spec)
             self._ids: dict[str, None] = dict.fromkeys(self._table.column("id").to_pylist())

@@ -154,11 +154,13 @@ class DatasetWriter(_Closing):
         make_folder(path)
         lock = FolderLock(path)
         try:
+            refuse_occupied(path, overwrite=overwrite)  # another process may have been here before the lock was ours
             _delete(path, _OWNED)
             info.save(path)
-        finally:
+            return cls(path, info, StoreWriter(dataset_spec(path), lock))
+        except BaseException:
             lock.release()
-        return cls(path, info, StoreWriter(dataset_spec(path)))
+            raise
 
     @classmethod
     def resume(cls, path: Path | str, info: DatasetInfo | None = None) -> DatasetWriter:
