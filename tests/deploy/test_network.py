@@ -162,7 +162,7 @@ def test_weights_outside_of_the_file_are_not_read(tmp_path):
     made.card.save(made.folder)
     with pytest.raises(DataError) as error:
         Network.load(made.folder)
-    says(error, "cannot run")
+    says(error, "weights are not within it", "external data")
 
 
 @pytest.mark.parametrize("table", [((0.0, 1.0), (0.5,)), ((1.0, 1.0), (0.1, 0.5)), ((1.0, 0.5), (0.1, 0.5))])

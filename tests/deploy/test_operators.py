@@ -143,6 +143,59 @@ def test_sparse_tensors_are_refused():
     refused(model_of(helper.make_node("Constant", [], ["unused"], sparse_value=sparse)), "sparse")
 
 
+def kept_elsewhere(place, **said):
+    """A tensor of four numbers that are somewhere else."""
+    tensor = TensorProto(name="w", data_type=TensorProto.FLOAT, dims=[4], **said)
+    entries = {} if place is None else {"location": place, "offset": "0", "length": "16"}
+    for key, value in entries.items():
+        tensor.external_data.add(key=key, value=value)
+    return tensor
+
+
+def in_an_initializer(tensor):
+    model = model_of(helper.make_node("Identity", ["w"], ["unused"]))
+    model.graph.initializer.append(tensor)
+    return model
+
+
+def in_an_attribute(tensor):
+    return model_of(helper.make_node("Constant", [], ["unused"], value=tensor))
+
+
+def in_a_list_of_them(tensor):
+    return model_of(helper.make_node("Identity", ["x"], ["unused"], values=[tensor]))
+
+
+@pytest.mark.parametrize("within", [in_an_initializer, in_an_attribute, in_a_list_of_them])
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("beside", TensorProto.EXTERNAL),
+        ("../outside", TensorProto.EXTERNAL),
+        ("/etc/passwd", TensorProto.EXTERNAL),
+        ("*/_ORT_MEM_ADDR_/*", TensorProto.EXTERNAL),
+        ("beside", TensorProto.DEFAULT),
+        ("beside", None),
+        (None, TensorProto.EXTERNAL),
+    ],
+)
+def test_weights_elsewhere_are_refused_before_onnxruntime_sees_them(within, place, said, tmp_path, monkeypatch):
+    """A file in the current folder, which some versions read; and onnxruntime's name for an address in memory."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "beside").write_bytes(bytes(16))
+    model = within(kept_elsewhere(place, **({} if said is None else {"data_location": said})))
+    with pytest.raises(DataError, match="weights are not within it"):
+        check_operators(model.SerializeToString(), "net/model.onnx")
+
+
+@pytest.mark.parametrize("within", [in_an_initializer, in_an_attribute])
+def test_a_tensor_may_say_that_its_numbers_are_within(within):
+    """As writers do that have brought them back from another file."""
+    tensor = kept_elsewhere(None, raw_data=bytes(16), data_location=TensorProto.DEFAULT)
+    assert tensor.HasField("data_location")
+    session_of(within(tensor).SerializeToString(), "here")
+
+
 def test_a_graph_in_two_pieces_is_read_whole():
     """Protobuf joins the two; whoever reads the first or the last only would miss the loop."""
     constants = (("trips", np.int64(1 << 60)), ("yes", np.array(1, bool)))

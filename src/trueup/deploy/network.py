@@ -50,7 +50,8 @@ class Network:
         folder = Path(folder)
         card = ModelCard.load(folder)
         _check_card(card, folder)
-        # The bytes whose hash was taken, not the file again; so the graph cannot refer to other files, either.
+        # The bytes whose hash was taken, not the file again; other files, to which a graph may refer, have no hash, and
+        # `session_of` refuses it.
         session = session_of(card.verified(folder, ONNX_NAME), str(folder / ONNX_NAME))
         _check_graph(session, card, folder)
         return Network(folder, card, session, _step_of(folder, card))
@@ -145,7 +146,8 @@ def session_of(graph: bytes, where: str) -> Any:
     control loop.
 
     Raises:
-        DataError: it has operators that no network needs, takes too much memory, or cannot be run.
+        DataError: it has operators that no network needs, weights in other files, takes too much memory, or cannot be
+            run.
         MissingDependency: onnxruntime is not installed.
     """
     with needing("running a network", "run"):

@@ -6,6 +6,9 @@ and attributes. What is no such message to the letter is refused: nothing means 
 Operators are those of a list, not all but those of another list: each version of onnxruntime brings some that run a
 graph of their own (beam search, say), and what is not known can be bounded by nobody. None of these calls a graph, and
 how large their results are follows from the shapes of the inputs alone: so what `trial` finds out once stays true.
+
+Tensors are within the graph. Of one that says that its numbers are in another file, or at an address in memory, which
+onnxruntime knows, too, it depends on onnxruntime's version what is read: here, none is.
 """
 
 from __future__ import annotations
@@ -41,6 +44,9 @@ _NODE_INPUT, _NODE_OUTPUT, _NODE_OPERATOR, _NODE_ATTRIBUTE, _NODE_DOMAIN = 1, 2,
 _ATTRIBUTE_GRAPHS = (6, 11)
 # A sparse tensor of three numbers may claim any size, and is made dense when it is read.
 _ATTRIBUTE_SPARSE = (22, 23)
+_ATTRIBUTE_TENSORS = (5, 10)
+# Where a tensor is whose numbers are not within: in another file, or at an address of this process.
+_TENSOR_PLACE, _TENSOR_IS_ELSEWHERE = 13, 14
 _VARINT, _EIGHT_BYTES, _TEXT, _FOUR_BYTES = 0, 1, 2, 5
 _MOST_TAG = 1 << 32
 
@@ -53,6 +59,7 @@ class _Node:
     outputs: tuple[str, ...]
     graphs: bool
     sparse: bool
+    elsewhere: bool
 
 
 def check_operators(data: bytes, where: str) -> None:
@@ -64,7 +71,7 @@ def check_operators(data: bytes, where: str) -> None:
 
     Raises:
         DataError: it is no such model; it has functions or graphs within, operators that are not of the list, sparse
-            tensors, or results as large as a number that comes in.
+            tensors, tensors that are kept elsewhere, or results as large as a number that comes in.
     """
     try:
         parts = _Parts.of(data)
@@ -86,6 +93,13 @@ def check_operators(data: bytes, where: str) -> None:
         )
     if parts.sparse or any(node.sparse for node in parts.nodes):
         raise DataError(f"{where} is not run", got="sparse tensors", expected="dense ones")
+    if parts.elsewhere or any(node.elsewhere for node in parts.nodes):
+        raise DataError(
+            f"{where} is not run: its weights are not within it",
+            got="tensors in other files",
+            expected="all numbers in the graph, whose hash stands in the card",
+            hint="Export it without external data.",
+        )
     _check_sizes(parts, where)
 
 
@@ -114,23 +128,22 @@ class _Parts:
     constants: frozenset[str]
     functions: int
     sparse: int
+    elsewhere: bool
 
     @staticmethod
     def of(data: bytes) -> _Parts:
         view = memoryview(data)
         models = list(_fields(view))
         graphs = [item for number, graph in models if number == _MODEL_GRAPH for item in _fields(graph)]
+        tensors = [part for number, part in graphs if number == _GRAPH_INITIALIZER]
         return _Parts(
             nodes=tuple(_node(part) for number, part in graphs if number == _GRAPH_NODE),
             constants=frozenset(
-                _text(value)
-                for number, part in graphs
-                if number == _GRAPH_INITIALIZER
-                for field, value in _fields(part)
-                if field == _TENSOR_NAME
+                _text(value) for part in tensors for field, value in _fields(part) if field == _TENSOR_NAME
             ),
             functions=sum(number == _MODEL_FUNCTIONS for number, _ in models),
             sparse=sum(number == _GRAPH_SPARSE for number, _ in graphs),
+            elsewhere=any(map(_is_elsewhere, tensors)),
         )
 
 
@@ -140,7 +153,8 @@ def _node(data: memoryview) -> _Node:
     def texts(wanted: int) -> tuple[str, ...]:
         return tuple(_text(value) for number, value in fields if number == wanted)
 
-    inner = {field for number, value in fields if number == _NODE_ATTRIBUTE for field, _ in _fields(value)}
+    attributes = [item for number, value in fields if number == _NODE_ATTRIBUTE for item in _fields(value)]
+    inner = {field for field, _ in attributes}
     return _Node(
         operator=(texts(_NODE_OPERATOR) or ("",))[-1],
         domain=(texts(_NODE_DOMAIN) or ("",))[-1],
@@ -148,6 +162,15 @@ def _node(data: memoryview) -> _Node:
         outputs=texts(_NODE_OUTPUT),
         graphs=not inner.isdisjoint(_ATTRIBUTE_GRAPHS),
         sparse=not inner.isdisjoint(_ATTRIBUTE_SPARSE),
+        elsewhere=any(_is_elsewhere(value) for field, value in attributes if field in _ATTRIBUTE_TENSORS),
+    )
+
+
+def _is_elsewhere(tensor: memoryview) -> bool:
+    """Whether a tensor names another place for its numbers; writers of ONNX may say that it does not."""
+    return any(
+        number == _TENSOR_PLACE or (number == _TENSOR_IS_ELSEWHERE and any(byte & 0x7F for byte in value))
+        for number, _, value in _all_fields(tensor)
     )
 
 
@@ -157,24 +180,30 @@ def _text(data: memoryview) -> str:
 
 def _fields(data: memoryview) -> Iterator[tuple[int, memoryview]]:
     """Number and content of each field with a length in a protobuf message; numbers are passed over."""
+    return ((number, value) for number, kind, value in _all_fields(data) if kind == _TEXT)
+
+
+def _all_fields(data: memoryview) -> Iterator[tuple[int, int, memoryview]]:
+    """Number, kind and content of each field of a protobuf message; of a number, the bytes that it is written in."""
     place = 0
     while place < len(data):
         tag, place = _varint(data, place)
         number, kind = tag >> 3, tag & 7
         if number == 0 or tag >= _MOST_TAG:
             raise ValueError("no protobuf message")
+        begin = place
         if kind == _VARINT:
             _, place = _varint(data, place)
         elif kind == _TEXT:
             size, place = _varint(data, place)
             if size > len(data) - place:
                 raise ValueError("cut short")
-            yield number, data[place : place + size]
-            place += size
+            begin, place = place, place + size
         elif kind in (_EIGHT_BYTES, _FOUR_BYTES):
             place += 8 if kind == _EIGHT_BYTES else 4
         else:
             raise ValueError("groups, which ONNX does not have")
+        yield number, kind, data[begin:place]
 
 
 def _varint(data: memoryview, place: int) -> tuple[int, int]:
