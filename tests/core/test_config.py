@@ -4,7 +4,8 @@ from typing import Literal
 
 import pytest
 
-from trueup.core.config import build, read_yaml
+from trueup.core import config
+from trueup.core.config import build, parse_yaml, read_yaml
 from trueup.errors import ConfigError
 
 
@@ -51,6 +52,43 @@ def test_yaml_that_is_no_plain_mapping_is_refused(tmp_path, text):
     path.write_text(text)
     with pytest.raises(ConfigError, match=r"robot\.yaml"):
         read_yaml(path)
+
+
+def nine_times(form):
+    """Seven levels, each of which has the one before nine times: five million."""
+    return "".join(
+        f"{name}: &{name} {form.format(','.join([f'*{before}'] * 9))}\n"
+        for before, name in zip("abcdefg", "bcdefgh", strict=True)
+    )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a: &a [x]\n" + nine_times("[{}]"),
+        "a: &a {x: 1}\n" + nine_times("{{<<: [{}]}}"),
+        f"a: &a {'x' * 10_000}\nb: [{','.join(['*a'] * 200)}]",
+        "a: &a {b: [*a]}",
+    ],
+    ids=["lists", "merges", "a long text", "itself"],
+)
+def test_aliases_that_multiply_are_refused(text):
+    """Also where nothing is wrong with any key: the tree is small until somebody merges, shows or saves it."""
+    with pytest.raises(ConfigError, match=r"robot\.yaml is not plain YAML: got aliases that multiply"):
+        parse_yaml(text, "robot.yaml")
+
+
+def test_aliases_and_merges_that_say_things_once_are_read():
+    text = "usual: &usual {kp: 10, limits: &limits [-1, 1]}\njoints: [{<<: *usual, kp: 5}, *usual]\nfar: *limits"
+    usual = {"kp": 10, "limits": [-1, 1]}
+    assert parse_yaml(text, "here") == {"usual": usual, "joints": [{**usual, "kp": 5}, usual], "far": [-1, 1]}
+    many = "a: &a [0, 1, 2, 3, 4]\nb: [" + ", ".join(["*a"] * 1000) + "]"
+    assert parse_yaml(many, "here")["b"] == [[0, 1, 2, 3, 4]] * 1000
+
+
+def test_a_file_without_aliases_may_be_as_long_as_it_likes(monkeypatch):
+    monkeypatch.setattr(config, "_MOST_REPEATED", 0)
+    assert len(parse_yaml("a: [" + "[x], {y}, -1, " * 1000 + "]", "here")["a"]) == 3000
 
 
 def test_what_yaml_is_instead_of_a_mapping_is_said_in_words(tmp_path):

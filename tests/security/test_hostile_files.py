@@ -30,6 +30,9 @@ PATIENCE_S, ROOM_BYTES = 20.0, 3_000_000_000
 BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
     f"{name}: &{name} [{','.join([f'*{before}'] * 9)}]\n" for before, name in zip("abcdefghi", "bcdefghij", strict=True)
 )
+# Where a text should be, so that the message would show it; and while the file is being read.
+KNOWN = "name:\n" + "".join(f"- {line.partition(': ')[2]}\n" for line in BOMB.splitlines())
+MERGES = BOMB.replace("[x,x,x,x,x,x,x,x,x]", "{x: x}").replace("[", "{<<: [").replace("]", "]}")
 ENTITIES = (
     '<!DOCTYPE mujoco [<!ENTITY a "aaaaaaaaaaaaaaaaaaaa">'
     + "".join(f'<!ENTITY {name} "{f"&{before};" * 20}">' for before, name in zip("abcdef", "bcdefg", strict=True))
@@ -70,8 +73,17 @@ def data(tmp_path_factory):
 
 @pytest.mark.parametrize(
     "text",
-    [BOMB, "a: &a [*a]\n", "[" * 50_000, "{a: " * 20_000, "!!python/object/apply:os.system [touch /tmp/owned]\n", "\0"],
-    ids=["aliases", "itself", "deep list", "deep mapping", "code", "zero byte"],
+    [
+        BOMB,
+        KNOWN,
+        MERGES,
+        "a: &a [*a]\n",
+        "[" * 50_000,
+        "{a: " * 20_000,
+        "!!python/object/apply:os.system [touch /tmp/owned]\n",
+        "\0",
+    ],
+    ids=["aliases", "aliases in a known key", "merges", "itself", "deep list", "deep mapping", "code", "zero byte"],
 )
 def test_yaml(text, data, tmp_path):
     (tmp_path / "robot.yaml").write_text(text)
@@ -80,6 +92,15 @@ def test_yaml(text, data, tmp_path):
     arguments = ("--robot", "demo_arm", "--config", tmp_path / "fit.yaml", "--out", tmp_path / "out")
     refused("identify", data, *arguments, folder=tmp_path)
     assert not Path("/tmp/owned").exists()
+
+
+def test_yaml_beside_logs(tmp_path):
+    """Nobody has to name it: it is read because it is there."""
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    (logs / "mapping.yaml").write_text(MERGES)
+    (logs / "run.csv").write_text("time,q\n0,0\n0.1,0\n")
+    refused("import", logs, "--out", tmp_path / "data", folder=tmp_path, told=["mapping.yaml", "aliases that multiply"])
 
 
 @pytest.mark.parametrize("text", [ENTITIES, OUTSIDE, "<a>" * 100_000], ids=["entities", "other files", "deep"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import math
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,6 +19,8 @@ from trueup.errors import ConfigError, DataError, FormatError
 
 T = TypeVar("T")
 _KINDS_OF_YAML: Mapping[type, str] = {list: "a list", str: "a text"}
+# By which a file may grow when its aliases are written out; a robot whose joints share their settings has hundreds.
+_MOST_REPEATED = 1_000_000
 
 
 class _Loader(yaml.SafeLoader):
@@ -57,16 +60,45 @@ def parse_yaml(text: str, where: str) -> Any:
     """What `yaml.safe_load` makes of a text.
 
     Raises:
-        ConfigError: not YAML, or a tag that would build objects.
+        ConfigError: not YAML, a tag that would build objects, or aliases that multiply or refer to themselves.
     """
     try:
-        return yaml.load(text, _Loader)  # noqa: S506 - a SafeLoader
+        loader = _Loader(text)
+        node = loader.get_single_node()
+        # An alias takes no memory, but whoever merges, shows or saves what it stands for writes it out.
+        if node is not None and _length(node, {}) > _MOST_REPEATED + 2 * len(text):
+            raise ConfigError(
+                f"{where} is not plain YAML",
+                got="aliases that multiply",
+                expected="each value written where it belongs",
+            )
+        return None if node is None else loader.construct_document(node)
     # PyYAML lets errors of its constructors through, e.g. for `!!int x` or a date that does not exist.
     except (
         *(yaml.YAMLError, ValueError, TypeError, LookupError),
-        *(AttributeError, ArithmeticError, RecursionError),
+        *(AttributeError, ArithmeticError, RecursionError, MemoryError),
     ) as error:
-        raise ConfigError(f"{where} is not plain YAML", got=error) from error
+        raise ConfigError(f"{where} is not plain YAML", got=str(error) or type(error).__name__) from error
+
+
+def _length(node: yaml.Node, known: dict[int, float]) -> float:
+    """Nodes and letters of a tree whose aliases are written out; infinite where a node is within itself.
+
+    Args:
+        node: the root of the tree.
+        known: lengths of nodes, by their `id`; a node that is being measured has none yet.
+    """
+    if id(node) not in known:
+        known[id(node)] = math.inf
+        length = 1.0
+        if isinstance(node, yaml.ScalarNode):
+            length += len(node.value)
+        else:
+            for item in node.value:
+                for part in item if isinstance(item, tuple) else (item,):
+                    length += _length(part, known)
+        known[id(node)] = length
+    return known[id(node)]
 
 
 def build(cls: type[T], data: Any, where: str) -> T:
