@@ -71,12 +71,112 @@ def test_what_is_no_model_is_refused(tmp_path, content):
         '<worldbody><replicate count="1000"><replicate count="1000"><geom size="1"/></replicate></replicate></worldbody>',
         '<asset><texture name="t" type="2d" builtin="flat" width="60000" height="60000"/></asset>',
         '<asset><hfield name="h" nrow="60000" ncol="60000" size="1 1 1 1"/></asset>',
+        '<worldbody><replicate count="10000">' + '<geom size="1"/>' * 1000 + "</replicate></worldbody>",
+        '<size nuserdata="2000000000"/>',
+        '<size nkey="2000000000"/>',
+        '<size nuser_geom="2000000000"/>',
+        '<size memory="1T"/>',
+        '<size nstack="20000000000"/>',
+        '<size njmax="2000000000"/>',
+        '<custom><numeric name="n" size="2000000000" data="1"/></custom>',
+        '<sensor><user name="s" dim="2000000000"/></sensor>',
+        '<actuator><motor joint="j" nsample="2000000000" delay="1"/></actuator>',
+        '<sensor><rangefinder camera="c"/></sensor><worldbody><camera name="c" resolution="30000 30000"/></worldbody>',
+        '<default><general actdim="2000000000"/></default>',
+        '<asset><mesh name="m" builtin="supertorus" params="100000 0.5 1 1"/></asset>',
     ],
 )
 def test_a_line_that_asks_for_more_than_a_computer_has_is_refused(tmp_path, piece):
     (tmp_path / "bomb.xml").write_text(f"<mujoco>{piece}</mujoco>")
     with pytest.raises(ConfigError, match="asks for too much"):
         load_spec(tmp_path / "bomb.xml")
+
+
+BOMB = '<replicate count="1000000000"><geom size="1"/></replicate>'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"<mujoco>&x;<worldbody>{BOMB}</worldbody></mujoco>",
+        f"<mujoco><option a='1' a='2'/><worldbody>{BOMB}</worldbody></mujoco>",
+        f"<!DOCTYPE mujoco [<!-- ><mujoco><worldbody>{BOMB}</worldbody></mujoco><!-- -->]><mujoco/>",
+        f"<!DOCTYPE mujoco [<!ENTITY x '{BOMB}'>]><mujoco><worldbody>&x;</worldbody></mujoco>",
+        f"<mujoco><custom><text name='t' data='<!--'/></custom><worldbody>{BOMB}</worldbody><!-- - --></mujoco>",
+        f"<mujoco><![CDATA[<!--]]><worldbody>{BOMB}</worldbody>--></mujoco>",
+        f"<?x <!-- ?><mujoco><worldbody>{BOMB}</worldbody>--></mujoco>",
+    ],
+    ids=["entity", "attribute", "hidden by a doctype", "in an entity", "attribute as comment", "CDATA", "instruction"],
+)
+def test_nothing_is_hidden_in_what_is_no_proper_xml(tmp_path, text):
+    """MuJoCo reads some files that are none, and others otherwise than the standard says."""
+    (tmp_path / "bomb.xml").write_text(text)
+    with pytest.raises(ConfigError, match=r"no proper XML|DOCTYPE|asks for too much"):
+        load_spec(tmp_path / "bomb.xml")
+
+
+def test_what_people_write_is_read_although_it_is_no_proper_xml(tmp_path):
+    text = '<?xml version="1.0" encoding="GB2312"?><!-- --- für Öl --- --><mujoco><!-----><worldbody/></mujoco>'
+    (tmp_path / "arm.xml").write_text("\n" + text, encoding="latin-1")
+    load_spec(tmp_path / "arm.xml").compile()
+
+
+def written(folder, files):
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    return folder / "0.xml"
+
+
+def attaching(name, times):
+    return (
+        f'<mujoco><asset><model name="m" file="{name}"/></asset><worldbody><body name="b"><replicate count="{times}">'
+        '<attach model="m" body="b" prefix="p"/></replicate></body></worldbody></mujoco>'
+    )
+
+
+def test_files_that_multiply_are_refused(tmp_path):
+    """What is too much follows from nine files, each read once: ten to the ninth parts."""
+    included = {f"{n}.xml": "<mujoco>" + f'<include file="{n + 1}.xml"/>' * 10 + "</mujoco>" for n in range(9)}
+    with pytest.raises(ConfigError, match="asks for too much"):
+        load_spec(written(tmp_path, {**included, "9.xml": "<mujoco><worldbody/></mujoco>"}))
+    attached = {f"{n}.xml": attaching(f"{n + 1}.xml", 10) for n in range(9)}
+    last = '<mujoco><worldbody><body name="b"/></worldbody></mujoco>'
+    with pytest.raises(ConfigError, match="asks for too much"):
+        load_spec(written(tmp_path, {**attached, "9.xml": last}))
+
+
+@pytest.mark.parametrize("file", ["0.xml", "1.xml"])
+def test_a_file_that_is_a_part_of_itself_is_refused(tmp_path, file):
+    files = {"0.xml": attaching(file, 1), "1.xml": attaching("0.xml", 1)}
+    with pytest.raises(ConfigError, match="a part of itself"):
+        load_spec(written(tmp_path, files))
+
+
+@pytest.mark.parametrize("place", ["1.xml", "parts/1.xml"])
+def test_what_is_included_is_looked_at_wherever_mujoco_finds_it(tmp_path, place):
+    """Beside the model, or else beside the file that includes it."""
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "part.xml").write_text('<mujoco><include file="1.xml"/></mujoco>')
+    path = written(tmp_path, {"0.xml": '<mujoco><include file="parts/part.xml"/></mujoco>'})
+    (tmp_path / place).write_text('<mujoco><worldbody><geom size="1"/></worldbody></mujoco>')
+    assert load_spec(path).compile().ngeom == 1
+    (tmp_path / place).write_text(f"<mujoco><worldbody>{BOMB}</worldbody></mujoco>")
+    with pytest.raises(ConfigError, match="asks for too much"):
+        load_spec(path)
+
+
+def test_what_is_attached_is_looked_at_and_what_includes_the_line_that_attaches_it(tmp_path):
+    model = '<mujoco><worldbody><body name="b"><replicate count="10000"><geom size="1"/></replicate></body></worldbody></mujoco>'
+    line = '<mujoco><worldbody><replicate count="10000"><attach model="m" body="b" prefix="p"/></replicate></worldbody></mujoco>'
+    first = '<mujoco><asset><model name="m" file="1.xml"/></asset><include file="2.xml"/></mujoco>'
+    with pytest.raises(ConfigError, match="asks for too much: got 10000 parts of other models"):
+        load_spec(written(tmp_path, {"0.xml": first, "1.xml": model, "2.xml": line}))
+
+
+def test_a_robot_that_is_attached_a_hundred_times_is_read(tmp_path):
+    arm = '<mujoco><worldbody><body name="b"><joint name="j"/><geom size="1"/></body></worldbody></mujoco>'
+    model = load_spec(written(tmp_path, {"0.xml": attaching("1.xml", 100), "1.xml": arm})).compile()
+    assert model.njnt == 100
 
 
 def test_the_shipped_pendulum_swings_with_the_period_of_the_textbook(tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,9 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from trueup.errors import ConfigError
-
-_MOST_COPIES = 1e5
-_MOST_PIXELS = 1e8
+from trueup.robots.extent import root_tag
 
 
 def load_spec(path: Path) -> mujoco.MjSpec:
@@ -28,7 +25,7 @@ def load_spec(path: Path) -> mujoco.MjSpec:
         ConfigError: missing file, no valid MJCF or URDF, or masses that hang on missing meshes.
     """
     with _reading(path):
-        if _root_tag(path) == "robot":
+        if root_tag(path) == "robot":
             return mujoco.MjSpec.from_string(_urdf_without_missing_meshes(path))
         spec = mujoco.MjSpec.from_file(str(path))
     _drop_missing_meshes(spec, path.parent)
@@ -42,7 +39,7 @@ def load_whole_spec(path: Path) -> mujoco.MjSpec:
         ConfigError: missing file, or no valid MJCF or URDF.
     """
     with _reading(path):
-        _root_tag(path)
+        root_tag(path)
         return mujoco.MjSpec.from_file(str(path))
 
 
@@ -75,48 +72,8 @@ def gravity_of(model: mujoco.MjModel) -> Float64[np.ndarray, "3"]:
     return np.zeros(3) if off else np.array(model.opt.gravity)
 
 
-def _root_tag(path: Path, *, folder: Path | None = None, copied: float = 1.0, within: tuple[Path, ...] = ()) -> str:
-    """The tag of the root of a file that does not ask, in a line, for more than a computer has.
-
-    Args:
-        path: the file.
-        folder: where the files that it includes are; its own if None.
-        copied: how often the place where it is included is copied.
-        within: the files that include it.
-
-    Raises:
-        ConfigError: it does, or one that it includes.
-    """
-    root, copies, folder = "", [copied], folder or path.parent
-    try:
-        for event, element in ET.iterparse(path, events=("start", "end")):  # noqa: S314 - expat caps entity expansion
-            root = root or str(element.tag)
-            if event == "end":
-                copies.pop()
-                continue
-            copies.append(copies[-1] * _product(element, "count"))
-            pixels = max(_product(element, "width", "height"), _product(element, "nrow", "ncol"))
-            if copies[-1] > _MOST_COPIES or pixels > _MOST_PIXELS:
-                raise ConfigError(f"{path}: <{element.tag}> asks for too much", got=dict(element.attrib))
-            included = folder / element.get("file", "")
-            if element.tag == "include" and included.is_file() and included not in (path, *within):
-                _root_tag(included, folder=folder, copied=copies[-1], within=(path, *within))
-    except ET.ParseError:  # MuJoCo reads some files that are no proper XML
-        if not root:
-            raise
-    return root
-
-
-def _product(element: ET.Element, *names: str) -> float:
-    try:
-        words = (word for name in names for word in element.get(name, "").split())
-        return math.prod((max(1.0, float(word)) for word in words), start=1.0)
-    except ValueError:
-        return 1.0
-
-
 def _urdf_without_missing_meshes(path: Path) -> str:
-    tree = ET.parse(path)  # noqa: S314 - as above
+    tree = ET.parse(path)  # noqa: S314 - without a DOCTYPE there are no entities
     for link in tree.iter("link"):
         for kind in ("visual", "collision"):
             for shape in link.findall(kind):
