@@ -1,13 +1,11 @@
 """An environment read through a network: observations are corrected, physics and rewards are not."""
 
 from dataclasses import replace
-from typing import ClassVar
 
 import gymnasium
 import mujoco
 import numpy as np
 import pytest
-from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import (
@@ -21,44 +19,10 @@ from gymnasium.wrappers import (
 )
 
 from augment.evaluation_cases import card_of, shift_folder
-from trueup.core.model_card import Input, Output
+from policy.residual_cases import SHIFT, XML, Arm, shifting
+from trueup.core.model_card import Input
 from trueup.errors import ConfigError, NameMismatch
 from trueup.policy import ResidualEnv
-
-XML = """
-<mujoco>
-  <option timestep="0.002"/>
-  <worldbody>
-    <body name="upper"><joint name="a" axis="0 1 0" damping="0.5"/><geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/>
-      <body pos="0.3 0 0"><joint name="b" axis="0 1 0" damping="0.5"/><geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02"/>
-        <site name="tip" pos="0.2 0 0"/>
-      </body>
-    </body>
-  </worldbody>
-  <actuator><motor name="ma" joint="a" ctrlrange="-1 1"/><motor name="mb" joint="b" ctrlrange="-1 1"/></actuator>
-</mujoco>
-"""
-
-
-class Arm(MujocoEnv):
-    """Two links; it sees its joints and where its tip is."""
-
-    metadata: ClassVar = {"render_modes": ["human", "rgb_array", "depth_array", "rgbd_tuple"], "render_fps": 100}
-
-    def __init__(self, xml, frame_skip=5, **options):
-        space = Box(-np.inf, np.inf, (7,), np.float64)
-        super().__init__(str(xml), frame_skip, observation_space=space, **options)
-
-    def _get_obs(self):
-        return np.concatenate([self.data.qpos, self.data.qvel, self.data.site("tip").xpos])
-
-    def reset_model(self):
-        self.set_state(np.array([0.3, -0.2]), np.zeros(2))
-        return self._get_obs()
-
-    def step(self, action):
-        self.do_simulation(action, self.frame_skip)
-        return self._get_obs(), -float(np.abs(self.data.qpos).sum()), False, False, {}
 
 
 @pytest.fixture
@@ -67,24 +31,9 @@ def xml(tmp_path):
     return tmp_path / "arm.xml"
 
 
-SHIFT = np.array([0.02, -0.03, 0.1, -0.2])  # of positions and velocities of a and b
-
-
 @pytest.fixture
 def network(tmp_path):
     return shifting(tmp_path / "network", SHIFT)
-
-
-def shifting(folder, shift, joints=("a", "b"), signals=("position", "velocity"), series="simulated", **about):
-    """A network that adds a constant to positions and velocities."""
-    units = {"position": "rad", "velocity": "rad/s", "torque": "Nm"}
-    channels = [(signal, joint, units[signal]) for signal in signals for joint in joints]
-    card = replace(
-        card_of(joints=joints, signals=("position",), **about),
-        inputs=tuple(Input(*channel, series=series) for channel in channels),
-        outputs=tuple(Output(*channel, base=number) for number, channel in enumerate(channels)),
-    )
-    return shift_folder(folder, card, shift)
 
 
 def test_observations_are_of_the_corrected_state_and_the_physics_is_not_touched(xml, network):
@@ -92,8 +41,16 @@ def test_observations_are_of_the_corrected_state_and_the_physics_is_not_touched(
     rng = np.random.default_rng(0)
     before, _ = plain.reset(seed=0)
     seen, info = env.reset(seed=0)
+    # No sample of the network lies before it.
+    np.testing.assert_array_equal(seen, before)
+    assert info["residual"] == "warming"
     data = mujoco.MjData(plain.model)
     for step in range(50):
+        action = rng.uniform(-1, 1, 2)
+        before, reward, *_ = plain.step(action)
+        seen, own, terminated, truncated, info = env.step(action)
+        assert own == reward, step
+        assert (terminated, truncated) == (False, False)
         np.testing.assert_allclose(seen[:4], before[:4] + SHIFT, atol=1e-6)
         assert info["residual"] == "ok"
         # What follows from the joints is that of the corrected ones.
@@ -107,18 +64,13 @@ def test_observations_are_of_the_corrected_state_and_the_physics_is_not_touched(
         assert np.abs(seen[4:] - before[4:]).max() > 1e-3
         np.testing.assert_array_equal(env.unwrapped.data.qpos, plain.data.qpos)
         np.testing.assert_array_equal(env.unwrapped.data.qvel, plain.data.qvel)
-        action = rng.uniform(-1, 1, 2)
-        before, reward, *_ = plain.step(action)
-        seen, own, terminated, truncated, info = env.step(action)
-        assert own == reward, step
-        assert (terminated, truncated) == (False, False)
 
 
-def test_a_network_without_corrections_changes_nothing(xml, tmp_path):
+def test_a_network_without_corrections_changes_no_bit(xml, tmp_path):
     plain, env = Arm(xml), ResidualEnv(Arm(xml), shifting(tmp_path / "none", np.zeros(4)))
-    np.testing.assert_allclose(env.reset(seed=0)[0], plain.reset(seed=0)[0], atol=1e-7)
+    np.testing.assert_array_equal(env.reset(seed=0)[0], plain.reset(seed=0)[0])
     for _ in range(20):
-        np.testing.assert_allclose(env.step(np.ones(2))[0], plain.step(np.ones(2))[0], atol=1e-6)
+        np.testing.assert_array_equal(env.step(np.ones(2))[0], plain.step(np.ones(2))[0])
 
 
 class Fast(Arm):
@@ -157,15 +109,16 @@ def test_gymnasium_s_own_environment_is_rewarded_as_without_a_network(tmp_path, 
     env = ResidualEnv(inner, shifting(tmp_path / "ant", np.full(16, shift), joints=joints, rate_hz=rate_hz))
     before, _ = plain.reset(seed=3)
     seen, _ = env.reset(seed=3)
+    np.testing.assert_array_equal(seen, before)
     rng = np.random.default_rng(2)
     for _ in range(40):
-        np.testing.assert_allclose(seen[:5], before[:5], atol=1e-6)  # the trunk is none of the network's joints
-        np.testing.assert_allclose(seen[5:13] - before[5:13], shift, atol=1e-6)
         action = rng.uniform(-1, 1, 8)
         before, reward, *ends, info = plain.step(action)
         seen, own, *also, told = env.step(action)
         assert own == reward
         assert also == ends
+        np.testing.assert_allclose(seen[:5], before[:5], atol=1e-6)  # the trunk is none of the network's joints
+        np.testing.assert_allclose(seen[5:13] - before[5:13], shift, atol=1e-6)
         assert told["residual"] == "ok"
         assert {name: told[name] for name in info} == info
         for name in ("qpos", "qvel", "xpos", "cfrc_ext", "qacc_warmstart", "sensordata"):
@@ -175,33 +128,42 @@ def test_gymnasium_s_own_environment_is_rewarded_as_without_a_network(tmp_path, 
 def test_observations_in_parts_are_corrected_part_by_part(xml, network):
     class InParts(Arm):
         def _get_obs(self):
-            return {"joints": self.data.qpos.copy(), "image": np.zeros(3, np.uint8)}
+            joints, high = self.data.qpos, bool(self.data.qpos[0] > 0.31)
+            return {"pair": (joints.copy(), high), "image": np.zeros(3, np.uint8)}
 
-    env = ResidualEnv(InParts(xml), network)
-    seen, _ = env.reset(seed=0)
-    np.testing.assert_allclose(seen["joints"], [0.32, -0.23], atol=1e-6)
+    plain, env = InParts(xml), ResidualEnv(InParts(xml), network)
+    plain.reset(seed=0)
+    env.reset(seed=0)
+    before, seen = (each.step(np.zeros(2))[0] for each in (plain, env))
+    np.testing.assert_allclose(seen["pair"][0], before["pair"][0] + SHIFT[:2], atol=1e-6)
+    assert (bool(seen["pair"][1]), before["pair"][1]) == (True, False)
     assert seen["image"].dtype == np.uint8
     assert not seen["image"].any()
 
 
 def test_joints_are_found_by_name_and_one_of_them_is_enough(xml, tmp_path):
     env = ResidualEnv(Arm(xml), shifting(tmp_path / "b", [0.5], joints=("b",), signals=("position",)))
-    seen, _ = env.reset(seed=0)
-    np.testing.assert_allclose(seen[:4], [0.3, -0.2 + 0.5, 0.0, 0.0], atol=1e-6)
+    plain = Arm(xml)
+    plain.reset(seed=0)
+    env.reset(seed=0)
+    before, seen = (each.step(np.zeros(2))[0] for each in (plain, env))
+    np.testing.assert_allclose(seen[:4] - before[:4], [0.0, 0.5, 0.0, 0.0], atol=1e-6)
 
 
 def test_every_episode_begins_anew(xml, tmp_path):
     env = ResidualEnv(Arm(xml), shifting(tmp_path / "warm", SHIFT, warmup_steps=3), warmup=True)
     for _ in range(2):
         said = [env.reset(seed=0)[1]["residual"], *(env.step(np.zeros(2))[4]["residual"] for _ in range(5))]
-        assert said[:3] == ["warming"] * 3
-        assert set(said[3:]) == {"ok"}
+        assert said[:4] == ["warming"] * 4
+        assert set(said[4:]) == {"ok"}
 
 
 def test_warming_observations_are_left_alone_if_asked(xml, tmp_path):
     env = ResidualEnv(Arm(xml), shifting(tmp_path / "warm", SHIFT, warmup_steps=3), warmup=True)
-    seen, _ = env.reset(seed=0)
-    np.testing.assert_allclose(seen[:2], [0.3, -0.2], atol=1e-6)
+    plain = Arm(xml)
+    plain.reset(seed=0)
+    env.reset(seed=0)
+    np.testing.assert_array_equal(env.step(np.ones(2))[0], plain.step(np.ones(2))[0])
 
 
 def test_out_of_the_range_of_training_nothing_is_corrected(xml, tmp_path):
@@ -209,9 +171,12 @@ def test_out_of_the_range_of_training_nothing_is_corrected(xml, tmp_path):
     card = card_of(joints=("a",), signals=("position",))
     card = replace(card, inputs=(Input(*channel, low=-0.1, high=0.1),))
     env = ResidualEnv(Arm(xml), shift_folder(tmp_path / "narrow", card, [0.5]))
-    seen, info = env.reset(seed=0)  # a begins at 0.3
+    plain = Arm(xml)
+    plain.reset(seed=0)
+    env.reset(seed=0)  # a begins at 0.3
+    before, (seen, *_, info) = plain.step(np.zeros(2))[0], env.step(np.zeros(2))
     assert info["residual"] == "fallback"
-    assert seen[0] == pytest.approx(0.3)
+    np.testing.assert_array_equal(seen, before)
 
 
 @pytest.mark.filterwarnings("ignore:.*different from the unwrapped version", "ignore:.*WARN")
@@ -279,7 +244,11 @@ def test_two_networks_one_after_the_other_are_refused(xml, network):
 
 def test_wrappers_that_leave_observations_alone_are_welcome(xml, network):
     env = ResidualEnv(RescaleAction(TimeLimit(Arm(xml), 20), np.float32(-2), np.float32(2)), network)
-    np.testing.assert_allclose(env.reset(seed=0)[0][:4], np.array([0.3, -0.2, 0, 0]) + SHIFT, atol=1e-6)
+    plain = Arm(xml)
+    plain.reset(seed=0)
+    env.reset(seed=0)
+    before, seen = plain.step(np.full(2, 0.5))[0], env.step(np.ones(2))[0]
+    np.testing.assert_allclose(seen[:4], before[:4] + SHIFT, atol=1e-6)
 
 
 def test_an_environment_without_mujoco_is_refused(network):
