@@ -1,3 +1,4 @@
+import pickle
 import sys
 from dataclasses import replace
 
@@ -6,6 +7,7 @@ import pytest
 from benchmarks.networks import JOINTS, bidirectional, card_of, inputs_of, real_time, spoiled_card, window, written
 from onnx import TensorProto, helper
 
+from augment.test_simulator import LSTM, modular_network
 from trueup.core.model_card import CARD_NAME, ONNX_NAME, State
 from trueup.deploy import Network
 from trueup.errors import DataError, FormatError, MissingDependency
@@ -181,3 +183,27 @@ def test_without_onnxruntime_it_says_what_to_install(tmp_path, monkeypatch):
     with pytest.raises(MissingDependency) as error:
         Network.load(made.folder)
     says(error, "onnxruntime", "pip install 'trueup[run]'")
+
+
+def test_a_network_goes_to_another_process_by_its_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    real_time(tmp_path / "net", hidden=(8, 5))
+    network = Network.load("net")
+    sent = pickle.dumps(network)
+    monkeypatch.chdir(tmp_path / "net")  # a process may work elsewhere
+    again = pickle.loads(sent)
+    assert again.card == network.card
+    assert [tensor.name for tensor in again.session.get_inputs()] == [
+        tensor.name for tensor in network.session.get_inputs()
+    ]
+    real_time(tmp_path / "net", hidden=(8, 5), seed=1)
+    with pytest.raises(DataError) as error:
+        pickle.loads(sent)
+    says(error, "another network", "into another one")
+
+
+def test_a_modular_network_goes_with_the_joints_that_it_was_given(tmp_path):
+    folder = tmp_path / "net"
+    folder.mkdir()
+    network = modular_network(folder, LSTM).of_joints(("a", "b"))
+    assert pickle.loads(pickle.dumps(network)).card.joints == ("a", "b")

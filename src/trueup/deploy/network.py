@@ -65,6 +65,25 @@ class Network:
         """The network on a robot with these joints; see `ModelCard.of_joints`."""
         return replace(self, card=self.card.of_joints(joints))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """To another process goes where it lies, and not the session, which cannot; there it is opened again."""
+        return _opened_again, (self.folder.absolute(), self.card)
+
+
+def _opened_again(folder: Path, card: ModelCard) -> Network:
+    """The same network, of the same joints.
+
+    Raises:
+        DataError: there is another one by now; and the errors of `Network.load`.
+    """
+    network = Network.load(folder)
+    if network.card.files != card.files:
+        raise DataError(
+            f"{folder} holds another network than when it was opened before",
+            hint="Leave a model folder as it is while processes work with it; train into another one.",
+        )
+    return replace(network, card=card)
+
 
 def _step_of(folder: Path, card: ModelCard) -> SatWeights | OperatorWeights | None:
     file = StepFile.load(folder, card)
