@@ -41,3 +41,15 @@ def begun_with(_):
 
 def refuse(item):
     raise DataError("cannot", got=item, hint="Do not.")
+
+
+def square_but_end_for_two(number):
+    if number == 2:
+        os._exit(1)
+    return number**2
+
+
+def gpus_given(_):
+    import ray
+
+    return ray.get_gpu_ids()

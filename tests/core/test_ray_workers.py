@@ -43,7 +43,7 @@ def test_workers_begin_before_their_first_item_and_errors_arrive_as_they_were(wi
     ray.init(
         address="local",
         num_cpus=2,
-        num_gpus=0,
+        num_gpus=1,  # of which there need be none
         include_dashboard=False,
         log_to_driver=False,
         _node_ip_address="127.0.0.1",
@@ -58,8 +58,13 @@ def test_workers_begin_before_their_first_item_and_errors_arrive_as_they_were(wi
         assert caught.value.hint == "Do not."
         with pytest.raises(ConfigError, match=r"worker of the Ray cluster ended.*3 more"):
             list(on_ray(errands.end, [1], address="local", begin=dict))
-        with pytest.raises(ConfigError, match="too few GPUs: got 0; expected at least 1"):
-            list(on_ray(errands.square, [1], address="local", gpus=1, begin=dict))
+        with pytest.raises(ConfigError, match="too few GPUs: got 1; expected at least 2"):
+            list(on_ray(errands.square, [1], address="local", gpus=2, begin=dict))
+        assert list(on_ray(errands.gpus_given, [1], address="local", begin=dict)) == [(1, [])]
+        assert list(on_ray(errands.gpus_given, [1], address="local", gpu_if_there=True, begin=dict)) == [(1, [0])]
+        lost = on_ray(errands.square_but_end_for_two, [1, 2], address="local", begin=dict, lost=lambda *told: told)
+        ((_, error),) = (result for item, result in lost if item == 2)
+        assert "WorkerCrashedError after 3 more" in error.summary
         assert ray.is_initialized()  # what others have started goes on
     finally:
         ray.shutdown()

@@ -55,3 +55,21 @@ def test_who_stops_does_not_wait_for_what_is_under_way():
     assert time.monotonic() - began < 30
     with pytest.raises(ConfigError, match="a worker process ended"):
         list(as_they_end(errands.end, [1], jobs=1, begin=dict))
+
+
+def test_whose_process_is_killed_again_is_lost_and_the_others_are_not(tmp_path):
+    told = []
+
+    def lost(item, error):
+        told.append((item, error.summary))
+        return -item
+
+    found = list(as_they_end(errands.square_but_end_for_two, range(6), jobs=2, begin=dict, lost=lost))
+    assert sorted(found) == [(0, 0), (1, 1), (2, -2), (3, 9), (4, 16), (5, 25)]
+    ((item, said),) = told
+    assert item == 2
+    assert "a worker process ended" in said
+    # Killed once, an item is done after all.
+    items = [(number, tmp_path / "killed" if number == 1 else None) for number in range(3)]
+    found = dict(as_they_end(errands.square_or_end_once, items, jobs=2, begin=dict, lost=pytest.fail))
+    assert found == {item: item[0] ** 2 for item in items}

@@ -8,10 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import trueup.stages.fleet as fleet_stage
 from core.ray_cases import one_worker_killed
 from identify.recovery_cases import Truth, arm
+from stages import fleet_errands
 from trueup.cli.main import main
-from trueup.core.fleet_result import FLEET_NAME, FleetResult
+from trueup.core.fleet_result import FLEET_NAME, FleetResult, FleetUnit
+from trueup.core.spread import go_to
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
 from trueup.errors import ConfigError, DataError, FormatError, OutputExists
 from trueup.identify import IdentifyConfig, Nominal
@@ -174,3 +177,45 @@ def test_nothing_of_others_is_deleted(home, robot, tmp_path):
     with pytest.raises(OutputExists, match="no results of a fleet"):
         fleet([home / "data"], robot, tmp_path / "out", config=QUICK, overwrite=True)
     assert Path(tmp_path / "out" / "arm-1" / "thesis.tex").read_text() == "years of work"
+
+
+def test_whatever_goes_wrong_with_a_unit_the_others_go_on(home, robot, tmp_path, monkeypatch):
+    def close(data, *arguments, **options):
+        if "arm-2" in str(data):
+            raise np.linalg.LinAlgError("Singular\nmatrix")
+        return closed(data, *arguments, **options)
+
+    closed = fleet_stage.close
+    monkeypatch.setattr(fleet_stage, "close", close)
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    (broken / "dataset.json").write_text("{")
+    found = fleet([broken, home / "data"], robot, tmp_path / "out", until="gap", jobs=1)
+    assert [unit.name for unit in found.units if unit.status == "failed"] == ["broken", "arm-2"]
+    path = tmp_path / "out" / "arm-2" / "failed.txt"
+    assert found.units[2].reason == f"LinAlgError: Singular matrix; where it was raised stands in {path}"
+    assert "in close" in path.read_text()
+    monkeypatch.setattr(fleet_stage, "close", closed)
+    found = fleet([home / "data"], robot, tmp_path / "out", until="gap", jobs=1, resume=True)
+    assert {unit.status for unit in found.units} == {"measured"}
+    assert not path.exists()
+
+
+def test_a_unit_that_kills_its_process_is_listed(home, robot, tmp_path, monkeypatch):
+    monkeypatch.setattr(fleet_stage, "_closed", fleet_errands.end_for_one)
+    found = fleet([home / "data"], robot, tmp_path / "out", until="gap", jobs=2)
+    assert [unit.status for unit in found.units] == ["measured", "failed", "measured", "measured", "measured"]
+    assert "a worker process ended" in found.units[1].reason
+
+
+def test_results_that_are_not_on_this_disk_are_said(home, robot, tmp_path, monkeypatch):
+    """Workers of a cluster wrote them to their own."""
+
+    def elsewhere(work, tasks, *, begin, **_):
+        assert begin is go_to  # who has not even the folder says so
+        return ((task, fleet_stage._Outcome(FleetUnit(task.name, task.name, "ok"))) for task in tasks)
+
+    monkeypatch.setattr(fleet_stage, "spread", elsewhere)
+    with pytest.raises(DataError, match="what was found of a unit is not in") as error:
+        fleet([home / "data"], robot, tmp_path / "out", until="gap", jobs=1)
+    assert "share" in error.value.hint

@@ -9,6 +9,7 @@ import os
 import socket
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeVar
 
 from trueup.core.workers import one_thread
@@ -49,8 +50,10 @@ def on_ray(
     address: str,
     jobs: int | None = None,
     gpus: int = 0,
+    gpu_if_there: bool = False,
     begin: Callable[..., None],
     with_args: tuple[Any, ...] = (),
+    lost: Callable[[Item, ConfigError], Result] | None = None,
 ) -> Iterator[tuple[Item, Result]]:
     """Each item with what `work` makes of it, in the order in which work ends, as `workers.as_they_end` does it.
 
@@ -63,8 +66,10 @@ def on_ray(
         address: of the cluster; `local` starts one here, of `jobs` processors, and ends it afterwards.
         jobs: items that are under way at a time; as many as the cluster has processors if None.
         gpus: what each item needs besides its processor; Ray hides them from an item that asks for none.
+        gpu_if_there: whether each item takes one GPU of a cluster that has some, and does without one elsewhere.
         begin: called in each process before its first item.
         with_args: its arguments; each machine gets them once, so that they may be large.
+        lost: makes, here, the result of an item whose worker was killed that often; without it, that ends all.
 
     Raises:
         ConfigError: there is no such cluster, it has too few GPUs, or the worker of an item was killed again and again.
@@ -72,11 +77,13 @@ def on_ray(
     """
     with connected(address, jobs):
         import ray
-        from ray.exceptions import RayError, RayTaskError
+        from ray.exceptions import NodeDiedError, OutOfMemoryError, RayError, RayTaskError, WorkerCrashedError
 
         has = int(ray.cluster_resources().get("GPU", 0))
         if has < gpus:  # an item would wait for one as long as the command runs
             raise ConfigError("the Ray cluster has too few GPUs", got=has, expected=f"at least {gpus}")
+        if gpu_if_there:
+            gpus = max(gpus, min(has, 1))
         task = ray.remote(_done).options(num_cpus=1, num_gpus=gpus, max_retries=_RETRIES)
         under_way: dict[Any, Item] = {}
         source = iter(items)
@@ -91,7 +98,12 @@ def on_ray(
                 ended, _ = ray.wait([*under_way])
                 for reference in ended:
                     item = under_way.pop(reference)  # of an error, too: what has ended must not be cancelled
-                    result: Result = ray.get(reference)
+                    try:
+                        result: Result = ray.get(reference)
+                    except (WorkerCrashedError, OutOfMemoryError, NodeDiedError) as error:
+                        if lost is None:
+                            raise
+                        result = lost(item, _worker_ended(error))
                     yield item, result
         except RayTaskError as error:
             if not isinstance(error.cause, RayError):
@@ -102,14 +114,18 @@ def on_ray(
                 hint="Install the same trueup on all machines of the cluster.",
             ) from error
         except RayError as error:
-            raise ConfigError(
-                "a worker of the Ray cluster ended",
-                got=f"{type(error).__name__} after {_RETRIES} more attempts",
-                hint="If it was killed for want of memory, repeat with fewer --jobs.",
-            ) from error
+            raise _worker_ended(error) from error
         finally:
             for reference in under_way:
                 ray.cancel(reference, force=True)
+
+
+def _worker_ended(error: Exception) -> ConfigError:
+    return ConfigError(
+        "a worker of the Ray cluster ended",
+        got=f"{type(error).__name__} after {_RETRIES} more attempts",
+        hint="If it was killed for want of memory, repeat with fewer --jobs.",
+    )
 
 
 @contextlib.contextmanager
@@ -179,3 +195,24 @@ def _done(
         begin(*with_args)
         _begun[:] = [call]
     return work(item)
+
+
+def refuse_other_model(path: Path, found: str, expected: str) -> None:
+    """What a worker computes goes under the name of the model of the machine that it was asked by.
+
+    Args:
+        path: of the model's file.
+        found: fingerprint of the model, as compiled by the worker.
+        expected: as compiled where the command was given.
+
+    Raises:
+        ConfigError: they are not the same.
+    """
+    if found != expected:
+        raise ConfigError(
+            f"the model that {socket.gethostname()} makes of {path} is not that of the command",
+            got=found[:12],
+            expected=expected[:12],
+            hint="Give all machines of the cluster the same file, with all that it includes, and install the same "
+            "versions of trueup and its engines on them.",
+        )

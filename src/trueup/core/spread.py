@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from trueup.core.ray_workers import on_ray
 from trueup.core.workers import as_they_end
-from trueup.errors import DataError
+from trueup.errors import ConfigError, DataError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -24,6 +24,7 @@ def spread(
     gpus: int = 0,
     begin: Callable[..., None],
     with_args: tuple[Any, ...] = (),
+    lost: Callable[[Item, ConfigError], Result] | None = None,
 ) -> Iterator[tuple[Item, Result]]:
     """Each item with what `work` makes of it, as it ends: for items that take seconds or hours.
 
@@ -37,6 +38,8 @@ def spread(
         gpus: what each item needs on a cluster.
         begin: called in each other process before its first item.
         with_args: its arguments.
+        lost: makes, here, the result of an item whose process was killed again and again; without it, that ends all. Of
+            one item at a time, the process is this one.
 
     Raises:
         ConfigError: there is no such cluster, it has too few GPUs, or a process was killed (on a cluster, again and
@@ -44,11 +47,11 @@ def spread(
         MissingDependency: Ray is not installed.
     """
     if ray is not None:
-        return on_ray(work, items, address=ray, jobs=jobs, gpus=gpus, begin=begin, with_args=with_args)
+        return on_ray(work, items, address=ray, jobs=jobs, gpus=gpus, begin=begin, with_args=with_args, lost=lost)
     jobs = jobs or os.cpu_count() or 1
     if jobs == 1:
         return ((item, work(item)) for item in items)
-    return as_they_end(work, items, jobs=jobs, begin=begin, with_args=with_args)
+    return as_they_end(work, items, jobs=jobs, begin=begin, with_args=with_args, lost=lost)
 
 
 def go_to(folder: str) -> None:

@@ -70,6 +70,7 @@ def as_they_end(
     jobs: int,
     begin: Callable[..., None],
     with_args: tuple[Any, ...] = (),
+    lost: Callable[[Item, ConfigError], Result] | None = None,
 ) -> Iterator[tuple[Item, Result]]:
     """Each item with what `work` makes of it, in the order in which work ends: for items that take minutes or hours.
 
@@ -82,28 +83,62 @@ def as_they_end(
         jobs: processes.
         begin: called in each process before its first item.
         with_args: its arguments.
+        lost: makes, here, the result of an item whose process was killed; without it, that ends all. One death ends all
+            processes, and does not say whose it was: the items under way are begun anew one by one, each alone, and
+            that of a process which is killed again is lost.
 
     Raises:
         ConfigError: the processes could not start, or one of them was killed.
     """
+    source = iter(items)
+    while True:
+        under_way: dict[int, Item] = {}
+        try:
+            yield from _of_one_pool(work, source, under_way, jobs, begin, with_args)
+        except BrokenProcessPool as error:
+            if lost is None:
+                raise _ended(error) from error
+        else:
+            return
+        for item in under_way.values():
+            try:
+                yield from _of_one_pool(work, iter((item,)), {}, 1, begin, with_args)
+            except BrokenProcessPool as error:
+                yield item, lost(item, _ended(error))
+
+
+def _of_one_pool(
+    work: Callable[[Item], Result],
+    source: Iterator[Item],
+    under_way: dict[int, Item],
+    jobs: int,
+    begin: Callable[..., None],
+    with_args: tuple[Any, ...],
+) -> Iterator[tuple[Item, Result]]:
+    """As `as_they_end`; `under_way` are, by number, the items that were taken and have not ended.
+
+    Raises:
+        BrokenProcessPool: the processes could not start, or one of them was killed.
+    """
     context = get_context("spawn")
     heard, held = context.Pipe(duplex=False)
     pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin_while, initargs=(heard, begin, with_args))
-    under_way: dict[Future[Result], Item] = {}
-    source = iter(items)
+    futures: dict[Future[Result], int] = {}
+    numbers = itertools.count()
     try:
         while True:
-            for item in itertools.islice(source, jobs - len(under_way)):
+            for number, item in zip(numbers, itertools.islice(source, jobs - len(under_way)), strict=False):
+                under_way[number] = item
                 with _deaf():
-                    under_way[pool.submit(work, item)] = item
-            if not under_way:
+                    futures[pool.submit(work, item)] = number
+            if not futures:
                 break
-            ended, _ = wait(under_way, return_when=FIRST_COMPLETED)
-            for future in [future for future in under_way if future in ended]:
-                yield under_way.pop(future), future.result()
+            ended, _ = wait(futures, return_when=FIRST_COMPLETED)
+            # What is done is told before an error ends the rest.
+            for future in sorted(ended, key=lambda future: (future.exception() is not None, futures[future])):
+                result = future.result()
+                yield under_way.pop(futures.pop(future)), result
         pool.shutdown()
-    except BrokenProcessPool as error:
-        raise _ended(error) from error
     finally:
         held.close()
         pool.shutdown(cancel_futures=True)

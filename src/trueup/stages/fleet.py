@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-import shutil
+import traceback
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trueup.core.atomic import remove, write_bytes
 from trueup.core.close_result import CLOSE_NAME, STEPS, StepName
 from trueup.core.fit_result import FitResult, FittedParameter
 from trueup.core.fleet_result import FLEET_NAME, FleetParameter, FleetResult, FleetUnit, UnitValue
@@ -18,22 +20,19 @@ from trueup.core.provenance import provenance
 from trueup.core.ray_workers import connected
 from trueup.core.results import Ladder
 from trueup.core.sole_writer import sole_writer
-from trueup.core.spread import here, spread
-from trueup.dataset import Dataset, DatasetWriter, is_dataset
+from trueup.core.spread import go_to, here, spread
 from trueup.errors import ConfigError, DataError, OutputExists, TrueupError
 from trueup.measure.population import population
 from trueup.robots import RobotSpec
 from trueup.stages.close_networks import METHODS
 from trueup.stages.closing import close
+from trueup.stages.fleet_units import TRACEBACK, units_of
 from trueup.stages.progress import Track, silent
 
 if TYPE_CHECKING:
     from trueup.identify import IdentifyConfig
 
-_DATA = "dataset"
 _Z95 = 1.959963984540054
-# Letters of the name of a folder; others become one of them.
-_PLAIN = "-_."
 
 
 @dataclass(frozen=True)
@@ -81,11 +80,13 @@ def fleet(
     """Close each of many robots by itself, and say what they have in common and which is not like the others.
 
     A dataset of several units is taken apart; each unit has a folder below `out` with all that `close` leaves. A unit
-    that fails is listed, and the others go on. What an earlier call has finished is kept, and a worker of a cluster
-    that is killed is replaced; its unit goes on where it was.
+    that fails is listed, whatever the reason, and the others go on; so is a dataset that cannot be read, and a unit
+    whose process was killed twice, the second time while it was the only one. What an earlier call has finished is
+    kept, and a worker of a cluster that is killed is replaced; its unit goes on where it was.
 
     Args:
-        datasets: of one or more units each; on a cluster, in a folder that all its machines have.
+        datasets: of one or more units each, which are as many robots: those of two datasets are two, also if they have
+            the same name. On a cluster, in a folder that all its machines have.
         robot: their description.
         out: folder for the results; likewise.
         model: MJCF or URDF; looked for beside the data and in the package if None.
@@ -102,8 +103,9 @@ def fleet(
 
     Raises:
         OutputExists: `out` holds results, and neither `overwrite` nor `resume` is given.
-        ConfigError: no such step, no data, or no such cluster.
-        DataError: nothing could be done with any unit, or a dataset is broken.
+        TrueupError: there is nothing where a dataset should be, or none of them can be read.
+        ConfigError: no such step, no data, a dataset that is given twice, or no such cluster.
+        DataError: nothing could be done with any unit, or machines of the cluster do not share the disk of `out`.
     """
     if until not in STEPS[2:]:
         raise ConfigError("there is no such last step of a fleet", got=until, available=STEPS[2:])
@@ -115,14 +117,16 @@ def fleet(
     with connected(ray, jobs), sole_writer(out):
         if any(out.iterdir()) and not (overwrite or resume):
             raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
+        units = units_of([Path(path) for path in datasets], out, model=model, overwrite=overwrite)
+        outcomes = {unit.name: _failed(unit.name, unit.reason) for unit in units if unit.reason}
         tasks = [
-            _Task(name, data, out / name, robot, model, config, until, budget_s, tuple(methods), seed)
-            for name, data in _units([Path(path) for path in datasets], out, overwrite=overwrite)
+            _Task(unit.name, unit.data, out / unit.name, *(robot, model, config, until, budget_s, tuple(methods), seed))
+            for unit in units
+            if not unit.reason
         ]
-        outcomes: dict[str, _Outcome] = {}
         for task, outcome in track(_ended(tasks, jobs, ray), "fleet", len(tasks)):
             outcomes[task.name] = outcome
-        done = [outcomes[task.name] for task in tasks]
+        done = [outcomes[unit.name] for unit in units]
         if all(outcome.unit.status == "failed" for outcome in done):
             raise DataError("nothing could be done with any unit, the first because", got=done[0].unit.reason)
         asked = {"until": until, "budget_s": budget_s, "methods": list(methods), "robot": robot.name}
@@ -180,84 +184,63 @@ def _scaled(parameter: FittedParameter, relative: bool) -> tuple[float, float] |
     return (value, deviation) if np.isfinite(ends).all() and deviation > 0 else None
 
 
-def _units(paths: Sequence[Path], out: Path, *, overwrite: bool) -> list[tuple[str, Path]]:
-    """Each unit with its data: the dataset itself, or a part of it below `out`."""
-    found: dict[str, Path] = {}
-    for path in paths:
-        dataset = Dataset(path)
-        own = dict.fromkeys(meta.unit for meta in dataset.metas)
-        for unit in own:
-            name = _plain(unit or path.resolve().name)
-            if name in found:
-                name = _plain(f"{path.resolve().name}-{unit}")
-            if name in found:
-                raise ConfigError(
-                    f"two units are called {name!r}", got=path, hint="Give their datasets folders with other names."
-                )
-            _clear(out / name, overwrite=overwrite)
-            found[name] = path if len(own) == 1 else _part(dataset, unit, out / name / _DATA)
-    return list(found.items())
-
-
-def _plain(name: str) -> str:
-    kept = "".join(letter if letter.isalnum() or letter in _PLAIN else "_" for letter in name)
-    return kept.lstrip(".") or "unit"
-
-
-def _clear(folder: Path, *, overwrite: bool) -> None:
-    """Remove what an earlier call has left of a unit, and nothing else."""
-    if not overwrite or not folder.exists():
-        return
-    if not ((folder / CLOSE_NAME).is_file() or (folder / _DATA).is_dir()):
-        raise OutputExists(f"{folder} holds no results of a fleet", hint="Choose another --out.")
-    shutil.rmtree(folder)
-
-
-def _part(dataset: Dataset, unit: str, path: Path) -> Path:
-    """The motions of one unit as a dataset, with what the whole one says."""
-    info = replace(dataset.info, notes=(*dataset.info.notes, f"unit {unit} of {dataset.path.name}"))
-    ids = [meta.id for meta in dataset.metas if meta.unit == unit]
-    if not is_dataset(path) or set(Dataset(path).ids) != set(ids):
-        with DatasetWriter.create(path, info, overwrite=True) as writer:
-            for name in ids:
-                writer.append(dataset.episode(name))
-    models = dataset.path / "model"
-    if models.is_dir():
-        shutil.copytree(models, path / "model", dirs_exist_ok=True)
-    return path
-
-
 def _ended(tasks: Sequence[_Task], jobs: int | None, ray: str | None) -> Iterator[tuple[_Task, _Outcome]]:
     if ray is None:
         jobs = min(jobs or os.cpu_count() or 1, len(tasks))
-    return spread(_closed, tasks, jobs=jobs, ray=ray, begin=_begin, with_args=here())
+    ended = spread(_closed, tasks, jobs=jobs, ray=ray, begin=go_to, with_args=here(), lost=_lost)
+    for task, outcome in ended:
+        if outcome.unit.status != "failed" and not (task.folder / CLOSE_NAME).is_file():
+            raise DataError(
+                f"what was found of a unit is not in {task.folder}",
+                hint="--out must be on a file system that all machines of the Ray cluster share, under the same path.",
+            )
+        yield task, outcome
 
 
-def _begin(folder: str) -> None:
-    """Paths mean what they mean for whoever has started it, where the folder is there."""
-    if Path(folder).is_dir():
-        os.chdir(folder)
+def _failed(name: str, reason: str) -> _Outcome:
+    return _Outcome(FleetUnit(name, name, "failed", reason=reason))
+
+
+def _lost(task: _Task, error: ConfigError) -> _Outcome:
+    return _failed(task.name, error.summary)
 
 
 def _closed(task: _Task) -> _Outcome:
-    """One unit, on one processor; what is finished of it is kept."""
-    name, folder = task.name, task.folder.name
+    """One unit, on one processor; whatever is wrong with it, the others go on."""
+    path = task.folder / TRACEBACK
     try:
-        done = close(
-            task.data,
-            task.robot,
-            task.folder,
-            model=task.model,
-            config=task.config,
-            until=task.until,
-            budget_s=task.budget_s,
-            methods=task.methods,
-            seed=task.seed,
-            jobs=1,
-            resume=True,
-        )
+        remove(path)
+        return _outcome(task)
     except TrueupError as error:
-        return _Outcome(FleetUnit(name, folder, "failed", reason=error.summary))
+        return _failed(task.name, error.summary)
+    except Exception as error:
+        with contextlib.suppress(TrueupError, MemoryError):
+            write_bytes(path, traceback.format_exc().encode(errors="replace"))
+        # Said as our own errors are: on one line, printable and short.
+        said = DataError(f"{type(error).__name__}: {error}").summary
+        return _failed(task.name, f"{said}; where it was raised stands in {path}")
+
+
+def _outcome(task: _Task) -> _Outcome:
+    """What is finished of it is kept.
+
+    Raises:
+        TrueupError: what `close` raises.
+    """
+    name, folder = task.name, task.folder.name
+    done = close(
+        task.data,
+        task.robot,
+        task.folder,
+        model=task.model,
+        config=task.config,
+        until=task.until,
+        budget_s=task.budget_s,
+        methods=task.methods,
+        seed=task.seed,
+        jobs=1,
+        resume=True,
+    )
     seconds = sum(step.seconds for step in done.result.steps)
     signal, errors = _errors(done.ladder)
     motions = len(done.dataset)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import re
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from trueup.align import JointMap, check_quality, limits_in_log
-from trueup.core.atomic import as_read_back, replacing
+from trueup.core.atomic import as_read_back
 from trueup.core.episode import Episode, warning_kinds
 from trueup.core.provenance import provenance
 from trueup.dataset import (
@@ -33,9 +32,8 @@ from trueup.dataset.importers.detect import find_importer
 from trueup.errors import ConfigError, DataError, NameMismatch, OutputExists, TrueupError
 from trueup.robots import RobotSpec
 from trueup.stages.progress import Track, silent
+from trueup.stages.robot_model import copy_model
 
-# A model folder with meshes is copied whole; beyond this size it is somebody's asset library.
-_MAX_MODEL_BYTES = 200 * 2**20
 _LONGEST_S = 30 * 86400.0
 _LONGEST_NAME = 200
 # Control characters, which would command a terminal, overrides of the writing direction, and halves of characters.
@@ -162,7 +160,7 @@ def import_logs(
             _refuse_other_options(DatasetInfo.load(out), info, out)
             writer = stack.enter_context(DatasetWriter.resume(out, info))
             if plan.model_dir is not None and not writer.info.model:
-                writer.info = _copy_model(plan.model_dir, out, writer.info)
+                writer.info = copy_model(plan.model_dir, out, writer.info)
         there = frozenset(writer.ids if writer else ())
         missing = [item for item in plan.episodes if item.id not in there]
         for item in track(missing, "import", len(missing)):
@@ -174,7 +172,7 @@ def import_logs(
             if writer is None:  # only now, so that an import of which nothing can be read leaves nothing behind
                 writer = stack.enter_context(DatasetWriter.create(out, info, overwrite=overwrite))
                 if plan.model_dir is not None:
-                    writer.info = _copy_model(plan.model_dir, out, writer.info)
+                    writer.info = copy_model(plan.model_dir, out, writer.info)
             if episode.meta.warned:
                 flagged[item.id] = warning_kinds(episode.meta.flags)
             writer.append(episode)
@@ -284,16 +282,3 @@ def refuse_nesting(source: Path, out: Path) -> None:
             got=out,
             hint="Choose an --out beside the logs.",
         )
-
-
-def _copy_model(folder: Path, out: Path, info: DatasetInfo) -> DatasetInfo:
-    """The robot's model goes with the data, so that a replay needs nothing else."""
-    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and not path.is_symlink()]
-    if sum(path.stat().st_size for path in files) > _MAX_MODEL_BYTES:
-        return info
-    for path in files:
-        with replacing(out / "model" / path.relative_to(folder)) as temporary:
-            shutil.copyfile(path, temporary)
-    info = replace(info, model="model")
-    info.save(out)
-    return info

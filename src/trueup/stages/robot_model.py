@@ -2,16 +2,55 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
-from trueup.dataset import Dataset
+from trueup.core.atomic import replacing
+from trueup.dataset import Dataset, DatasetInfo
 from trueup.robots import RobotSpec, find_model
+
+# A model folder with meshes is copied whole; beyond this size it is somebody's asset library.
+_MAX_BYTES = 200 * 2**20
 
 
 def model_file(robot: RobotSpec, dataset: Dataset, *, given: Path | None = None) -> Path:
-    """The file that is given, else that which the dataset names or holds, else that of the package.
+    """The model file that is given, else that which the dataset names or holds, else that of the package.
 
     Raises:
         ConfigError: there is none.
     """
-    return find_model(robot, given=given, folder=dataset.info.model_path(dataset.path) or dataset.path / "model")
+    return find_model(robot, given=given, folder=model_folder(dataset))
+
+
+def model_folder(dataset: Dataset) -> Path:
+    """The folder of models that a dataset names, or where one is looked for that it does not name.
+
+    Raises:
+        ConfigError: it is not inside the dataset's folder.
+    """
+    return dataset.info.model_path(dataset.path) or dataset.path / "model"
+
+
+def copy_model(folder: Path, out: Path, info: DatasetInfo) -> DatasetInfo:
+    """The robot's model goes with the data, into `out/model`, so that a replay needs nothing else.
+
+    Links are not followed, and a folder of more than 200 MB is not copied.
+
+    Args:
+        folder: with the model and its meshes.
+        out: the dataset that gets it.
+        info: its dataset.json.
+
+    Returns:
+        What dataset.json says from now on; `info` if the model was not copied.
+    """
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file() and not path.is_symlink()]
+    if sum(path.stat().st_size for path in files) > _MAX_BYTES:
+        return info
+    for path in files:
+        with replacing(out / "model" / path.relative_to(folder)) as temporary:
+            shutil.copyfile(path, temporary)
+    info = replace(info, model="model")
+    info.save(out)
+    return info
