@@ -12,7 +12,17 @@ from trueup.cli.main import main
 from trueup.core.ray_workers import Cluster
 from trueup.core.time_limit import TimeLimit
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
-from trueup.identify import IdentifyConfig, Nominal, Problem, SegmentRule, SolveSettings, make_segments, solve
+from trueup.errors import ConfigError
+from trueup.identify import (
+    IdentifyConfig,
+    Nominal,
+    Problem,
+    SegmentRule,
+    SolveSettings,
+    make_segments,
+    many_starts,
+    solve,
+)
 from trueup.identify.config import SolverChoice, make_parameters
 from trueup.robots import load_robot
 from trueup.stages import fit
@@ -130,3 +140,17 @@ def test_the_command(home, tmp_path, capsys):
     printed = capsys.readouterr()
     assert left.value.code == 0, printed.err
     assert "2 of 2 starts end in the same best place" in printed.out + printed.err
+
+
+def test_a_worker_with_another_model_is_refused(problem, tmp_path, monkeypatch):
+    older = tmp_path / "older.xml"
+    older.write_text(problem.nominal.path.read_text().replace('mass="0.6"', 'mass="0.7"'))
+
+    def there(work, starts, *, begin, with_args, **_):
+        (given,) = with_args
+        begin(given)  # the same is the same
+        begin(dataclasses.replace(given, model=older))
+
+    monkeypatch.setattr(many_starts, "on_ray", there)
+    with pytest.raises(ConfigError, match=r"makes of .*older\.xml is not that of the command"):
+        solve(problem.with_parameters(problem.parameters), SolveSettings(starts=2), cluster=CLUSTER)

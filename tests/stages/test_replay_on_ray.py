@@ -2,6 +2,7 @@
 
 import dataclasses
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,9 +10,11 @@ import pytest
 import trueup.stages.replay_parts as replay_parts
 from core.ray_cases import NEEDS_RAY, QUIET, local_cluster, one_worker_killed
 from trueup.dataset import Dataset, DatasetWriter
-from trueup.errors import DataError
-from trueup.robots import load_robot
+from trueup.errors import ConfigError, DataError
+from trueup.robots import PayloadSpec, find_model, load_robot
+from trueup.sim import ReplaySettings
 from trueup.stages import demo_dataset, replay
+from trueup.stages.replay_parts import ReplayPart, replayed_on_ray
 
 pytestmark = QUIET
 ROBOT = load_robot("demo_arm")
@@ -102,3 +105,63 @@ def _broken(read, name):
         return read(self, id, **options)
 
     return episode
+
+
+def test_a_worker_with_another_model_is_refused(recorded, tmp_path, monkeypatch):
+    """Its motions would be stored as those of the model that the command was given."""
+    data = Dataset(shutil.copytree(recorded, tmp_path / "data"))
+    model, older = tmp_path / "arm.xml", tmp_path / "older.xml"
+    text = find_model(ROBOT).read_text()
+    model.write_text(text)
+    older.write_text(text.replace('mass="0.4"', 'mass="0.5"'))
+
+    def there(work, items, **_):
+        for item in items:
+            if data.runs:  # the first part is that of a worker which has the same
+                item = (item[0], dataclasses.replace(item[1], model=older))
+            yield item, work(item)
+
+    monkeypatch.setattr(replay_parts, "on_ray", there)
+    monkeypatch.setattr("trueup.stages.replaying.PART", 4)
+    with pytest.raises(ConfigError, match=r"the model that .* makes of .*older\.xml is not that of the command"):
+        replay(data, ROBOT, model=model, ray="somewhere")
+    assert data.run_ids("mujoco/stock") == data.ids[:4]
+
+
+def test_a_model_with_a_payload_and_a_mesh_is_the_same_there(recorded, tmp_path, monkeypatch):
+    """The command is given its path from where it is, a worker the whole path, which MuJoCo keeps of meshes."""
+
+    def there(work, items, **_):
+        return ((item, work(item)) for item in items)
+
+    monkeypatch.setattr(replay_parts, "on_ray", there)
+    monkeypatch.chdir(tmp_path)
+    text = (
+        find_model(ROBOT)
+        .read_text()
+        .replace(' pos="0.22 0 0">', ' pos="0.22 0 0"><site name="tool"/><geom type="mesh" mesh="a"/>')
+    )
+    Path("arm.xml").write_text(text.replace("<worldbody>", '<asset><mesh name="a" file="a.obj"/></asset><worldbody>'))
+    Path("a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    robot = dataclasses.replace(ROBOT, payload=PayloadSpec(("tool",)))
+    with DatasetWriter.create("data", Dataset(recorded).info) as writer:
+        for number, name in enumerate(Dataset(recorded).ids[:2]):
+            episode = Dataset(recorded).episode(name)
+            writer.append(
+                dataclasses.replace(episode, meta=dataclasses.replace(episode.meta, payload_kg=float(number)))
+            )
+    assert replay(Dataset("data"), robot, model=Path("arm.xml"), ray="somewhere").replayed == 2
+
+
+def test_parts_of_warp_ask_for_a_gpu(monkeypatch):
+    asked = []
+
+    def there(*_, gpu_if_there, **__):
+        asked.append(gpu_if_there)
+        return iter(())
+
+    monkeypatch.setattr(replay_parts, "on_ray", there)
+    for engine in ("warp", "mujoco"):
+        part = ReplayPart(Path("data"), (), ROBOT, Path("arm.xml"), engine, "", 0.0, ReplaySettings.of(ROBOT))
+        assert list(replayed_on_ray([part], "somewhere", None)) == []
+    assert asked == [True, False]

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from trueup.core.parameters import ParameterSet
-from trueup.core.ray_workers import Cluster, on_ray
+from trueup.core.ray_workers import Cluster, on_ray, refuse_other_model
 from trueup.core.time_limit import TimeLimit
 from trueup.errors import DataError
 from trueup.identify.candidate import Nominal
@@ -55,6 +55,7 @@ class _Given:
 
     robot: RobotSpec
     model: Path
+    model_sha256: str
     parameters: ParameterSet
     segments: tuple[Segment, ...]
     weights: Weights
@@ -85,7 +86,8 @@ def from_many_starts(
 
     Raises:
         DataError: none of the starts can be simulated.
-        ConfigError: there is no such cluster, or a worker of it was killed again and again.
+        ConfigError: there is no such cluster, or a worker of it was killed again and again, or has another model or
+            MuJoCo.
     """
     clock = Stopwatch()
     ends = draw_starts(space_of(problem), settings.starts, spread=_SPREAD, seed=settings.seed)
@@ -139,10 +141,12 @@ def _ended(
         for start in starts:
             yield _searched(start, problem, settings, checkpoint, on_progress)
         return
-    nominal = problem.nominal
+    # Anew, since its path stands in the compiled model, where that has meshes.
+    nominal = Nominal(problem.nominal.given, problem.nominal.path.absolute())
     given = _Given(
         nominal.given,
-        nominal.path.absolute(),
+        nominal.path,
+        nominal.simulator.fingerprint,
         problem.parameters,
         problem.segments,
         problem.weights,
@@ -186,6 +190,7 @@ _there: list[tuple[_Given, Problem]] = []
 
 def _begin(given: _Given) -> None:
     nominal = Nominal(given.robot, given.model)
+    refuse_other_model(given.model, nominal.simulator.fingerprint, given.model_sha256)
     problem = Problem(nominal, given.parameters, given.segments, weights=given.weights)
     _there[:] = [(given, problem)]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from trueup.align import JointMap
 from trueup.core.episode import Episode
-from trueup.core.ray_workers import on_ray
+from trueup.core.ray_workers import on_ray, refuse_other_model
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset
 from trueup.errors import TrueupError
@@ -26,13 +26,17 @@ Replayed = list[tuple[str, "TimeSeries | TrueupError"]]
 
 @dataclass(frozen=True)
 class ReplayPart:
-    """Some episodes with the same payload, and all that decides about their replay."""
+    """Some episodes with the same payload, and all that decides about their replay.
+
+    The hash is the fingerprint of the simulator with this payload, where the replay was asked for.
+    """
 
     dataset: Path
     ids: tuple[str, ...]
     robot: RobotSpec
     model: Path
     engine: str
+    model_sha256: str
     payload_kg: float
     settings: ReplaySettings
 
@@ -42,18 +46,22 @@ def replayed_on_ray(
 ) -> Iterator[tuple[str, TimeSeries | TrueupError]]:
     """What became of each episode, in their order, whichever worker is done first.
 
+    Those of Warp have a GPU each where the cluster has some, and are on processors where it has none.
+
     Args:
         parts: of a dataset that is on every machine of the cluster, in the same folder.
         address: of the cluster.
         jobs: parts at a time; as many as the cluster has processors if None.
 
     Raises:
-        ConfigError: there is no such cluster, or a worker was killed again and again.
+        ConfigError: there is no such cluster, a worker was killed again and again, or has another model or engine.
     """
     numbered = list(enumerate(parts))
     early: dict[int, Replayed] = {}
     next_one = 0
-    for (number, _), results in on_ray(_replayed, numbered, address=address, jobs=jobs, begin=_begin):
+    warp = any(part.engine == "warp" for _, part in numbered)
+    done = on_ray(_replayed, numbered, address=address, jobs=jobs, gpu_if_there=warp, begin=_begin)
+    for (number, _), results in done:
         early[number] = results
         while next_one in early:
             yield from early.pop(next_one)
@@ -80,6 +88,7 @@ def _replayed(item: tuple[int, ReplayPart]) -> Replayed:
 
     _, part = item
     simulator = make_simulator(part.engine, part.robot, part.model, payload_kg=part.payload_kg)
+    refuse_other_model(part.model, simulator.fingerprint, part.model_sha256)
     joint_map = JointMap.from_dict(part.robot.joint_rules())
     failed: dict[str, TrueupError] = {}
     episodes = readable(Dataset(part.dataset), part.ids, joint_map, failed)

@@ -87,7 +87,7 @@ def replay(
         OutputExists: the run is there, and neither `overwrite` nor a matching `resume` applies.
         NameMismatch: the joints of log, robot and model do not agree.
         ConfigError: the model is not found, or does not load, or the engine is not there or cannot match it, or no
-            cluster answers.
+            cluster answers, or a worker of it has another model or engine.
         DataError: there is no episode, or none could be replayed.
     """
     label = f"{engine}/stock" if label is None else label
@@ -135,12 +135,14 @@ def replay(
         missing = [name for name in wanted if writer is None or name not in writer.ids]
         results: Iterator[tuple[str, TimeSeries | TrueupError]]
         if ray is not None:
+            there = path.resolve()  # which stands in the compiled model, where that has meshes
             parts = (
                 ReplayPart(
-                    *(dataset.path.resolve(), tuple(names[first : first + PART]), robot, path.resolve(), engine),
-                    *(payload_kg, settings),
+                    *(dataset.path.resolve(), tuple(names[first : first + PART]), robot, there, engine),
+                    *(fingerprint, payload_kg, settings),
                 )
                 for payload_kg, names in by_payload(dataset, robot, missing)
+                for fingerprint in (make_simulator(engine, robot, there, payload_kg=payload_kg).fingerprint,)
                 for first in range(0, len(names), PART)
             )
             results = replayed_on_ray(parts, ray, jobs)
