@@ -3,6 +3,7 @@
 import sys
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ from trueup.errors import ConfigError, DataError, MissingDependency, MissingSign
 from trueup.robots import ControllerSpec, JointFriction, find_model, load_robot
 from trueup.sim import MujocoSimulator, make_simulator
 from trueup.sim.warp_engine import WarpSimulator
+from trueup.sim.warp_room import room_for
 from trueup.stages import demo_dataset, replay
 
 pytest.importorskip("mujoco_warp", reason="MuJoCo Warp is not installed (extra warp)")
@@ -134,3 +136,56 @@ def test_without_warp_it_says_what_to_install(monkeypatch):
     robot = load_robot("demo_arm")
     with pytest.raises(MissingDependency, match="warp"):
         make_simulator("warp", robot, find_model(robot))
+
+
+def test_constraints_without_room_are_said_and_not_left_out(monkeypatch):
+    """Three joints have dry friction, a row each."""
+    monkeypatch.setattr("trueup.sim.warp_engine.room_for", lambda *_: 2)
+    _, warp = both("demo_arm")
+    request = motions(warp, steps=5)
+    with pytest.raises(
+        DataError, match=r"no room for all contacts and other constraints.*nefc.*at most 2 rows"
+    ) as error:
+        warp.rollout(request)
+    assert error.value.hint == "Take --engine mujoco."
+    warp.reset(request.position, request.velocity)
+    with pytest.raises(DataError, match="no room"):
+        warp.step({name: values[:, 0] for name, values in request.command.items()})
+
+
+LINK = '<body><joint name="{0}" axis="0 1 0" frictionloss="0.1" limited="true" range="-1 1" ref="2"/><geom size="0.01" contype="0" conaffinity="0"/>{1}</body>'
+CUBES = "".join(
+    f'<body pos="{number} 0 0.049"><freejoint/><geom type="box" size="0.05 0.05 0.05" condim="{condim}"/></body>'
+    for number, condim in enumerate((3, 4, 6, 1, 3, 3))
+)
+
+
+def chain(joints):
+    inner = ""
+    for number in range(joints):
+        inner = LINK.format(number, inner)
+    return inner
+
+
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@pytest.mark.parametrize("contacts", [True, False])
+def test_there_is_room_for_what_mujoco_needs(cone, contacts):
+    """Of a chain whose joints are all beyond their limits, and of cubes on the floor."""
+    import mujoco_warp
+
+    world = chain(40) + ('<geom type="plane" size="9 9 1"/>' + CUBES if contacts else "")
+    flag = "" if contacts else '<flag contact="disable"/>'
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><compiler angle="radian"/><option cone="{cone}">{flag}</option><worldbody>{world}</worldbody></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.qpos0
+    mujoco.mj_forward(model, data)
+    rows = room_for(mujoco_warp, model)
+    assert data.nefc >= 80
+    assert (data.ncon >= 24) == contacts
+    assert rows >= data.nefc
+    assert contacts or rows == 80
+    small = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{chain(3)}</worldbody></mujoco>")
+    small.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    assert room_for(mujoco_warp, small) == mujoco_warp.put_data(small, mujoco.MjData(small)).njmax

@@ -21,6 +21,9 @@ from trueup.sim.controllers import Channel
 from trueup.sim.friction import has_friction
 from trueup.sim.mujoco_engine import MujocoSimulator
 from trueup.sim.payload import attach_payload
+from trueup.sim.warp_room import refuse_overflow, room_for
+
+_INSTEAD = "Take --engine mujoco."
 
 
 class WarpSimulator(MujocoSimulator):
@@ -60,9 +63,7 @@ class WarpSimulator(MujocoSimulator):
             "a moving base": bool(robot.simulation.base_sensor),
         }
         if present := [name for name, there in lacking.items() if there]:
-            raise ConfigError(
-                f"MuJoCo Warp simulates no {', '.join(present)}, as in {robot.name!r}", hint="Take --engine mujoco."
-            )
+            raise ConfigError(f"MuJoCo Warp simulates no {', '.join(present)}, as in {robot.name!r}", hint=_INSTEAD)
         super().__init__(model, robot, channels, threads=threads)
         compiled = copy.copy(model)
         # Warp has no such flag: it never starts again from the reset state.
@@ -70,10 +71,9 @@ class WarpSimulator(MujocoSimulator):
         try:
             self._put = mujoco_warp.put_model(compiled)
         except NotImplementedError as error:
-            raise ConfigError(
-                f"MuJoCo Warp cannot simulate robot {robot.name!r}", got=error, hint="Take --engine mujoco."
-            ) from error
+            raise ConfigError(f"MuJoCo Warp cannot simulate robot {robot.name!r}", got=error, hint=_INSTEAD) from error
         self._compiled, self._worlds = compiled, None
+        self._rows = room_for(mujoco_warp, compiled)
 
     @staticmethod
     def from_robot(robot: RobotSpec, model_path: Path, *, payload_kg: float = 0.0, threads: int = 1) -> WarpSimulator:
@@ -132,6 +132,7 @@ class WarpSimulator(MujocoSimulator):
             for own, now in zip(kept, (data.qpos, data.qvel, data.act, data.sensordata), strict=True):
                 if own.shape[2]:
                     warp.copy(own[step], now)
+        refuse_overflow(self._engine, data, self.robot.name, _INSTEAD)
         qpos, qvel, act, sensors = (own.numpy().swapaxes(0, 1).astype(np.float64) for own in kept)
         after = np.tile(states[:, None], (1, steps, 1))
         after[..., 0] = states[:, :1] + self.timestep_s * np.arange(1, steps + 1)
@@ -146,12 +147,17 @@ class WarpSimulator(MujocoSimulator):
         self._worlds = self._placed(self._states(RolloutRequest(position, velocity, {})))
 
     def step(self, command: Mapping[str, Float[np.ndarray, "B J"]]) -> dict[str, Float[np.ndarray, "B J"]]:
-        """Advance every copy by one physics step; see `MujocoSimulator.step`."""
+        """Advance every copy by one physics step; see `MujocoSimulator.step`.
+
+        Raises:
+            DataError: `reset` was not called, or Warp had no room for all constraints, such as contacts.
+        """
         if self._worlds is None:
             raise DataError("step before reset", hint="Call reset(position, velocity) first.")
         data, layout = self._worlds, self._layout
         data.ctrl.assign(self.control_of({name: values[:, None, :] for name, values in command.items()})[:, 0])
         self._engine.step(self._put, data)
+        refuse_overflow(self._engine, data, self.robot.name, _INSTEAD)
         return {
             "position": data.qpos.numpy()[:, layout.qpos].astype(np.float64),
             "velocity": data.qvel.numpy()[:, layout.qvel].astype(np.float64),
@@ -160,7 +166,9 @@ class WarpSimulator(MujocoSimulator):
 
     def _placed(self, states: Float64[np.ndarray, "B S"]) -> Any:
         """As many worlds, in these states."""
-        data = self._engine.put_data(self._compiled, mujoco.MjData(self._compiled), nworld=len(states))
+        data = self._engine.put_data(
+            self._compiled, mujoco.MjData(self._compiled), nworld=len(states), njmax=self._rows
+        )
         first = 1
         for field, size in ((data.qpos, self.model.nq), (data.qvel, self.model.nv), (data.act, self.model.na)):
             if size:

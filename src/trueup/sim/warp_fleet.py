@@ -15,9 +15,11 @@ from trueup.errors import ConfigError, MissingDependency, needing
 from trueup.sim.compiled_robot import ABSURD
 from trueup.sim.friction import has_friction
 from trueup.sim.transitions import Transitions, refuse_others
+from trueup.sim.warp_room import refuse_overflow, room_for
 
 # What a robot goes on from; everything else is computed from it in each step.
 _MEMORY = ("time", "qpos", "qvel", "qacc_warmstart")
+_INSTEAD = "Leave --device out."
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +59,10 @@ class WarpFleet:
         if has_friction(simulator.model) or simulator.model.nplugin or simulator.model.neq:
             raise ConfigError(
                 f"MuJoCo Warp simulates no friction laws, plugins and closed chains, as in {simulator.robot.name!r}",
-                hint="Leave --device out.",
+                hint=_INSTEAD,
             )
         if device != "cpu" and not warp.is_cuda_available():
-            raise MissingDependency("--device cuda: MuJoCo Warp finds no GPU", hint="Leave --device out.")
+            raise MissingDependency("--device cuda: MuJoCo Warp finds no GPU", hint=_INSTEAD)
         self._count = len(transitions)
         numbers = np.array([id(each) for each in transitions])
         with warp.ScopedDevice(device):
@@ -78,9 +80,9 @@ class WarpFleet:
             raise ConfigError(
                 f"MuJoCo Warp cannot simulate robot {own.simulator.robot.name!r}",
                 got=error,
-                hint="Leave --device out.",
+                hint=_INSTEAD,
             ) from error
-        data = engine.put_data(compiled, mujoco.MjData(compiled), nworld=len(rows))
+        data = engine.put_data(compiled, mujoco.MjData(compiled), nworld=len(rows), njmax=room_for(engine, compiled))
         controls = tuple(warp.zeros_like(data.ctrl) for _ in range(own.steps if own.delayed else 1))
         self._advance(model, data, controls)  # compiles what the graph is made of
         graph = None
@@ -113,7 +115,11 @@ class WarpFleet:
                 field.assign(whole)
 
     def step(self, before: Float[np.ndarray, "N J"], command: Float[np.ndarray, "N J"]) -> Float64[np.ndarray, "N S"]:
-        """See `Fleet.step`."""
+        """See `Fleet.step`.
+
+        Raises:
+            DataError: Warp had no room for all constraints of a robot, such as contacts.
+        """
         first = self._first
         held = first.held(before, command) if first.delayed else np.asarray(command, np.float64)[:, None]
         control = first.simulator.control_of({"position": held}).astype(np.float32)
@@ -124,6 +130,7 @@ class WarpFleet:
                 self._advance(part.model, part.data, part.controls)
             else:
                 self._warp.capture_launch(part.graph)
+            refuse_overflow(self._engine, part.data, first.simulator.robot.name, _INSTEAD)
         qpos, qvel = first.simulator.places
         out = np.empty((self._count, 2 * len(qpos)))
         for part in self._parts:
