@@ -1,4 +1,4 @@
-"""A folder of results that one process at a time writes to."""
+"""A folder of results that one process at a time, of one machine, writes to."""
 
 from __future__ import annotations
 
@@ -47,8 +47,9 @@ def writes_alone(parameter: str = "out") -> Callable[[Callable[_P, _R]], Callabl
 def sole_writer(folder: Path) -> Iterator[None]:
     """Nobody else writes to this folder meanwhile; it is made if it is not there, and not left empty by an error.
 
-    The lock is on the folder itself: it leaves no file behind, and the system drops it when the process dies. Who holds
-    it already may take it again, as steps do that are commands of their own.
+    The lock is on the folder itself: it leaves no file behind, and the system drops it when the process dies. Other
+    machines that share the disk do not see it: NFS passes no locks of folders on. Who holds it already may take it
+    again, as steps do that are commands of their own.
 
     Raises:
         DataError: another process writes there, or the folder cannot be made or locked.
