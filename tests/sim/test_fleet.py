@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from compensate.fleet_cases import CONTROL_S, transitions
-from trueup.errors import ConfigError, MissingDependency
+from trueup.errors import ConfigError, DataError, MissingDependency
 from trueup.sim.fleet import make_fleet
 
 PAYLOADS = (0.0, 1.0, 2.5, 0.0, 1.0)
@@ -120,3 +120,17 @@ class TestWarp:
             fleet.place(np.array([3]), state[3:4])
         here, there = (fleet.step(before, command) for fleet in fleets)
         np.testing.assert_allclose(here[3], there[3], atol=1e-5)
+
+    @pytest.mark.slow
+    def test_constraints_without_room_are_said(self, monkeypatch):
+        """One joint has dry friction, a row."""
+        pytest.importorskip("mujoco_warp")
+        from trueup.sim.warp_fleet import WarpFleet
+
+        monkeypatch.setattr("trueup.sim.warp_fleet.room_for", lambda *_: 0)
+        fleet = WarpFleet([transitions(0.0)], "cpu")
+        state, before, command = drawn(1)
+        fleet.place(np.arange(1), state)
+        with pytest.raises(DataError, match="no room") as error:
+            fleet.step(before, command)
+        assert error.value.hint == "Leave --device out."
