@@ -50,19 +50,29 @@ def test_one_motion_for_each_kind_of_cause_and_one_more(copied):
     run = RunFolder.load(add_identification(copied, fit, JOINTS))
     recipe = design_recipe(run, fit)
     given = options_of(recipe.lines)
-    assert (given["--robot"], given["--fit"], given["--count"], given["--out"]) == ("so101", "fit.json", "3", "plans")
+    assert (given["--robot"], given["--fit"], given["--count"], given["--out"]) == (
+        *("path/to/robot.yaml", "fit.json", "3", "plans"),
+    )
     assert "friction and inertia" in recipe.text
     assert "the model states none" in recipe.text
     assert recipe.lines in build_report(copied).replace("&#34;", '"')
 
 
-def test_nothing_is_proposed_where_all_is_known_or_the_robot_is_not(copied):
+def test_nothing_is_proposed_where_all_is_known(copied):
     fit = make_fit(JOINTS, "ok")
     run = RunFolder.load(add_identification(copied, fit, JOINTS))
     assert design_recipe(run, fit) is None
-    open_fit = make_fit(JOINTS, "not-identifiable")
-    object.__setattr__(open_fit, "provenance", {})
-    assert design_recipe(run, open_fit) is None
+
+
+def test_the_lines_take_what_the_fit_was_given(copied):
+    """Whatever the robot is called, and whatever was fitted."""
+    fit = make_fit(JOINTS, "not-identifiable")
+    add_identification(copied, fit, JOINTS)
+    for name in ("robot.stock.yaml", "fit.config.yaml"):
+        (copied / name).write_text("")
+    lines = design_recipe(RunFolder.load(copied), fit).lines
+    assert lines.count("--robot robot.stock.yaml") == 3
+    assert "trueup identify recorded --robot robot.stock.yaml --config fit.config.yaml --out identified" in lines
 
 
 def test_limits_of_the_model_are_left_to_it(copied):

@@ -9,30 +9,33 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-import yaml
 
 import trueup.augment.config
 from report.run_folders import make_card, make_fit
 from trueup.augment import ResidualSimulator, preset
+from trueup.augment.networks.sat import SatConfig
 from trueup.cli.main import main
+from trueup.core.close_result import CloseResult
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.fit_result import FitResult
-from trueup.core.model_card import Input, ModelCard
+from trueup.core.model_card import ANY_JOINT, Input, ModelCard
 from trueup.core.protocols import RolloutRequest
-from trueup.core.results import GapResult
+from trueup.core.results import Estimate, GapResult, MetricResult
 from trueup.core.timeseries import TimeSeries, same_units
+from trueup.dataset import Dataset
 from trueup.deploy import Network, RealTimeClock, Status
 from trueup.identify import IdentifyConfig
 from trueup.identify.config import DataChoice, SolverChoice
+from trueup.identify.export import robot_yaml
 from trueup.report import build_report
 from trueup.report.folder import RunFolder
-from trueup.report.network_recipes import stream_lines
+from trueup.report.network_recipes import network_recipes, stream_lines
 from trueup.report.next_motions import design_recipe, promised
 from trueup.report.recipes import delay_words, held_back, stepped_lines
 from trueup.report.sections.usage import recipes
-from trueup.robots import load_robot
+from trueup.robots import find_model, load_robot
 from trueup.sim import DelayedSimulator, ReplayPlan, ReplaySettings, make_simulator
-from trueup.stages import close, demo_dataset
+from trueup.stages import augment, close, demo_dataset
 
 TITLES = (
     "On other recordings, with trueup",
@@ -59,12 +62,12 @@ def small(method):
 
 @pytest.fixture(scope="module")
 def closed(tmp_path_factory):
-    """A close with a network for control loops, beside the motions that it was made of."""
+    """A close with a network for control loops, beside its motions; robot and model are a user's own."""
     data = demo_dataset(tmp_path_factory.mktemp("closed") / "data")
     out = data.parent / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(trueup.augment.config, "preset", small)
-        close(data, load_robot("demo_arm"), out, config=QUICK, methods=("realeasy-rt",), jobs=2)
+        close(data, own_robot(data.parent / "robots"), out, config=QUICK, methods=("realeasy-rt",), jobs=2)
     # After two epochs it may help nothing, and lines for it would not be there.
     network = out / "networks" / "fitted" / "realeasy-rt"
     card = ModelCard.load(network)
@@ -72,10 +75,19 @@ def closed(tmp_path_factory):
     return out
 
 
+def own_robot(folder):
+    """The demo arm as somebody has described it, with a model that the package does not have."""
+    shipped = load_robot("demo_arm")
+    folder.mkdir()
+    shutil.copyfile(find_model(shipped), folder / "mine.xml")
+    (folder / "my_arm.yaml").write_text(robot_yaml(replace(shipped, name="my_arm", model="mine.xml")))
+    return load_robot(folder / "my_arm.yaml")
+
+
 @pytest.fixture
 def folder(closed, tmp_path, monkeypatch):
     """A copy to stand in: the results, its motions where the lines have path/to/dataset, and others of this robot."""
-    root = shutil.copytree(closed, tmp_path / "out")
+    root = shutil.copytree(closed.parent, tmp_path / "all") / "out"
     shutil.copytree(closed.parent / "data", root / "path" / "to" / "dataset")
     demo_dataset(root / "path" / "to" / "other")
     monkeypatch.chdir(root)
@@ -219,18 +231,47 @@ def test_motions_are_designed_recorded_and_fitted(folder):
     recipe = design_recipe(run, run.fit)
     lines = re.sub(r"--count \d+", "--count 1", recipe.lines)
     soft = ("--control-hz", "500", "--tolerance-rad", "0.5", "--path-tolerance-rad", "1")
-    quick = {
-        "design": ("--evaluations", "5", "--duration", "3"),
-        "record": soft,  # the engine's step, and a soft servo
-        "identify": ("--config", "identify.yaml"),
-    }
-    (folder / "identify.yaml").write_text(yaml.safe_dump({"fit": dict(QUICK.fit), "schema": "trueup.identify/1"}))
+    quick = {"design": ("--evaluations", "5", "--duration", "3"), "record": soft}  # the engine's step, and a soft servo
     shell(lines, instead={"ros2": "mujoco"}, more=quick)
     runs = GapResult.load(folder / "judged" / "gap.json").runs
     assert {"mujoco/fitted", "mujoco/identified"} <= set(runs)
+    # Fitted is what the motions were designed for.
+    quantities = {name.partition("[")[0] for name in FitResult.load(folder / "identified" / "fit.json").values}
+    assert quantities == set(QUICK.fit)
     # What they promise stands in the report from then on.
     assert promised(RunFolder.load(folder)) is not None
     assert "Predicted standard deviations" in build_report(folder)
+
+
+def test_a_network_for_any_joint_is_asked_for_those_of_the_robot(folder, monkeypatch):
+    """A SAT, whose card knows no joints: the lines name them, and run."""
+    config = replace(preset("sat"), epochs=1, network=SatConfig(hidden=(4,), heads=2, history=5, dropout=0.0))
+    out = folder / "networks" / "sat"
+    augment([Dataset(folder / "path" / "to" / "dataset")], out, run="mujoco/fitted", config=config, jobs=1)
+    card = ModelCard.load(out)
+    assert card.joints == (ANY_JOINT,)
+    replace(card, outputs=tuple(replace(output, gate=1.0) for output in card.outputs)).save(out)
+    result = CloseResult.load(folder / "close.json")
+    replace(result, networks={"mujoco/fitted+sat": "networks/sat"}).save(folder / "close.json")
+    monkeypatch.setattr(RealTimeClock, "wait_until_s", lambda *_: None)
+    names = python(lines_of(folder, TITLES[5]))
+    assert names["joints"] == ["yaw", "shoulder", "elbow"]
+    assert names["answer"].status in (Status.OK, Status.FALLBACK)
+
+
+def test_a_network_for_joints_that_turn_is_not_asked_for_those_that_slide(folder):
+    run = RunFolder.load(folder)
+    card = make_card("any", (ANY_JOINT,))
+    card = replace(card, modular=True, run="mujoco/fitted")
+    label = "mujoco/fitted+any"
+    units = {"yaw": "rad", "shoulder": "m", "elbow": "rad"}
+    found = MetricResult(Estimate(1.0, "rad"), {name: Estimate(1.0, unit) for name, unit in units.items()}, 2)
+    runs = {label: {split: {"position": {"rmse": found}} for split in ("val", "all")}}
+    known = replace(run, gap=replace(run.gap, runs=runs), networks={label: card})
+    known = replace(known, close=replace(run.close, networks={label: "networks/any"}))
+    lines = network_recipes(known)[0].lines
+    assert 'joints = ["yaw", "elbow"]' in lines
+    assert "np.zeros(2)" in lines
 
 
 # --- without a close ---

@@ -39,6 +39,8 @@ Loaded = TypeVar("Loaded")
 GAP_NAME = "gap.json"
 # What an identification writes beside fit.json for other programs.
 FITTED_FILES = ("robot.fitted.yaml", "model.fitted.xml", "isaac.actuators.yaml", "fit.samples.npz")
+# What it was given: the robot as it came, which finds its model, and the configuration.
+STOCK_ROBOT, FIT_CONFIG = "robot.stock.yaml", "fit.config.yaml"
 # Where a close imports logs to, and where the page proposes to put designed motions.
 OWN_DATASET, PLANS = "dataset", "plans"
 # Limits that a model states for the planning of motions.
@@ -66,6 +68,7 @@ class RunFolder:
         close: close.json.
         networks: label of a corrected run -> the card of its network, as close.json says.
         fitted_files: those of `FITTED_FILES` that are there.
+        given_files: those of `STOCK_ROBOT` and `FIT_CONFIG` that are there.
         friction_laws: whether the fitted model carries friction laws that MuJoCo does not know.
         stated_limits: those of `velocity` and `acceleration` that the fitted model states.
         own_dataset: whether the imported logs lie in the folder.
@@ -86,6 +89,7 @@ class RunFolder:
     close: CloseResult | None = None
     networks: Mapping[str, ModelCard] = field(default_factory=dict)
     fitted_files: tuple[str, ...] = ()
+    given_files: tuple[str, ...] = ()
     friction_laws: bool = False
     stated_limits: tuple[str, ...] = ()
     own_dataset: bool = False
@@ -151,6 +155,7 @@ class RunFolder:
             close=close,
             networks=_cards(folder, close),
             fitted_files=tuple(name for name in FITTED_FILES if (folder / name).is_file()),
+            given_files=tuple(name for name in (STOCK_ROBOT, FIT_CONFIG) if (folder / name).is_file()),
             friction_laws=_FRICTION_LAW.search(text) is not None,
             stated_limits=tuple(sorted({name.decode() for name in _STATED_LIMIT.findall(text)})),
             own_dataset=(folder / OWN_DATASET).is_dir(),

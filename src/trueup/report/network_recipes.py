@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 
 from trueup.core.model_card import Channel, ModelCard
-from trueup.report.folder import RunFolder
+from trueup.report.folder import STOCK_ROBOT, RunFolder
 from trueup.report.labels import MAIN_METRIC, SIGNALS, main_signal, ordered
 from trueup.report.recipes import MODEL, ROBOT, Recipe, held_back, stepped_lines
 
@@ -55,7 +55,7 @@ def network_recipes(run: RunFolder) -> list[Recipe]:
     if live:
         folder = run.close.networks[live]
         text = f"The network that is best on validation motions of those that need no future. {_worth(run, live)}"
-        lines = stream_lines(run.networks[live], folder)
+        lines = stream_lines(own_card(run, live), folder)
         found.append(Recipe("In a control loop: the corrected simulator's view", text, lines))
         if run.fit is not None and in_training_loop(run):
             title = "In a training loop: a simulator that says what the robot would measure"
@@ -63,7 +63,8 @@ def network_recipes(run: RunFolder) -> list[Recipe]:
     card = run.networks[order[0]]
     text = f"Any motions of this dataset format, corrected by {card.name}. {_worth(run, order[0])}"
     base = order[0].rpartition("+")[0]
-    robot = ROBOT if base.endswith("fitted") else "ROBOT"
+    stock = STOCK_ROBOT if STOCK_ROBOT in run.given_files else "ROBOT"
+    robot = ROBOT if base.endswith("fitted") else stock
     lines = _CORRECT.format(folder=run.close.networks[order[0]], run=base, robot=robot)
     found.append(Recipe("Other motions, corrected", text, lines))
     return found
@@ -79,16 +80,33 @@ def in_training_loop(run: RunFolder) -> bool:
     return {ROBOT, MODEL} <= set(run.fitted_files) and live_label(run).startswith("mujoco/fitted+")
 
 
-def by_val(run: RunFolder) -> list[str]:
-    """Labels of runs that are corrected at all, the best on validation motions first; else as they were made."""
+def by_val(run: RunFolder, signal: str = "") -> list[str]:
+    """Labels of runs that are corrected at all, the best on validation motions first; else as they were made.
+
+    Args:
+        run: the folder.
+        signal: that counts; the main one if not given.
+    """
 
     def error(label: str) -> float:
         metrics = run.gap.runs.get(label, {}).get("val", {})
-        results = metrics.get(main_signal(metrics), {}) if metrics else {}
+        results = metrics.get(signal or main_signal(metrics), {}) if metrics else {}
         return results[MAIN_METRIC].total.value if MAIN_METRIC in results else math.inf
 
     used = [label for label, card in run.networks.items() if any(output.gate > 0 for output in card.outputs)]
     return sorted(used, key=error)
+
+
+def own_card(run: RunFolder, label: str) -> ModelCard:
+    """The card of a network on this robot: of a modular one, for the joints whose unit it knows."""
+    card = run.networks[label]
+    output = card.outputs[0]
+    if output.of_body:  # of which the results have other names
+        return card
+    result = run.gap.runs.get(label, {}).get("all", {}).get(output.signal, {}).get(MAIN_METRIC)
+    units = {} if result is None else {joint: item.unit for joint, item in result.per_joint.items()}
+    joints = [joint for joint in run.gap.joints if units.get(joint, output.unit) == output.unit]
+    return card.of_joints(joints or run.gap.joints)
 
 
 def stream_lines(card: ModelCard, folder: str) -> str:

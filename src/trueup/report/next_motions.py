@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from trueup.core.fit_result import FitResult, FittedParameter
 from trueup.core.traces import MEASURED, TraceSet
 from trueup.report.chooser import Cell, Table, TableRow
 from trueup.report.fit_words import CAUSES, kind_of, listed
-from trueup.report.folder import OWN_DATASET, PLANS, RunFolder
+from trueup.report.folder import FIT_CONFIG, OWN_DATASET, PLANS, STOCK_ROBOT, RunFolder
 from trueup.report.numbers import NOTHING, percent, plural, significant, with_unit
 from trueup.report.recipes import Recipe
 
@@ -28,7 +28,7 @@ trueup design --robot {robot} --fit fit.json --count {count}{limits} --out {plan
 """
 _RECORD = """\
 trueup record --robot {robot} --hardware ros2 --plan {plans} --out recorded
-trueup identify recorded --robot {robot} --out identified
+trueup identify recorded --robot {robot}{config} --out identified
 trueup replay {dataset} --robot identified/robot.fitted.yaml --label mujoco/identified
 trueup gap {dataset} --runs mujoco/fitted,mujoco/identified --out judged"""
 
@@ -36,12 +36,19 @@ trueup gap {dataset} --runs mujoco/fitted,mujoco/identified --out judged"""
 def design_recipe(run: RunFolder, fit: FitResult) -> Recipe | None:
     """How to have motions designed for this fit, record them, fit again, and see whether that is better.
 
-    None where every number is determined, or the fit does not say of which robot it is.
+    None where every number is determined.
     """
-    unsure, robot = unsure_parameters(fit), _robot_of(fit)
-    if not unsure or not robot:
+    unsure = unsure_parameters(fit)
+    if not unsure:
         return None
-    lines = _RECORD.format(robot=robot, plans=PLANS, dataset=OWN_DATASET if run.own_dataset else "path/to/dataset")
+    # Folders of fits that were made before these files were kept have neither.
+    robot = STOCK_ROBOT if STOCK_ROBOT in run.given_files else "path/to/robot.yaml"
+    lines = _RECORD.format(
+        robot=robot,
+        config=f" --config {FIT_CONFIG}" if FIT_CONFIG in run.given_files else "",
+        plans=PLANS,
+        dataset=OWN_DATASET if run.own_dataset else "path/to/dataset",
+    )
     limits = ""
     if promised(run) is None:
         limits = limit_options(usual_speed(run.traces, run.gap.scored_joints), stated=run.stated_limits)
@@ -78,7 +85,7 @@ def design_words(unsure: Sequence[FittedParameter], *, limits_asked: bool) -> st
     what = "1 number that is" if len(unsure) == 1 else f"{plural(len(unsure), 'number')} that are"
     words = [
         f"For {what} unsure, most of all {most}: a motion for each of {listed(causes)}, and one more.",
-        "Give the robot as it came, not the fitted one.",
+        "Run the lines in the folder of these results. The robot is the one as it came, not the fitted one.",
     ]
     if limits_asked:
         words.append(
@@ -142,11 +149,3 @@ def _fastest(traces: TraceSet, joint: str) -> float:
     every = np.concatenate(speeds)
     every = every[np.isfinite(every)]
     return float(np.quantile(every, _FAST)) if every.size else 0.0
-
-
-def _robot_of(fit: FitResult) -> str:
-    """Name of the robot that the fit began with; empty if it does not say."""
-    config = fit.provenance.get("config")
-    robot = config.get("robot") if isinstance(config, Mapping) else None
-    name = robot.get("name") if isinstance(robot, Mapping) else None
-    return name if isinstance(name, str) else ""

@@ -12,14 +12,14 @@ from trueup.errors import OutputExists
 _ORIGIN = ("config", "data_hash", "seed")
 _FIT_FILES = (
     *("fit.json", "graybox.json", "fit.samples.npz"),
-    *("model.fitted.xml", "robot.fitted.yaml", "isaac.actuators.yaml"),
+    *("model.fitted.xml", "robot.fitted.yaml", "isaac.actuators.yaml", "robot.stock.yaml", "fit.config.yaml"),
 )
 
 
 def forget_explanation(folder: Path, *, unless_of: str | None = None) -> None:
     """Remove the attribution of a measurement that is replaced; `unless_of` is the hash of a dataset whose stays."""
     path = folder / "explain.json"
-    if path.is_file() and (unless_of is None or _provenance(path).get("data_hash") != unless_of):
+    if path.is_file() and (unless_of is None or provenance_of(path).get("data_hash") != unless_of):
         path.unlink()
 
 
@@ -37,7 +37,7 @@ def forget_other_ladder(folder: Path) -> None:
     """Remove a ladder that quotes another measurement than the one in the folder."""
     ladder, gap = folder / "ladder.json", folder / "gap.json"
     if ladder.is_file():
-        origins = [_provenance(path) for path in (ladder, gap)]
+        origins = [provenance_of(path) for path in (ladder, gap)]
         if any(origins[0].get(key) != origins[1].get(key) for key in _ORIGIN):
             ladder.unlink()
 
@@ -53,7 +53,7 @@ def refuse_other_fit(folder: Path, data_hash: str) -> None:
         raise OutputExists(f"{folder} holds the fit of another dataset (fit.json)", hint="Choose another --out.")
 
 
-def _provenance(path: Path) -> dict[str, Any]:
+def provenance_of(path: Path) -> dict[str, Any]:
     """Where a result comes from; of a file that is none, nothing is known."""
     tree = read_json(path)
     found = tree.get("provenance") if isinstance(tree, dict) else None

@@ -21,6 +21,7 @@ from trueup.core.time_limit import TimeLimit
 from trueup.dataset import Dataset
 from trueup.errors import OutputExists, TrueupError
 from trueup.robots import RobotSpec, load_robot
+from trueup.stages.fit_given import keep_given
 from trueup.stages.folder import forget_explanation
 from trueup.stages.ladder import ladder_of
 from trueup.stages.measuring import Measurement, gap
@@ -77,9 +78,9 @@ def fit(
     """Estimate what the simulator has wrong, and say how sure that is.
 
     Fits on the train split, chooses among models on val, reports test. Writes fit.json, robot.fitted.yaml,
-    model.fitted.xml, isaac.actuators.yaml, fit.samples.npz, and the files of `gap` and `close` for the runs
-    `mujoco/stock` and `mujoco/fitted`. Where the robot says no `replay.window_s`, both runs are replayed in the windows
-    of the fit (see `identify.judged`).
+    model.fitted.xml, isaac.actuators.yaml, fit.samples.npz, what it was given (robot.stock.yaml, fit.config.yaml), and
+    the files of `gap` and `close` for the runs `mujoco/stock` and `mujoco/fitted`. Where the robot says no
+    `replay.window_s`, both runs are replayed in the windows of the fit (see `identify.judged`).
 
     Args:
         dataset: logs; any joint names that the robot's joint map knows.
@@ -149,6 +150,7 @@ def fit(
             found = replace(found, result=replace(found.result, data=data))
             save_identification(found, out, seed=seed)
             result = found.result
+        keep_given(out, given, path, config)
         graybox = _save_graybox(motions, robot, path, out)
         fitted_robot = load_robot(out / "robot.fitted.yaml")
         fitted = replay_unless_same(dataset, fitted_robot, model=None, label=FITTED, jobs=jobs, track=track)
