@@ -16,7 +16,7 @@ from trueup.core.attention import AttentionProfile
 from trueup.core.augment_result import ALL_JOINTS, ANY_CONDITION, AugmentResult, Cut, ModelPair, Pooled, Reliability
 from trueup.core.close_result import CloseResult
 from trueup.core.episode import EpisodeMeta
-from trueup.core.results import Estimate
+from trueup.core.results import Estimate, MetricResult
 from trueup.core.step_times import StepTimes
 from trueup.core.traces import TraceSet
 from trueup.errors import ConfigError, DataError, FormatError
@@ -125,7 +125,7 @@ def test_words_follow_the_verdict(result):
         return replace(model, cuts=cuts)
 
     assert "cuts the torque error of mujoco/stock from" in lead(result, with_cut(verdict="better"))
-    assert "No network helps" in lead(result, with_cut(verdict="worse"))
+    assert "good-net does not help" in lead(result, with_cut(verdict="worse"))
     assert "not decided" in lead(result, with_cut(verdict="undecided"))
     factor = Estimate(20.0, "1", 10.0, 40.0)
     lines = sentences(result, with_cut(verdict="better", factor=factor))
@@ -159,6 +159,56 @@ def test_networks_against_each_other_read_both_ways(result):
     rival = replace(result.models[0], name="a")
     named = replace(both, models=(replace(rival, name="b"), rival))
     assert "Against a, the next best: 4.00 times smaller (2.00 to 8.00)." in sentences(named, named.models[0])
+
+
+def closed_with_two(run, result, *, split="test"):
+    """Two networks: `first` is better on the motions that are shown, `second` was on val."""
+    model = result.models[0]
+    cuts = {name: dict(signals) for name, signals in model.cuts.items()}
+    total = cuts[ANY_CONDITION]["position"][ALL_JOINTS]
+    better = replace(total, mse=replace(total.mse, value=0.5 * total.mse.value))
+    cuts[ANY_CONDITION]["position"] = {**cuts[ANY_CONDITION]["position"], ALL_JOINTS: better}
+    labels = {"first": "mujoco/stock+first", "second": "mujoco/stock+second"}
+    both = (
+        replace(model, name="first", run=labels["first"], cuts=cuts),
+        replace(model, name="second", run=labels["second"]),
+    )
+    card = card_of("net", joints=result.joints)
+    runs = {
+        labels[name]: {"val": {"position": {"rmse": MetricResult(Estimate(error, "rad"), {}, 4)}}}
+        for name, error in (("first", 0.2), ("second", 0.1))
+    }
+    pair = ModelPair("second", "first", ANY_CONDITION, "position", Estimate(0.5, "1", 0.4, 0.6), "worse")
+    return replace(
+        run,
+        close=CloseResult((), "augment", networks={label: f"networks/{name}" for name, label in labels.items()}),
+        networks=dict.fromkeys(labels.values(), card),
+        gap=replace(run.gap, runs={**run.gap.runs, **runs}),
+        augment=replace(result, models=both, pairs=(pair,), split=split),
+    )
+
+
+def test_after_a_close_the_page_speaks_of_the_network_that_val_chose(run, result):
+    """The judged motions decide nothing, not even which network the page begins with."""
+    closed = closed_with_two(run, result)
+    assert closed.augment.best("position").name == "first"
+    context = augmentation_section(closed).context
+    assert context["lead"].startswith(("second ", "It is not decided whether second "))
+    assert context["sentences"][0] == "Of 2 networks it is the best on validation motions."
+    assert any(line.startswith("Against first, the next best: ") for line in context["sentences"])
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_network_that_is_the_best_on_the_shown_motions_owns_up_to_it(run, result, closed):
+    """Those of `augment eval` alone, and the val motions of a close without test motions."""
+    shown = closed_with_two(run, result, split="val" if closed else "test")
+    shown = shown if closed else replace(shown, close=None, networks={})
+    signal = told_signal(shown, shown.augment)
+    context = augmentation_section(shown).context
+    assert shown.augment.best(signal).name in context["lead"]
+    assert "too kind" in context["sentences"][0]
+    alone = replace(shown, augment=replace(shown.augment, models=shown.augment.models[:1]))
+    assert "too kind" not in augmentation_section(alone).context["sentences"][0]
 
 
 def test_all_joints_that_are_off_are_named_together(result):

@@ -8,6 +8,7 @@ import pytest
 from trueup.core.episode import Flag
 from trueup.core.quality import EpisodeQuality, Quality
 from trueup.core.results import Estimate, GapResult, Ladder, MetricResult, PairedDifference, Rung
+from trueup.report.sections.ladder import ladder_chooser
 from trueup.report.sections.verdict import quality_sentence, tiles
 from trueup.report.verdict import (
     compare,
@@ -175,6 +176,33 @@ def test_the_chosen_rung_of_the_ladder_is_judged():
     runs = three_runs(**{"mujoco/stock": {"val": 0.1, "test": 0.1}, "mujoco/fitted": {"val": 0.2, "test": 0.2}})
     ladder = Ladder([Rung("stock", 1.0, {}), Rung("fitted", 9.0, {}, chosen=True)])
     assert find_headline(runs, ladder).run == "mujoco/fitted"
+
+
+def test_a_ladder_without_test_motions_owns_up_to_it():
+    """The rung was chosen on the motions that it is judged on."""
+    runs = three_runs(**{"mujoco/stock": {"val": 0.2}, "mujoco/fitted": {"val": 0.1}})
+    ladder = Ladder([Rung("stock", 1.0, {}), Rung("fitted", 9.0, {}, chosen=True)])
+    headline = find_headline(runs, ladder)
+    assert (headline.run, headline.split) == ("mujoco/fitted", "val")
+    assert "too kind" in headline.reason
+
+
+@pytest.mark.parametrize(
+    ("splits", "words"),
+    [
+        (("train", "val", "test"), "Rungs are fitted on train, chosen on validation and judged on test."),
+        (("train", "val"), "Rungs are fitted on train and chosen on validation. There are no test motions, so"),
+        (("train", "test"), "Rungs are fitted on train and judged on test."),
+        (("all",), "the change against the first rung."),
+    ],
+)
+def test_the_ladder_says_what_its_motions_are_for(splits, words):
+    rungs = [Rung(name, 1.0, {split: result(0.1) for split in splits}) for name in ("stock", "fitted")]
+    chosen = replace(rungs[1], chosen="val" in splits)
+    caption = ladder_chooser(Ladder([rungs[0], chosen])).shown.tables["ladder"].caption
+    assert words in caption
+    assert ("too kind" in caption) == (splits == ("train", "val"))
+    assert ("judged on test" in caption) == ("test" in splits)
 
 
 def test_a_run_with_an_undefined_error_is_never_the_best():

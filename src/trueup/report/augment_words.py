@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from trueup.core.augment_result import (
     ALL_JOINTS,
@@ -33,7 +34,7 @@ def factor_interval(factor: Estimate) -> str:
 
 
 def lead(result: AugmentResult, model: ModelEvaluation, signal: str = "") -> str:
-    """What the best network makes of a signal, the main one if not given, over all motions."""
+    """What a network makes of a signal, the main one if not given, over all motions."""
     signal = signal or result.main_signal
     cut = model.cuts[ANY_CONDITION].get(signal, {}).get(ALL_JOINTS)
     before = result.simulated[ANY_CONDITION].get(signal, {}).get(ALL_JOINTS)
@@ -44,15 +45,24 @@ def lead(result: AugmentResult, model: ModelEvaluation, signal: str = "") -> str
     if cut.verdict == "better":
         return f"{model.name} cuts the {signal} error of {result.run} from {ends} RMSE on {motions}."
     if cut.verdict == "worse":
-        return f"No network helps: {model.name}, the best of them, takes the {signal} error from {ends} RMSE."
-    return f"It is not decided whether {model.name}, the best network, helps: {signal} goes from {ends} RMSE."
+        return f"{model.name} does not help: it takes the {signal} error of {result.run} from {ends} RMSE on {motions}."
+    return f"It is not decided whether {model.name} helps: {signal} goes from {ends} RMSE on {motions}."
 
 
-def sentences(result: AugmentResult, model: ModelEvaluation, signal: str = "") -> list[str]:
-    """Cut of a signal, the main one if not given, by group of motions, against other networks, and harm."""
+def sentences(
+    result: AugmentResult, model: ModelEvaluation, signal: str = "", *, order: Sequence[str] = ()
+) -> list[str]:
+    """Cut of a signal by group of motions, against the next best network, and harm.
+
+    Args:
+        result: of the evaluation.
+        model: which.
+        signal: the main one if not given.
+        order: names of the networks, the best first; by what they leave of the signal if not given.
+    """
     signal = signal or result.main_signal
     lines = [line for name in result.conditions if (line := _group_sentence(result, model, name, signal))]
-    lines += _rival_sentence(result, model, signal)
+    lines += _rival_sentence(result, model, signal, order)
     lines.append(_harm_sentence(result, model))
     return lines
 
@@ -86,7 +96,7 @@ def _group_sentence(result: AugmentResult, model: ModelEvaluation, condition: st
     return line + ("." if total.verdict == "better" else f"; {total.verdict}.")
 
 
-def _rival_sentence(result: AugmentResult, model: ModelEvaluation, signal: str) -> list[str]:
+def _rival_sentence(result: AugmentResult, model: ModelEvaluation, signal: str, order: Sequence[str]) -> list[str]:
     """Against the next best network."""
     rivals = [item for item in result.models if item.name != model.name]
     left = {
@@ -96,7 +106,7 @@ def _rival_sentence(result: AugmentResult, model: ModelEvaluation, signal: str) 
     }
     if not left:
         return []
-    rival = min(left, key=lambda name: left[name])
+    rival = next((name for name in order if name in left), min(left, key=lambda name: left[name]))
     factor, verdict = against(result, model.name, rival, ANY_CONDITION, signal)
     if factor is None or not math.isfinite(factor.value):
         return []

@@ -96,6 +96,11 @@ def _choose(
         return candidates[0], ""
     chosen = next((rung.name for rung in ladder.rungs if rung.chosen), None) if ladder else None
     rung_run = next((label for label in candidates if chosen in (label, *rung_names(label))), None)
+    if rung_run is not None and split == "val":
+        return rung_run, (
+            f"It was chosen among {len(candidates)} runs on the very motions that it is judged on, "
+            "so the number is a little too kind."
+        )
     if rung_run is not None:
         return rung_run, f"Of {len(candidates)} runs it is the one chosen on validation motions."
     on = "val" if split != "val" and all("val" in scored[label] for label in candidates) else split

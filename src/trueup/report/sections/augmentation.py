@@ -19,6 +19,7 @@ from trueup.core.augment_result import (
 from trueup.core.results import Estimate
 from trueup.core.timeseries import BODY_PREFIX
 from trueup.core.traces import EpisodeTraces, Trace
+from trueup.report.augment_choice import choice_sentence, chosen_order
 from trueup.report.augment_figures import factor_figure, latency_figure, motion_figure, reliability_figure
 from trueup.report.augment_words import (
     against,
@@ -48,11 +49,15 @@ def augmentation_section(run: RunFolder) -> Section | None:
     if result is None or not result.models or not result.signals:
         return None
     signal = told_signal(run, result)
-    best = result.best(signal)
+    order = chosen_order(run, result, signal)
+    best = result.model(order[0]) if order else result.best(signal)
     assert best is not None
     context = {
         "lead": lead(result, best, signal),
-        "sentences": sentences(result, best, signal),
+        "sentences": [
+            *filter(None, [choice_sentence(result, elsewhere=bool(order))]),
+            *sentences(result, best, signal, order=order),
+        ],
         "notes": result.notes,
         "networks": network_table(result),
         "cuts": cuts_chooser(run, result),

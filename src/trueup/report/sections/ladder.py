@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from trueup.core.results import Estimate, Ladder, Rung
 from trueup.report.chooser import Chooser, Menu, Table, TableRow, Variant, make_chooser
 from trueup.report.figures import bars_figure
+from trueup.report.fit_words import listed
 from trueup.report.folder import RunFolder
 from trueup.report.labels import MAIN_METRIC, METRICS, SIGNALS, SPLITS, axis_title, metric_title, ordered, split_title
 from trueup.report.palette import split_styles
 from trueup.report.sections.base import Section
 from trueup.report.sections.cells import change_cell, seconds_cell
+
+_ROLES = {"train": "fitted on train", "val": "chosen on validation", "test": "judged on test"}
 
 
 def ladder_section(run: RunFolder) -> Section | None:
@@ -71,12 +76,22 @@ def _variant(ladder: Ladder, signal: str, metric: str) -> Variant:
     columns = ["Rung", *(split_title(split).capitalize() for split in splits), "Time to compute"]
     caption = (
         f"{metric_title(metric)} of {signal}, 95 % interval below it; the percentage is the change against the first "
-        "rung. Rungs are fitted on train, chosen on validation and judged on test."
+        "rung."
     )
+    caption += _roles(splits, chosen=any(rung.chosen for rung in ladder.rungs))
     styles = {split_title(split): style for split, style in split_styles(splits).items()}
     names = [_name(rung) for rung in ladder.rungs]
     figure = bars_figure(names, bars, styles, title=axis_title(signal, metric, unit))
     return Variant(tables={"ladder": Table(columns, rows, caption)}, figures={"ladder": figure})
+
+
+def _roles(splits: Sequence[str], *, chosen: bool) -> str:
+    """What the motions of each split are for, with a space before it; empty where there are no such splits."""
+    roles = [_ROLES[split] for split in splits if split in _ROLES]
+    words = f" Rungs are {listed(roles)}." if roles else ""
+    if chosen and "val" in splits and "test" not in splits:
+        words += " There are no test motions, so what validation says of the chosen one is a little too kind."
+    return words
 
 
 def _name(rung: Rung) -> str:
