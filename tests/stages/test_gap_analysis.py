@@ -181,3 +181,15 @@ def test_without_torque_the_other_parts_are_there(tmp_path, kind):
     measurement.save(tmp_path)
     assert not (tmp_path / "graybox.json").exists()
     assert "Torque was not taken apart" in build_report(tmp_path)
+
+
+def test_a_measurement_without_blocks_leaves_those_of_the_same_motions(found, tmp_path):
+    """Of other motions they would say nothing true."""
+    measurement, folder = found
+    (tmp_path / "graybox.json").write_bytes((folder / "graybox.json").read_bytes())
+    later = replace(measurement, graybox=None, blocks=False)
+    later.save(tmp_path)
+    assert GrayboxResult.load(tmp_path / "graybox.json").total == measurement.graybox.total
+    origin = {**measurement.gap.provenance, "data_hash": "of other data"}
+    replace(later, gap=replace(later.gap, provenance=origin)).save(tmp_path)
+    assert not (tmp_path / "graybox.json").exists()

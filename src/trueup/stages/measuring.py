@@ -39,6 +39,7 @@ from trueup.measure import (
 from trueup.robots import RobotSpec
 from trueup.stages.blocks import blocks_of
 from trueup.stages.comparing import Frame, comparison_of, frame_of
+from trueup.stages.folder import provenance_of
 from trueup.stages.lacking import lacking
 from trueup.stages.progress import Track, silent
 from trueup.stages.suspicions import Signs, far_motions, incomplete, outdated, quality_of, unapplied
@@ -60,6 +61,7 @@ class Measurement:
         quality: the flags of all episodes, in the robot's joint names.
         engines: payloads, conditions and engines side by side; None where there are not two of any of them.
         graybox: torque block by block, likewise; None if it was not asked for or cannot be.
+        blocks: whether the torque was to be taken apart.
     """
 
     gap: GapResult
@@ -68,11 +70,13 @@ class Measurement:
     quality: Quality
     engines: EngineComparison | None = None
     graybox: GrayboxResult | None = None
+    blocks: bool = True
 
     def save(self, folder: Path | str) -> None:
         """Write gap.json, analysis.json, quality.json, traces.json and traces.npz; engines.json, graybox.json if any.
 
-        A graybox.json of an identification stays if there is none to replace it.
+        A graybox.json of an identification stays if there is none to replace it; so does that of an earlier measurement
+        of the same motions if none was asked for.
         """
         folder = Path(folder)
         make_folder(folder)
@@ -85,10 +89,16 @@ class Measurement:
             remove(folder / "engines.json")
         if self.graybox is not None:
             self.graybox.save(folder / "graybox.json")
-        elif not (folder / "fit.json").is_file():
+        elif not ((folder / "fit.json").is_file() or self._kept(folder / "graybox.json")):
             remove(folder / "graybox.json")
         remove(folder / AUGMENT_NAME)  # likewise, of corrections that are not among these runs
         self.gap.save(folder / "gap.json")
+
+    def _kept(self, path: Path) -> bool:
+        """Whether a result that is there is of the same motions, and nobody has asked for another."""
+        if self.blocks or not path.is_file():
+            return False
+        return _motions_in(provenance_of(path)) == _motions_in(self.gap.provenance)
 
 
 def gap(
@@ -261,12 +271,12 @@ class _Motions:
         quality = quality_of(self._dataset, set(self._kept), self._frame.joint_map, far, split=split)
         quality = replace(quality, provenance=origin)
         if not (self._several_engines or self._repeating or _several(self._payload_kg, self._payload_kg)):
-            return Measurement(result, analysis, self._traces, quality)
+            return Measurement(result, analysis, self._traces, quality, blocks=blocks)
         graybox, why = blocks_of(self._dataset, list(self._payload_kg), self._frame) if blocks else (None, "")
         engines = self._compared(result, why)
         if graybox is not None:
             graybox = replace(graybox, provenance=origin)
-        return Measurement(result, analysis, self._traces, quality, engines, graybox)
+        return Measurement(result, analysis, self._traces, quality, engines, graybox, blocks)
 
     def _compared(self, result: GapResult, without_blocks: str) -> EngineComparison:
         executed = {meta.id: meta.executed for meta in self._dataset.metas}
@@ -281,6 +291,12 @@ class _Motions:
         )
         missing = lacking(found, result, self._payload_kg)
         return replace(found, missing={**missing, **({"blocks": without_blocks} if without_blocks else {})})
+
+
+def _motions_in(origin: Mapping[str, Any]) -> tuple[Any, ...]:
+    """What says of a measurement which motions are in it."""
+    config = origin.get("config", {})
+    return origin.get("data_hash"), config.get("split"), config.get("drop_flagged")
 
 
 def _several(payload_kg: Mapping[str, float | None], motions: Iterable[str]) -> bool:
