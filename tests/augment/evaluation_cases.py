@@ -77,10 +77,10 @@ def episode_of(rng, rate_hz=100.0, samples=200, joints=JOINTS):
     )
 
 
-def comparison_of(number, measured, runs, *, condition="", units=None, rate_hz=100.0):
+def comparison_of(number, measured, runs, *, condition="", units=None, rate_hz=100.0, source=""):
     """A motion in which only torque is compared: arrays (T, 2) of the robot and of each run."""
     time_s = np.arange(len(measured)) / rate_hz
     joints, units = JOINTS, units or ("Nm", "Nm")
     series = lambda values: TimeSeries(time_s, joints, {"torque": values}, {"torque": units})  # noqa: E731
-    meta = EpisodeMeta(f"motion{number}", condition=condition, split="test")
+    meta = EpisodeMeta(f"motion{number}", condition=condition, split="test", source=source)
     return Comparison(meta, series(measured), {label: series(values) for label, values in runs.items()})

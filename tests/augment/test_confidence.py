@@ -122,9 +122,10 @@ def test_the_probability_of_far_off_is_how_often_it_is(tmp_path):
         assert far[chosen].mean() == pytest.approx(predicted[chosen].mean(), abs=0.06)
 
 
-def errors(simulated, corrected, conditions=None):
+def errors(simulated, corrected, conditions=None, executed=()):
     simulated, corrected = (np.asarray(part, float).reshape(-1, 1) for part in (simulated, corrected))
-    return Errors(np.full(len(simulated), 10.0), simulated, corrected, tuple(conditions or ["a"] * len(simulated)))
+    conditions = tuple(conditions or ["a"] * len(simulated))
+    return Errors(np.full(len(simulated), 10.0), simulated, corrected, conditions, tuple(executed))
 
 
 def test_an_output_that_helps_is_used():
@@ -163,6 +164,19 @@ def test_chance_opens_few_gates():
         simulated = rng.uniform(1, 2, 30)
         opened += bool(gates_of(errors(simulated, simulated + rng.normal(0, 0.3, 30)), draws=300)[0][0])
     assert opened <= 14
+
+
+def test_repetitions_of_a_motion_are_no_further_evidence():
+    """One motion of ten speaks for the correction, and loudly; recorded six times, it is still one of ten."""
+    rng = np.random.default_rng(9)
+    simulated = np.ones(15)
+    corrected = np.where(np.arange(15) < 6, 0.1, 1.0 + rng.normal(0, 0.05, 15))
+    executed = [f"m{max(0, number - 5)}" for number in range(15)]
+    assert gates_of(errors(simulated, corrected))[0].tolist() == [True]
+    used, reasons = gates_of(errors(simulated, corrected, executed=executed))
+    assert (used.tolist(), reasons) == ([False], ("no better than the simulator on val beyond chance",))
+    plain = errors(simulated, corrected, executed=[f"m{number}" for number in range(15)])
+    assert plain.motions.tolist() == errors(simulated, corrected).motions.tolist() == list(range(15))
 
 
 def test_errors_are_sums_over_each_motion(tmp_path):

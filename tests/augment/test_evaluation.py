@@ -115,6 +115,22 @@ def test_each_condition_has_its_own_table_and_the_papers_come_first():
     assert same.conditions == ("cartesian",)
 
 
+def test_repetitions_of_a_motion_are_drawn_together():
+    rng = np.random.default_rng(8)
+    motions = [(m, s, s + 0.6 * rng.normal(size=s.shape)) for m, s, _ in random_motions(rng, count=8)]
+    builders = {name: EvaluationBuilder(RUN, [Candidate(label("net"), torque_card())]) for name in ("once", "twice")}
+    for number, (measured, stock, corrected) in enumerate(motions):
+        runs = {RUN: stock, label("net"): corrected}
+        builders["once"].add(comparison_of(number, measured, runs))
+        for again in range(2):
+            builders["twice"].add(comparison_of(2 * number + again, measured, runs, source=f"plans/{number}"))
+    cuts = [item.result(split="test", draws=400).models[0].cuts[ANY_CONDITION]["torque"] for item in builders.values()]
+    for joint, cut in cuts[0].items():
+        ends = (cut.factor.value, cut.factor.low, cut.factor.high, cut.mse.low)
+        other = cuts[1][joint]
+        assert (other.factor.value, other.factor.low, other.factor.high, other.mse.low) == pytest.approx(ends)
+
+
 def test_networks_are_compared_with_each_other_on_the_same_motions():
     rng = np.random.default_rng(4)
     motions = [(m, s, m + 0.5 * (s - m), m + 0.1 * (s - m)) for m, s, _ in random_motions(rng)]

@@ -337,3 +337,34 @@ def test_episodes_are_forgotten_as_they_are_reduced():
             assert sum(ref() is not None for ref in alive) <= 1  # the one that the loop variable holds
 
     assert measure_gap(stream(), metrics=["rmse"]).runs["a"]["all"]["position"]["rmse"].episodes == 4
+
+
+def test_repetitions_of_a_motion_count_as_one_motion():
+    """Six motions with two payloads each: the intervals are those of six, and the settings say so."""
+    rng = np.random.default_rng(5)
+    errors = rng.uniform(0.1, 0.5, 6)
+
+    def measured(*, repeated):
+        return measure_gap(
+            [
+                episode(2 * k + again, {"stock": e, "fitted": 0.9 * e}, source=f"plans/{k}" if repeated else "")
+                for k, e in enumerate(errors)
+                for again in range(2)
+            ],
+            metrics=["rmse"],
+        )
+
+    once = measure_gap([episode(k, {"stock": e, "fitted": 0.9 * e}) for k, e in enumerate(errors)], metrics=["rmse"])
+    found, blind = measured(repeated=True), measured(repeated=False)
+
+    def width(result):
+        total = result.runs["stock"]["all"]["position"]["rmse"].total
+        return total.high - total.low
+
+    assert width(found) == pytest.approx(width(once))
+    assert width(blind) < 0.8 * width(found)
+    assert found.runs["stock"]["all"]["position"]["rmse"].episodes == 12
+    pairs = [next(item for item in result.paired if item.split == "all") for result in (found, once)]
+    assert pairs[0].difference.low == pytest.approx(pairs[1].difference.low)
+    assert "over motions" in found.settings["interval"]
+    assert "over episodes" in blind.settings["interval"]

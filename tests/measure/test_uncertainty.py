@@ -216,3 +216,48 @@ def test_ratios_cover_the_truth_at_about_the_stated_rate():
         _, low, high = ratio_interval(squares[:, None], length[:, None], draws=400, seed=seed)
         hits += low[0] <= math.exp(0.125) <= high[0]
     assert 0.90 <= hits / 300 <= 0.985
+
+
+def test_motions_that_are_not_repeated_have_the_intervals_that_they_had():
+    """The same numbers to the last digit: numbering the motions changes nothing."""
+    values = np.random.default_rng(7).normal(size=(14, 3))
+    values[2, 1] = np.nan
+    expected = bootstrap_interval(values, seed=2)
+    found = bootstrap_interval(values, motions=np.arange(14)[::-1], seed=2)
+    for own, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(own, other)
+
+
+def test_a_motion_that_is_recorded_twice_alike_says_no_more_than_once():
+    """Twelve motions, and the same twelve with every recording doubled; below ten and above."""
+    for count in (5, 12):
+        once = np.random.default_rng(count).gamma(2.0, size=(count, 2))
+        expected = bootstrap_interval(once, seed=3)
+        found = bootstrap_interval(np.repeat(once, 2, axis=0), motions=np.repeat(np.arange(count), 2), seed=3)
+        for own, other in zip(found, expected, strict=True):
+            assert own == pytest.approx(other)
+    blind = bootstrap_interval(np.repeat(once, 2, axis=0), seed=3)
+    assert (blind[1] - blind[0] < 0.85 * (found[1] - found[0])).all()
+
+
+def test_repetitions_of_one_motion_have_no_interval_and_decide_nothing():
+    low, high = bootstrap_interval(np.array([[1.0], [2.0], [3.0]]), motions=np.zeros(3, np.int64))
+    assert math.isnan(low[0])
+    assert math.isnan(high[0])
+    found = difference([1.0, 1.1], [2.0, 2.1], motions=np.array([4, 4]))
+    assert (found.verdict, found.difference.low) == ("undecided", None)
+    assert found.difference.value == pytest.approx(-1.0)
+
+
+def test_intervals_over_repeated_motions_cover_the_truth_at_about_the_stated_rate():
+    """A motion's level and what a payload adds to it; some motions are recorded once, most twice or three times."""
+    rng, hits, blind = np.random.default_rng(8), 0, 0
+    motions = np.repeat(np.arange(12), rng.integers(1, 4, 12))
+    for seed in range(300):
+        values = (rng.normal(size=12)[motions] + 0.2 * rng.normal(size=len(motions)))[:, None]
+        for own in (motions, None):
+            low, high = bootstrap_interval(values, motions=own, draws=400, seed=seed)
+            held = low[0] <= 0.0 <= high[0]
+            hits, blind = (hits + held, blind) if own is not None else (hits, blind + held)
+    assert hits / 300 >= 0.90
+    assert blind / 300 < 0.88

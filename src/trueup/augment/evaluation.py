@@ -27,7 +27,7 @@ from trueup.core.step_times import StepTimes
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.deploy import Confidence
 from trueup.errors import DataError, NameMismatch
-from trueup.measure import Comparison
+from trueup.measure import Comparison, executed_of
 from trueup.measure.metrics.body import position_distance, rotation_distance
 
 # The conditions of the papers' data set stand in their order, others after them.
@@ -218,7 +218,8 @@ class EvaluationBuilder:
         groups = _groups(self._metas)
         sums = Totals(self._columns, scored)
         samples, squares = sums.of(self._samples), sums.of(self._squares)
-        pooling = Pooling(sums.columns, draws, seed)
+        executed = executed_of(self._metas)
+        pooling = {name: Pooling(sums.columns, draws, seed, executed[rows]) for name, rows in groups.items()}
         own = {run: sums.of(tally.squares) for run, tally in self._tallies.items()}
         return AugmentResult(
             run=self._run,
@@ -227,7 +228,8 @@ class EvaluationBuilder:
             scored_joints=scored,
             motions={name: int(rows.sum()) for name, rows in groups.items()},
             simulated={
-                name: pooling.tree(pooling.pooled(squares[rows], samples[rows])) for name, rows in groups.items()
+                name: pooling[name].tree(pooling[name].pooled(squares[rows], samples[rows]))
+                for name, rows in groups.items()
             },
             models=tuple(
                 self._model(candidate, groups, sums, pooling, samples, squares) for candidate in self._candidates
@@ -244,7 +246,7 @@ class EvaluationBuilder:
         candidate: Candidate,
         groups: Mapping[str, Bool[np.ndarray, "E"]],
         sums: Totals,
-        pooling: Pooling,
+        pooling: Mapping[str, Pooling],
         samples: Float64[np.ndarray, "E S"],
         squares: Float64[np.ndarray, "E S"],
     ) -> ModelEvaluation:
@@ -260,7 +262,7 @@ class EvaluationBuilder:
             causal=card.causal,
             signals=tuple(dict.fromkeys(output.quantity for output in card.outputs)),
             cuts={
-                name: pooling.tree(pooling.cuts(own[rows], squares[rows], samples[rows]))
+                name: pooling[name].tree(pooling[name].cuts(own[rows], squares[rows], samples[rows]))
                 for name, rows in groups.items()
             },
             gated=tuple(
@@ -269,7 +271,7 @@ class EvaluationBuilder:
                 )
             ),
             coverage={
-                name: pooling.tree(pooling.coverage(inside[rows], widths[rows], covered[rows]))
+                name: pooling[name].tree(pooling[name].coverage(inside[rows], widths[rows], covered[rows]))
                 for name, rows in groups.items()
                 if covered[rows].any()
             },
@@ -278,7 +280,7 @@ class EvaluationBuilder:
             reliability={
                 name: found
                 for name, rows in groups.items()
-                if (found := tally.calibration.result(rows, draws=pooling.draws, seed=pooling.seed))
+                if (found := tally.calibration.result(rows, draws=pooling[name].draws, seed=pooling[name].seed))
             },
             latency=candidate.latency,
         )
@@ -286,17 +288,17 @@ class EvaluationBuilder:
     def _pairs(
         self,
         groups: Mapping[str, Bool[np.ndarray, "E"]],
-        pooling: Pooling,
+        pooling: Mapping[str, Pooling],
         own: Mapping[str, Float64[np.ndarray, "E S"]],
     ) -> list[ModelPair]:
         pairs = []
         for number, candidate in enumerate(self._candidates):
             for other in self._candidates[:number]:
                 for name, rows in groups.items():
-                    found = pooling.factors(own[candidate.run][rows], own[other.run][rows])
+                    found = pooling[name].factors(own[candidate.run][rows], own[other.run][rows])
                     pairs += [
                         ModelPair(candidate.card.name, other.card.name, name, column.signal, factor, verdict)
-                        for column, (factor, verdict) in zip(pooling.columns, found, strict=True)
+                        for column, (factor, verdict) in zip(pooling[name].columns, found, strict=True)
                         if column.joint == ALL_JOINTS
                     ]
         return pairs

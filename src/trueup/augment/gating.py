@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int
 
 from trueup.augment.config import FEWEST_FOR_CHANCE
 from trueup.augment.corrector import Corrector
 from trueup.augment.pairs import Pairs
 from trueup.augment.training import predictions
+from trueup.measure import by_motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,12 +24,20 @@ class Errors:
         simulated: of the simulator, (E, K).
         corrected: of the corrected signals, (E, K).
         conditions: condition of each episode, (E,).
+        executed: what each episode executed, (E,), the same for repetitions of a motion; empty if there are none.
     """
 
     rows: Float64[np.ndarray, "E"]
     simulated: Float64[np.ndarray, "E K"]
     corrected: Float64[np.ndarray, "E K"]
     conditions: tuple[str, ...]
+    executed: tuple[str, ...] = ()
+
+    @property
+    def motions(self) -> Int[np.ndarray, "E"]:
+        """The number of the motion that each episode executed, (E,)."""
+        numbers = {name: number for number, name in enumerate(dict.fromkeys(self.executed))}
+        return np.array([numbers[name] for name in self.executed]) if numbers else np.arange(len(self.rows))
 
     def merged(self, groups: Sequence[int]) -> Errors:
         """The outputs of a group as one: the components of a vector are used together or not at all.
@@ -49,13 +58,14 @@ class Errors:
 def errors_of(corrector: Corrector, pairs: Pairs) -> Errors:
     """Errors on a split, with the gate as it is."""
     conditions = {motion.episode: motion.condition for motion in pairs.motions}
+    executed = {motion.episode: motion.executed or motion.id for motion in pairs.motions}
     rows, sums = np.zeros(len(conditions)), np.zeros((2, len(conditions), len(pairs.outputs)))
     for number, *both, measured in predictions(corrector, pairs):
         place = pairs.motions[number].episode
         rows[place] += len(measured)
         for which, values in enumerate(both):
             sums[which, place] += ((measured.astype(float) - values) ** 2).sum(axis=0)
-    return Errors(rows, sums[0], sums[1], tuple(conditions.values()))
+    return Errors(rows, sums[0], sums[1], tuple(conditions.values()), tuple(executed.values()))
 
 
 def gates_of(
@@ -65,7 +75,7 @@ def gates_of(
 
     An output is used if its squared error on val is below the simulator's: over all motions, with the upper end of
     the 95 % bootstrap interval over motions where there are ten or more; and within each condition. With fewer motions,
-    half of the outputs that are worth nothing pass.
+    half of the outputs that are worth nothing pass. Repetitions of a motion are drawn together.
 
     Args:
         errors: on val.
@@ -77,12 +87,13 @@ def gates_of(
         used, (K,); reason, empty for those that are used.
     """
     difference = errors.corrected - errors.simulated
-    count = len(errors.rows)
     rng = np.random.default_rng(seed)
-    many = count >= FEWEST_FOR_CHANCE
+    many = len(errors.rows) >= FEWEST_FOR_CHANCE
     if many:
+        apart = by_motion(difference, errors.motions)
+        count = len(apart)
         picks = rng.multinomial(count, np.full(count, 1 / count), size=draws)
-        upper = np.quantile(picks @ difference, 0.975, axis=0)
+        upper = np.quantile(picks @ apart, 0.975, axis=0)
     else:
         upper = difference.sum(axis=0)
     used, reasons = [], []

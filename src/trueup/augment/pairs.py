@@ -42,6 +42,7 @@ class Motion:
         condition: its condition.
         start: its first row.
         rows: number of rows.
+        executed: what was executed, the same for repetitions with another payload; it is no repetition if empty.
     """
 
     id: str
@@ -49,6 +50,7 @@ class Motion:
     condition: str
     start: int
     rows: int
+    executed: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +162,9 @@ def write_pairs(
                     for sign in (1, -1) if mirrored else (1,):
                         file.write((sign * rows).tobytes())
                         marked.write(np.array([len(runs)], np.uint64).tobytes() + runs.tobytes())
-                        motions.append(Motion(name, number, episode.meta.condition, at, len(rows)))
+                        motions.append(
+                            Motion(name, number, episode.meta.condition, at, len(rows), episode.meta.executed)
+                        )
                         at += len(rows)
     except OSError as error:  # of these two files: reading has errors of its own
         raise DataError(f"cannot write {path}", got=error.strerror or str(error)) from error

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int
 
 from trueup.core.augment_result import ALL_JOINTS, Coverage, Cut, Pooled
 from trueup.core.results import Estimate, Verdict
 from trueup.core.timeseries import BODY_PREFIX
-from trueup.measure import metric_unit, ratio_interval
+from trueup.measure import by_motion, metric_unit, ratio_interval
 
 T = TypeVar("T")
 
@@ -50,11 +50,19 @@ class Totals:
 
 @dataclass(frozen=True)
 class Pooling:
-    """Sums per motion into estimates, one per column."""
+    """Sums per motion into estimates, one per column.
+
+    Attributes:
+        columns: of the sums.
+        draws: bootstrap resamples.
+        seed: of the draws.
+        motions: number of the motion that each row executed; repetitions are drawn together. All differ if None.
+    """
 
     columns: Sequence[Column]
     draws: int
     seed: int
+    motions: Int[np.ndarray, "E"] | None = None
 
     def tree(self, items: Sequence[T | None]) -> dict[str, dict[str, T]]:
         """Signal -> joint -> item, without those that are None."""
@@ -125,6 +133,8 @@ class Pooling:
         ]
 
     def _ratio(self, numerator: np.ndarray, denominator: np.ndarray) -> tuple[list[float], list[float], list[float]]:
+        if self.motions is not None:
+            numerator, denominator = (by_motion(part, self.motions) for part in (numerator, denominator))
         value, low, high = ratio_interval(numerator, denominator, draws=self.draws, seed=self.seed)
         return value.tolist(), low.tolist(), high.tolist()
 

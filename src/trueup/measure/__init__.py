@@ -4,7 +4,7 @@ from trueup.measure.analysis import AnalysisBuilder, lags_of
 from trueup.measure.bars import Bar, BarFailure, check_bars, parse_bar, refuse_unknown
 from trueup.measure.bins import BinnedError, HorizonError, binned_error, error_against_horizon
 from trueup.measure.comparison import COMMAND_RUN, Comparison
-from trueup.measure.gap import EPISODE_METRICS, measure_gap
+from trueup.measure.gap import EPISODE_METRICS, executed_of, measure_gap
 from trueup.measure.metrics import METRICS, metric
 from trueup.measure.metrics.base import Metric, MetricOptions, Samples, metric_unit
 from trueup.measure.metrics.body import position_distance, rotation_distance
@@ -17,7 +17,7 @@ from trueup.measure.nearer import nearer_of
 from trueup.measure.plane import PlaneBuilder
 from trueup.measure.repeats import RepeatBuilder, conditions_repeat
 from trueup.measure.trend import trend, trends_of
-from trueup.measure.uncertainty import bootstrap_interval, paired_difference, ratio_interval
+from trueup.measure.uncertainty import bootstrap_interval, by_motion, paired_difference, ratio_interval
 
 __all__ = [
     "COMMAND_RUN",
@@ -36,11 +36,13 @@ __all__ = [
     "Samples",
     "binned_error",
     "bootstrap_interval",
+    "by_motion",
     "ccc",
     "check_bars",
     "conditions_repeat",
     "cosine",
     "error_against_horizon",
+    "executed_of",
     "gap_iqr",
     "gap_range",
     "lags_of",

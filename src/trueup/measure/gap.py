@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 
 from trueup.core.episode import EpisodeMeta
 from trueup.core.results import GapResult, MetricResult, PairedDifference
@@ -20,6 +20,7 @@ ALL = "all"
 EPISODE_METRICS = ("rmse", "max", "phase_lag", "position_norm", "rotation_distance")
 _COMPARED = ("rmse", "position_norm", "position_norm_max", "rotation_distance", "rotation_distance_max")
 _SPLIT_ORDER = ("train", "val", "test")
+_INTERVAL = "expanded percentile bootstrap over {0}, at least Student's t below ten {0}"
 
 
 def measure_gap(
@@ -38,7 +39,7 @@ def measure_gap(
     seed: int = 0,
     provenance: Mapping[str, Any] | None = None,
 ) -> GapResult:
-    """Measure every run against the robot, with 95 % intervals over episodes.
+    """Measure every run against the robot, with 95 % intervals over motions.
 
     Each episode is reduced to its metrics as it comes and then forgotten. A metric's `value` is the mean over
     episodes of the mean over scored joints; joints or episodes for which it is not defined are left out of the
@@ -82,11 +83,12 @@ def measure_gap(
         reduction.add(comparison)
     tables = reduction.tables()
     metas = reduction.metas
-    splits = _splits(metas)
+    splits, motions = _splits(metas), executed_of(metas)
+    repeated = len(set(motions.tolist())) < len(metas)
     return GapResult(
         runs={
             table.label: {
-                split: _summarize(table, rows, draws, seed)
+                split: _summarize(table, rows, motions, draws, seed)
                 for split, rows in splits.items()
                 if (rows & table.covered).any()
             }
@@ -94,11 +96,11 @@ def measure_gap(
         },
         joints=reduction.joints,
         scored_joints=reduction.scored_joints,
-        paired=tuple(_compare(tables, splits, draws, seed)),
+        paired=tuple(_compare(tables, splits, motions, draws, seed)),
         groups={
             name: {
                 value: {
-                    table.label: _summarize(table, rows, draws, seed)
+                    table.label: _summarize(table, rows, motions, draws, seed)
                     for table in tables
                     if (rows & table.covered).any()
                 }
@@ -117,7 +119,7 @@ def measure_gap(
             "torque_limits": None if torque_limits is None else dict(torque_limits),
             "bootstrap_draws": draws,
             "level": LEVEL,
-            "interval": "expanded percentile bootstrap over episodes, at least Student's t below ten episodes",
+            "interval": _INTERVAL.format("motions" if repeated else "episodes"),
             "seed": seed,
             "missing_episodes": {
                 table.label: [meta.id for meta, there in zip(metas, table.covered, strict=True) if not there]
@@ -152,14 +154,22 @@ def _groups(metas: Sequence[EpisodeMeta]) -> dict[str, dict[str, Bool[np.ndarray
     return groups
 
 
-def _summarize(table: Table, rows: Bool[np.ndarray, "E"], draws: int, seed: int) -> dict[str, dict[str, MetricResult]]:
+def executed_of(metas: Sequence[EpisodeMeta]) -> Int[np.ndarray, "E"]:
+    """The number of the motion that each episode executed, the same for its repetitions, in order of appearance."""
+    numbers = {name: number for number, name in enumerate(dict.fromkeys(meta.executed for meta in metas))}
+    return np.array([numbers[meta.executed] for meta in metas], dtype=np.int64)
+
+
+def _summarize(
+    table: Table, rows: Bool[np.ndarray, "E"], motions: Int[np.ndarray, "E"], draws: int, seed: int
+) -> dict[str, dict[str, MetricResult]]:
     """Signal -> metric -> result over the episodes of this subset that the run has."""
     chosen = rows & table.covered
     stacked = np.concatenate(
         [np.column_stack([column.per_joint[chosen], column.total[chosen]]) for column in table.columns], axis=1
     )
     means = mean(stacked)
-    lows, highs = bootstrap_interval(stacked, draws=draws, seed=seed)
+    lows, highs = bootstrap_interval(stacked, motions=motions[chosen], draws=draws, seed=seed)
     result: dict[str, dict[str, MetricResult]] = {}
     at = 0
     for column in table.columns:
@@ -178,7 +188,11 @@ def _summarize(table: Table, rows: Bool[np.ndarray, "E"], draws: int, seed: int)
 
 
 def _compare(
-    tables: Sequence[Table], splits: Mapping[str, Bool[np.ndarray, "E"]], draws: int, seed: int
+    tables: Sequence[Table],
+    splits: Mapping[str, Bool[np.ndarray, "E"]],
+    motions: Int[np.ndarray, "E"],
+    draws: int,
+    seed: int,
 ) -> Iterable[PairedDifference]:
     """Every run with the first run, with the command, and with the run that it corrects, each pair once."""
     command = [table for table in tables if table.label == COMMAND_RUN]
@@ -205,6 +219,7 @@ def _compare(
                     signal=column.signal,
                     metric=column.metric.name,
                     unit=column.total_unit,
+                    motions=motions[chosen],
                     draws=draws,
                     seed=seed,
                 )

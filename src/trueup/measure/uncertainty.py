@@ -26,6 +26,9 @@ Measured coverage of the true mean in percent (nominal 95; 4000 datasets per cel
 It falls short for skewed values: with few episodes of which rare ones are far worse, an interval that says 95 % holds
 in 83 to 91 % of the cases, and errs on the optimistic side. Differences of two runs on the same episodes are usually
 less skewed than the values themselves.
+
+Episodes that repeat a motion, say with another payload, are no motions of their own: they are drawn together, and it is
+motions that are counted as few (a cluster bootstrap).
 """
 
 from __future__ import annotations
@@ -33,7 +36,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int
 from scipy.special import ndtr, stdtrit
 
 from trueup.core.results import Estimate, PairedDifference
@@ -46,20 +49,27 @@ _CELLS = 4_000_000  # size of a block of draws x episodes
 
 
 def bootstrap_interval(
-    values: Float64[np.ndarray, "E K"], *, draws: int = 2000, seed: int = 0
+    values: Float64[np.ndarray, "E K"],
+    *,
+    motions: Int[np.ndarray, "E"] | None = None,
+    draws: int = 2000,
+    seed: int = 0,
 ) -> tuple[Float64[np.ndarray, "K"], Float64[np.ndarray, "K"]]:
     """Intervals of the means of K columns over E episodes.
 
-    The draws depend on the seed and E only, so that calls with the same episodes see the same draws.
+    The draws depend on the seed and E only, so that calls with the same episodes see the same draws. Repetitions of a
+    motion are drawn together, since they say less than other motions: the mean is then a ratio of sums
+    (`ratio_interval`).
 
     Args:
         values: one row per episode, shape (E, K); NaN where a value is not defined, which leaves this episode out
             of this column.
+        motions: number of the motion that each episode executed; equal numbers are repetitions. All differ if None.
         draws: number of resamples B; fewer make the ends noisy.
         seed: seed of the resamples.
 
     Returns:
-        Lower and upper ends, shape (K,) each; NaN for columns with fewer than two values.
+        Lower and upper ends, shape (K,) each; NaN for columns with fewer than two values, or values of one motion.
 
     Raises:
         DataError: no draws.
@@ -67,6 +77,9 @@ def bootstrap_interval(
     if draws < 1:
         raise DataError("a bootstrap needs draws", got=draws, expected="at least 1")
     valid = ~np.isnan(values)
+    if motions is not None and len(np.unique(motions)) < len(motions):
+        sums = by_motion(np.where(valid, values, 0.0), motions)
+        return ratio_interval(sums, by_motion(valid.astype(np.float64), motions), draws=draws, seed=seed)[1:]
     count = valid.sum(axis=0)
     enough = count >= 2
     if not enough.any():
@@ -91,6 +104,7 @@ def paired_difference(
     signal: str,
     metric: str,
     unit: str,
+    motions: Int[np.ndarray, "E"] | None = None,
     draws: int = 2000,
     seed: int = 0,
 ) -> PairedDifference:
@@ -108,17 +122,20 @@ def paired_difference(
         signal: signal name.
         metric: metric name.
         unit: unit of the metric.
+        motions: as of `bootstrap_interval`.
         draws: number of resamples.
         seed: seed of the resamples.
 
     Returns:
         The mean difference with interval; `better` when the interval lies below zero, `worse` when above, else
-        `undecided`, as always with fewer than two episodes.
+        `undecided`, as always with fewer than two motions.
     """
     both = np.isfinite(run_values) & np.isfinite(baseline_values)
     difference = (run_values - baseline_values)[both]
     value = float(difference.mean()) if both.any() else math.nan
-    low, high = (float(end[0]) for end in bootstrap_interval(difference[:, None], draws=draws, seed=seed))
+    executed = None if motions is None else motions[both]
+    ends = bootstrap_interval(difference[:, None], motions=executed, draws=draws, seed=seed)
+    low, high = (float(end[0]) for end in ends)
     base = float(baseline_values[both].mean()) if both.any() else math.nan
     return PairedDifference(
         run=run,
@@ -178,6 +195,14 @@ def ratio_interval(
     low = np.where(few, np.fmin(low, value - half), low)
     high = np.where(few, np.fmax(high, value + half), high)
     return value, np.where(enough, low, np.nan), np.where(enough, high, np.nan)
+
+
+def by_motion(sums: Float64[np.ndarray, "E K"], motions: Int[np.ndarray, "E"]) -> Float64[np.ndarray, "M K"]:
+    """Sums of episodes added up over the repetitions of each of M motions, in the order of the motions' numbers."""
+    numbers, group = np.unique(motions, return_inverse=True)
+    found = np.zeros((len(numbers), sums.shape[1]))
+    np.add.at(found, group, sums)
+    return found
 
 
 def estimate(

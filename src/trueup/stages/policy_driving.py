@@ -212,6 +212,6 @@ def _episode(run: PolicyRun, robot: RobotSpec, number: int, unit: str, payload_k
         unit=unit,
         payload_kg=payload_kg,
         split=_SPLITS[number % len(_SPLITS)],
-        source="policy",
+        source=f"policy/{number:05d}",  # each goes somewhere else: none repeats another
     )
     return Episode(meta, measured, command).with_flags(tuple(flags))
