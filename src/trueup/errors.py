@@ -128,6 +128,11 @@ class MissingDependency(TrueupError):
     """An optional package is needed and not installed."""
 
 
+def how_to_install(extra: str) -> str:
+    """The command that brings the packages of an extra; there is no release that a name alone would find."""
+    return f"pip install '.[{extra}]' in the checkout of trueup"
+
+
 @contextlib.contextmanager
 def needing(what: str, extra: str) -> Iterator[None]:
     """Imports of the packages of an extra: `what` needs them.
@@ -142,7 +147,7 @@ def needing(what: str, extra: str) -> Iterator[None]:
         if package == "trueup":
             raise
         raise MissingDependency(
-            f"{what} needs {package}, which cannot be imported", got=error, hint=f"pip install 'trueup[{extra}]'"
+            f"{what} needs {package}, which cannot be imported", got=error, hint=how_to_install(extra)
         ) from error
 
 

@@ -88,8 +88,8 @@ def test_doctor_says_what_is_there_and_how_to_get_the_rest(run, monkeypatch):
     code, out, _ = run("doctor")
     assert code == 0
     assert "mujoco 3." in out
-    assert "trueup[ray]" in out
-    assert "trueup[dart]" not in out
+    assert "'.[ray]'" in out
+    assert "'.[dart]'" not in out
 
 
 def test_the_steps_one_by_one(run, demo, tmp_path):
@@ -471,7 +471,7 @@ def test_a_package_that_is_missing_somewhere_deep_is_no_bug(run, demo, monkeypat
     monkeypatch.setattr("trueup.stages.gap", lacking)
     code, _, err = run("gap", demo)
     assert code == 2
-    assert err.strip().endswith("next: pip install 'trueup[plan]'")
+    assert err.strip().endswith("next: pip install '.[plan]' in the checkout of trueup")
 
 
 @pytest.mark.parametrize(
@@ -487,4 +487,4 @@ def test_a_package_that_is_not_installed_is_named_with_its_extra(demo, tmp_path,
     code, said = without(package, [str(demo) if word == "DATA" else word for word in words], tmp_path)
     assert code == 2
     assert package in said
-    assert "pip install 'trueup[" in said
+    assert "pip install '.[" in said

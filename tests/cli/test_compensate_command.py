@@ -49,7 +49,7 @@ def test_without_torch_one_is_told_how_to_get_it(world, tmp_path, command):
     code, said = without("torch", words, tmp_path)
     assert code == 2
     assert "needs torch" in said
-    assert said.endswith("next: pip install 'trueup[learn]'")
+    assert said.endswith("next: pip install '.[learn]' in the checkout of trueup")
     assert not any(tmp_path.iterdir())
 
 

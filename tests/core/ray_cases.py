@@ -10,7 +10,7 @@ import psutil
 import pytest
 
 NEEDS_RAY = pytest.mark.skipif(
-    importlib.util.find_spec("ray") is None, reason="Ray is not installed: pip install 'trueup[ray]'"
+    importlib.util.find_spec("ray") is None, reason="Ray is not installed: pip install '.[ray]'"
 )
 # Ray's own: files and sockets of processes that it has ended, and what future versions will do.
 QUIET = [

@@ -12,7 +12,7 @@ from trueup.core.ray_workers import on_ray
 from trueup.errors import ConfigError, DataError, MissingDependency
 
 needs_ray = pytest.mark.skipif(
-    importlib.util.find_spec("ray") is None, reason="Ray is not installed: pip install 'trueup[ray]'"
+    importlib.util.find_spec("ray") is None, reason="Ray is not installed: pip install '.[ray]'"
 )
 # Ray's own: files and sockets of processes that it has ended, and what future versions will do.
 pytestmark = [

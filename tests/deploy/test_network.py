@@ -182,7 +182,7 @@ def test_without_onnxruntime_it_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(MissingDependency) as error:
         Network.load(made.folder)
-    says(error, "onnxruntime", "pip install 'trueup[run]'")
+    says(error, "onnxruntime", "pip install '.[run]'")
 
 
 def test_a_network_goes_to_another_process_by_its_folder(tmp_path, monkeypatch):

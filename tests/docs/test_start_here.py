@@ -7,6 +7,7 @@ import pytest
 import yaml
 
 import trueup
+from trueup.cli.doctor import EXTRAS
 from trueup.core.config import build
 from trueup.identify import IdentifyConfig
 
@@ -31,6 +32,13 @@ def test_the_fitted_numbers_are_those_of_the_fit(found):
         assert [item.value, *item.interval] == pytest.approx(
             [float(value), float(low), float(high)], rel=0.02, abs=1e-3
         )
+
+
+def test_every_extra_stands_there_with_what_it_brings():
+    said = re.findall(r"^\| `(\w+)` \| [^|]+ \| ([^|]+) \|$", PAGE, re.M)
+    assert {extra: brings.split(", ") for extra, brings in said} == {
+        extra: [name for name, _ in modules] for extra, (_, modules) in EXTRAS.items() if extra != "report-test"
+    }
 
 
 def test_the_verdict_is_that_of_the_fit(found):

@@ -418,7 +418,7 @@ def test_bad_input_is_refused_in_words(monkeypatch):
     monkeypatch.setattr(builtins, "__import__", without_pinocchio)
     with pytest.raises(MissingDependency) as caught:
         Linkage(model)
-    assert "pip install 'trueup[dynamics]'" in str(caught.value)
+    assert "pip install '.[dynamics]'" in str(caught.value)
 
 
 @pytest.mark.parametrize("source", ["command", "measured"])

@@ -21,7 +21,15 @@ from trueup.core.results import GapResult, Ladder
 from trueup.core.time_limit import TimeLimit
 from trueup.dataset import Dataset, DatasetWriter
 from trueup.dataset.importers.base import ImportOptions
-from trueup.errors import ConfigError, DataError, FormatError, MissingDependency, NameMismatch, OutputExists
+from trueup.errors import (
+    ConfigError,
+    DataError,
+    FormatError,
+    MissingDependency,
+    NameMismatch,
+    OutputExists,
+    how_to_install,
+)
 from trueup.identify import IdentifyConfig
 from trueup.identify.config import DataChoice, SolverChoice
 from trueup.report import build_report
@@ -212,13 +220,13 @@ def test_a_step_that_fails_is_said_and_the_others_go_on(data, tmp_path, capsys):
 
 def test_without_torch_the_networks_are_left_out_and_said_how_to_get(data, tmp_path, monkeypatch):
     def missing(*_, **__):
-        raise MissingDependency("training needs torch", hint="pip install 'trueup[learn]'")
+        raise MissingDependency("training needs torch", hint=how_to_install("learn"))
 
     monkeypatch.setattr(close_networks, "augment", missing)
     done = quick(data, tmp_path / "out")
     last = done.result.steps[-1]
     assert (last.name, last.status) == ("augment", "left out")
-    assert "trueup[learn]" in last.what
+    assert "'.[learn]'" in last.what
     assert [rung.name for rung in done.ladder.rungs] == ["command", "stock", "fitted"]
 
 

@@ -480,7 +480,7 @@ def test_seeds_are_an_axis_and_layers_are_lists(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::FutureWarning:ray")
-@pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="Ray is not installed: pip install 'trueup[ray]'")
+@pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="Ray is not installed: pip install '.[ray]'")
 def test_on_ray_a_worker_that_is_killed_loses_nothing(tmp_path, monkeypatch, whole):
     tests = str(Path(grid_errands.__file__).parents[1])
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([tests, *sys.path]))

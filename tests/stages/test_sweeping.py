@@ -248,7 +248,7 @@ def test_ray_that_is_missing_is_said(data, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(MissingDependency, match="Ray cluster needs ray") as caught:
         sweep([data], tmp_path / "out", run=RUN, candidates=CANDIDATES, seeds=SEEDS, ray="local")
-    assert "trueup[ray]" in caught.value.hint
+    assert "'.[ray]'" in caught.value.hint
     assert not (tmp_path / "out").exists()
 
 

@@ -71,7 +71,7 @@ def doctor(
             f"{name}: {shutil.which(name) or 'not found (browser tests: apt-get install chromium chromium-driver)'}"
         )
     table = Table()
-    for heading in ("extra", "for", "installed", "to get it"):
+    for heading in ("extra", "for", "installed", "to get it, in the checkout"):
         table.add_column(heading, overflow="fold")
     missing = [name for name in _BASE if _version(name) is None]
     out.print("base: " + ", ".join(f"{name} {_version(name)}" for name in _BASE if name not in missing))
@@ -79,7 +79,7 @@ def doctor(
         there = {name: _version(name) for name, module in modules if util.find_spec(module)}
         complete = len(there) == len(modules)
         shown = ", ".join(f"{name} {version}" for name, version in there.items()) or "-"
-        table.add_row(extra, purpose, shown, "" if complete else escape(f"pip install 'trueup[{extra}]'"))
+        table.add_row(extra, purpose, shown, "" if complete else escape(f"pip install '.[{extra}]'"))
     out.print(table)
     if missing:
         out.print(f"missing from the base installation: {', '.join(missing)}")

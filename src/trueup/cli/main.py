@@ -29,7 +29,7 @@ from trueup.cli import (
     report,
 )
 from trueup.cli.console import out, problem
-from trueup.errors import TrueupError
+from trueup.errors import TrueupError, how_to_install
 
 app = typer.Typer(
     name="trueup",
@@ -132,7 +132,7 @@ def main(argv: Sequence[str] | None = None) -> None:
                 "Run it again with --debug and report the traceback.",
             )
         else:
-            problem(f"this needs a package that cannot be imported: got {error}", f"pip install 'trueup[{extra}]'")
+            problem(f"this needs a package that cannot be imported: got {error}", how_to_install(extra))
         code = 1 if extra is None else 2
     if code == _INTERRUPTED:
         problem(

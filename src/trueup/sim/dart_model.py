@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float64
 
-from trueup.errors import ConfigError
+from trueup.errors import ConfigError, how_to_install
 from trueup.robots.model import gravity_of
 
 _OFF = mujoco.mjtDisableBit
@@ -28,7 +28,7 @@ def load_dart() -> Any:
         import dartpy
     except ImportError as error:
         raise ConfigError(
-            "the engine DART is not installed", got=str(error), hint="pip install 'trueup[dart]'"
+            "the engine DART is not installed", got=str(error), hint=how_to_install("dart")
         ) from error
     return dartpy
 
