@@ -174,5 +174,5 @@ def rows(result: Mapping[str, Any]) -> list[Row]:
             rows.append(shown(f"{about}: mean error, compensated", errors[COMPENSATED], "rad"))
             high = errors["difference"][2]
             rows.append(at_most(f"{about}: difference, upper end", math.nan if high is None else high, 0.0, "rad"))
-        rows.append(at_most(f"seed {seed}: training", own["minutes"], 20.0, "min"))
+    rows += [at_most(f"seed {seed}: training", own["minutes"], 20.0, "min") for seed, own in result["seeds"].items()]
     return rows

@@ -15,7 +15,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.table import Row, rounded
+from benchmarks.table import Row, bound, rounded
 from trueup.core.atomic import read_json, write_json
 from trueup.core.provenance import provenance
 from trueup.stages.timing import machine_name
@@ -74,14 +74,13 @@ def rows_of(entry: Mapping[str, Any]) -> list[Row]:
 def cells(name: str, entry: Mapping[str, Any]) -> Iterable[tuple[str, ...]]:
     """One line for each figure: benchmark, what, figure, limit, ratio, unit, verdict, when."""
     for row in rows_of(entry):
-        limit = "" if row.limit is None else f"{row.limit:.4g}"
         ratio = f"{row.value / row.limit:.2f}" if row.limit else ""
         verdict = "" if row.limit is None else "ok" if row.ok else "MISSED"
         yield (
             name,
             row.name,
             f"{row.value:.4g}",
-            limit,
+            bound(asdict(row)),
             ratio,
             row.unit,
             verdict,

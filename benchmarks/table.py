@@ -47,6 +47,15 @@ def shown(name: str, value: float, unit: str) -> Row:
     return Row(name, value, None, unit)
 
 
+def bound(row: Mapping[str, Any]) -> str:
+    """The limit of a row and on which side of it a figure must stay; no side where the figure equals it."""
+    value, limit = row["value"], row["limit"]
+    if limit is None:
+        return ""
+    sign = "" if not (value < limit or value > limit) else "≤ " if (value < limit) == row["ok"] else "≥ "
+    return f"{sign}{limit:.4g}"
+
+
 def rounded(tree: Any) -> Any:
     """A result with no more digits than anyone reads: five of every float."""
     if isinstance(tree, Mapping):
@@ -65,9 +74,8 @@ def print_table(rows: Sequence[Row], title: str = "") -> None:
     table.add_column("unit")
     table.add_column("")
     for row in rows:
-        limit = "" if row.limit is None else f"{row.limit:.4g}"
         verdict = "" if row.limit is None else "[green]ok[/]" if row.ok else "[bold red]MISSED[/]"
-        table.add_row(row.name, f"{row.value:.4g}", limit, row.unit, verdict)
+        table.add_row(row.name, f"{row.value:.4g}", bound(asdict(row)), row.unit, verdict)
     Console().print(table)
 
 

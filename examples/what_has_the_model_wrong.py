@@ -1,7 +1,7 @@
 """What has my model wrong, and how sure is that?
 
-Gains, delays and friction of a small arm are fitted; each number comes with an interval, and one that the motions do
-not determine is named.
+Gains and delays of a small arm are fitted; each number comes with an interval, and with whether the motions determine
+it.
 
     python examples/what_has_the_model_wrong.py OUT
 """

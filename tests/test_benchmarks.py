@@ -3,13 +3,14 @@
 import json
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 from benchmarks import __main__ as command
 from benchmarks.__main__ import LONG, NAMES
 from benchmarks.figures import cells, keep, known, own_result, print_all, rows_of, stored
-from benchmarks.table import Row, at_least, at_most, shown
+from benchmarks.table import Row, at_least, at_most, bound, shown
 
 ROOT = Path(__file__).parent.parent
 
@@ -22,7 +23,20 @@ def test_figures_are_kept_and_replaced(tmp_path):
     keep("one", [at_most("time", 3.0, 4.0, "s")], path)
     assert rows_of(stored(path)["one"]) == [Row("time", 3.0, 4.0, "s", ok=True)]
     (line,) = cells("two", stored(path)["two"])
-    assert line[:7] == ("two", "speed", "3", "4", "0.75", "x", "MISSED")
+    assert line[:7] == ("two", "speed", "3", "≥ 4", "0.75", "x", "MISSED")
+
+
+@pytest.mark.parametrize("value", [3.0, 5.0])
+def test_a_limit_says_on_which_side_a_figure_must_stay(value):
+    assert bound(asdict(at_most("time", value, 4.0, "s"))) == "≤ 4"
+    assert bound(asdict(at_least("speed", value, 4.0, "x"))) == "≥ 4"
+    assert bound(asdict(at_most("lost", 0, 0, ""))) == "0"
+    assert bound(asdict(shown("size", value, "MB"))) == ""
+
+
+def test_a_training_is_counted_once():
+    names = [row["name"] for row in known("compensation_robot")["rows"]]
+    assert len(names) == len(set(names))
 
 
 def test_one_table_of_all(tmp_path, capsys):

@@ -7,6 +7,7 @@ from itertools import groupby
 from typing import Any
 
 from benchmarks.pages.markdown import table
+from benchmarks.table import bound
 
 TEXT = """# What was asked, and what is reached
 
@@ -68,8 +69,7 @@ def _cells(line: Mapping[str, Any]) -> list[tuple[str, ...]]:
     for number, row in enumerate(line["rows"]):
         asked = (f"*{line['kind']}:* {line['asks']}", f"`{line['command']}`") if number == 0 else ("", "")
         verdict = "" if row["limit"] is None else "kept" if row["ok"] else "**missed**"
-        bar = "" if row["limit"] is None else f"{row['limit']:.4g}"
-        rows.append((*asked, row["name"], f"{row['value']:.4g} {row['unit']}".strip(), bar, verdict))
+        rows.append((*asked, row["name"], f"{row['value']:.4g} {row['unit']}".strip(), bound(row), verdict))
     return rows
 
 

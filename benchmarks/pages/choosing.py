@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.figures import stored
 from benchmarks.pages.augment_cells import cut, factor
 from benchmarks.pages.augment_data import BASELINES, PRECISE, REAL_TIME
 from benchmarks.pages.compensation import cell
@@ -78,7 +79,7 @@ def pages() -> Mapping[str, str]:
         ROBOT: _robot(_result("compensation_robot")),
         POLICIES: _policies(_result("policy_algorithms")["algorithms"]),
         GOING_ON: _going_on(tabulated(_result("policy_going_on")["policies"])),
-        ENGINES: _engines(_result("acceptance")),
+        ENGINES: _engines({row["name"]: row["value"] for row in stored()["engines"]["rows"]}),
     }.items():
         text = with_rows(text, heads, rows)
     return {NAME: text}
@@ -213,8 +214,7 @@ def _going_on(found: Mapping[str, Any]) -> Rows:
             )
 
 
-def _engines(found: Mapping[str, Any]) -> Rows:
-    rows = {row["name"]: row["value"] for line in found["lines"] for row in line["rows"]}
+def _engines(rows: Mapping[str, float]) -> Rows:
     for what in (
         "no friction, 1 at once",
         "no friction, 32 at once",

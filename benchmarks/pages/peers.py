@@ -37,7 +37,7 @@ BESIDE = (
     ("", "the same: median error of the numbers", "median error, trueup / scipy"),
     (
         "bare `mujoco.rollout`",
-        "replay of logs, speed of the rollout, 1 thread",
+        "replay of logs: time per simulated step, 1 thread",
         "replay / raw mujoco.rollout, 1 threads",
     ),
     ("", "the same, 2 threads", "replay / raw mujoco.rollout, 2 threads"),
@@ -95,22 +95,24 @@ def _published(rows: Mapping[str, Any]) -> str:
     pace = rows["49 parameters of 12 joints, 20 s, 2 threads"]["value"]
     arm = [rows[f"SO-101, test: {what}"]["value"] for what in ("stock", "position RMSE")]
     step = rows["Stream.step_vector, p50"]["value"]
+    in_loop = _result("streaming")["loop"]["step"]["p50_us"]
     thesis = rows["robot 0, auto: error cut, worst joint"]["value"]
     lines = [
         [
             "PACE",
-            "49 numbers of 12 joints, chirp of 20 s: 2 h 15 min on an RTX 3080, a real robot",
+            "49 numbers of 12 joints, chirp of 20 s: 2 h 15 min on an RTX 3080",
             f"{pace:.0f} s on two cores, a simulated robot of the same size",
         ],
         [
             "AnchorBench",
             "SO-101, position RMSE 0.0450 to 0.0156 rad; 42 motions fitted, 8 held out",
-            f"{arm[0]:.4f} to {arm[1]:.4f} rad; the same recording, 33 fitted, 4 for the choice, 6 held out",
+            f"{arm[0]:.4f} to {arm[1]:.4f} rad; 43 motions of the same recording: 33 fitted, 4 for the choice, 6 held out",
         ],
         [
             "Realeasy",
             "a step of the real-time network: less than 390 us (V)",
-            f"{step:.0f} us in the median on one core ([what a step takes](step-times.md))",
+            f"{step:.0f} us in a row of steps on one core, {in_loop:.0f} us in a loop at 1 kHz, medians ([what a step "
+            "takes](step-times.md))",
         ],
         [
             "ES thesis",

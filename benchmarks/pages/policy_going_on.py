@@ -180,8 +180,8 @@ def _bar(before: Mapping[str, Any]) -> str:
     for own in before.values():
         curve = own["curve"]
         ends.append(curve[-1][1] / 60)
-        reached += [next((point[1] / 60 for point in curve if point[3] <= 0.05), None)]
-    if any(minutes is None for minutes in reached):
+        reached += [next((point[1] for point in curve if point[3] <= 0.05), None)]
+    if any(seconds is None for seconds in reached):
         return "Not all of them come within 5 cm."
-    said = ", ".join(f"{minutes:.1f}" for minutes in reached)
-    return f"All come within 5 cm: after {said} min of one core (of {max(ends):.1f} at most; the bar is 60 on two)."
+    said = ", ".join(f"{seconds:.0f}" for seconds in reached)
+    return f"All come within 5 cm: after {said} s of one core (of {max(ends):.1f} min at most; the bar is 60 min on two)."

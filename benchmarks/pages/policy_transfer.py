@@ -31,8 +31,8 @@ Policies of `--config laptop --steps {steps}`, trained in {rows} simulators with
 and let loose on virtual robots: individuals 1 to 3 were recorded (54 motions, led by springs: `trueup record --robot
 panda_torque`), and `panda_torque` identified from all three at once; 4 to 6 nobody has seen. 100 goals, the same
 everywhere (in DART the first 40). Robots have what the simulators do not: dry and load-dependent friction that
-sticks, elastic joints, ripple, delays with jitter, noise, errors of their gravity compensation of up to 0.8 Nm. "As
-it comes" has no posterior: its draws replace every number that was identified, and make the models of "identified,
+sticks, elastic joints, ripple, delays with jitter, noise, errors of their gravity compensation of up to 0.8 Nm. There
+is no row "as it comes, posterior": posterior draws overwrite all identified numbers, so it would equal "identified,
 posterior".
 
 ```sh

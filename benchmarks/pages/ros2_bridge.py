@@ -14,9 +14,8 @@ A publisher at {rate_hz:g} Hz, a bridge, and a listener to what is asked and wha
 
 {ways}
 
-*Added* is how much later the answer is written than the message was, by DDS's own stamps: so much later any listener
-has it, whether it looks at once or not. Asked was 1 ms for 99 % of them. The last two rows are by the clock of this
-listener, which takes messages one by one; its own waiting is in both.
+*Added* is the time between DDS's stamps of message and answer. The requirement was 1 ms at 99 %. The last two rows also
+contain this listener's own waiting.
 
 ```sh
 python -m benchmarks ros2_bridge

@@ -33,6 +33,7 @@ def part(result: Mapping[str, Any]) -> str:
         ["messages published", str(result["published"])],
         ["of these delivered to the bridge", str(bridge["received"])],
         ["of these answered", str(bridge["sent"])],
+        ["of these corrected", str(bridge["counts"].get("ok", 0))],
         ["at most waiting at a time", str(bridge["most_waiting"])],
         ["99 % from taken to sent within", f"{bridge['added']['p99_us'] / 1e3:.2f} ms"],
         ["longest", f"{bridge['added']['max_us'] / 1e3:.2f} ms"],
@@ -55,6 +56,16 @@ def _answer(result: Mapping[str, Any]) -> str:
     late = memory_mb[-1] - memory_mb[len(memory_mb) // 2 - 1]
     verdict = "met" if grown <= BAR_MB else "missed"
     return (
-        f"It lost {lost or 'nothing'}. Its memory grew by {grown:.2f} MB, {late:.2f} MB of this in the second half; "
+        f"It lost {lost or 'nothing'}.{_uncorrected(result['bridge']['counts'])} Its memory grew by {grown:.2f} MB, {late:.2f} MB of this in the second half; "
         f"asked was no more than {BAR_MB:g} MB, which is {verdict}."
     )
+
+
+def _uncorrected(counts: Mapping[str, int]) -> str:
+    """What the answers say that the network has not corrected; nothing if there are none."""
+    warming, fallback, held = (counts.get(name, 0) for name in ("warming", "fallback", "held"))
+    said = ""
+    if own := warming + fallback:
+        mostly = ", mostly while the network warmed up again" if warming > fallback else ""
+        said += f" {own} answers carried the simulator's own values{mostly}."
+    return said + (f" {held} repeated the values before." if held else "")

@@ -4,6 +4,9 @@ import re
 from dataclasses import fields
 from pathlib import Path
 
+import pytest
+from benchmarks.figures import stored
+
 from trueup.policy import ReachConfig, Reward
 from trueup.policy.config import LearnerConfig, PolicyConfig
 from trueup.policy.evaluation import UNITS
@@ -60,6 +63,19 @@ def test_the_thesis_grids_are_those_of_the_page():
         tried = {value for axis in grid.axes for values in axis.rows for value in values if not isinstance(value, str)}
         assert said == tried
     assert all(f"`{name}`" in TEXT for name in NAMES if not name.startswith("learner."))
+
+
+def test_figures_of_speed_are_about_those_of_the_benchmarks():
+    rows = {row["name"]: row["value"] for name in ("policy_env", "policy_loop") for row in stored()[name]["rows"]}
+    said = " ".join(TEXT.split())
+    one, many, threads = re.search(r"one arm has (.+?) of their speed, 16 arms (.+?), and two threads take (.+?) t", said).groups()
+    assert float(one) == pytest.approx(rows["one arm: environment over bare stepping"], rel=0.1)
+    assert float(many) == pytest.approx(rows["16 arms, 1 thread: environment over bare stepping"], rel=0.1)
+    assert float(threads) == pytest.approx(rows["two threads over one"], rel=0.1)
+    guard, asked, tick = re.search(r"(\d+) us for the guard, (\d+) us where .+ up to (\d+) us in 99 of", said).groups()
+    assert float(guard) == pytest.approx(rows["guard: p50"], rel=0.3)
+    assert float(asked) == pytest.approx(rows["policy: p50"], rel=0.3)
+    assert float(tick) == pytest.approx(rows["in real time: a tick, p99"], rel=0.5)
 
 
 def test_defaults_are_those_of_the_page():

@@ -117,7 +117,13 @@ HOUR = {
     "published": 3600000,
     "answers": 3599990,
     "memory_mb": [150.04, 150.1, 150.3],
-    "bridge": {"received": 3600000, "sent": 3599999, "most_waiting": 12, "added": {"p99_us": 412.0, "max_us": 22800.0}},
+    "bridge": {
+        "received": 3600000,
+        "sent": 3599999,
+        "most_waiting": 12,
+        "counts": {"ok": 3590000, "warming": 9000, "fallback": 999},
+        "added": {"p99_us": 412.0, "max_us": 22800.0},
+    },
 }
 
 
@@ -131,12 +137,16 @@ def test_an_hour_is_a_part_of_the_page():
     cells = dict(re.findall(r"^\| (.+?) \| (.+?) \|$", part, re.M))
     assert cells["messages published"] == cells["of these delivered to the bridge"] == "3600000"
     assert cells["of these answered"] == "3599999"
+    assert cells["of these corrected"] == "3590000"
     assert cells["longest"] == "22.80 ms"
     assert cells["memory of the bridge after a minute"] == "150.0 MB"
     assert cells["memory at the end"] == "150.3 MB"
     assert (
-        "It lost 1. Its memory grew by 0.26 MB, 0.26 MB of this in the second half; asked was no more than 1 MB" in part
+        "It lost 1. 9999 answers carried the simulator's own values, mostly while the network warmed up again. "
+        "Its memory grew by 0.26 MB, 0.26 MB of this in the second half; asked was no more than 1 MB" in part
     )
+    all_ok = {**HOUR["bridge"], "counts": {"ok": 3599999}}
+    assert "It lost 1. Its memory grew" in ros2_hour.part({**HOUR, "bridge": all_ok})
     grown = ros2_hour.part({**HOUR, "memory_mb": [150.0, 150.5, 151.5, 151.6]})
     assert "grew by 1.60 MB, 1.10 MB of this in the second half; asked was no more than 1 MB, which is missed" in grown
     assert page.split("## For an hour")[0] == TEXT.split("## For an hour")[0]
