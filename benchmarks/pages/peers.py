@@ -106,13 +106,12 @@ def _published(rows: Mapping[str, Any]) -> str:
         [
             "AnchorBench",
             "SO-101, position RMSE 0.0450 to 0.0156 rad; 42 motions fitted, 8 held out",
-            f"{arm[0]:.4f} to {arm[1]:.4f} rad; 43 motions of the same recording: 33 fitted, 4 for the choice, 6 held out",
+            f"{arm[0]:.4f} to {arm[1]:.4f} rad; 43 of these motions: 33 fitted, 4 for the choice, 6 held out",
         ],
         [
             "Realeasy",
             "a step of the real-time network: less than 390 us (V)",
-            f"{step:.0f} us in a row of steps on one core, {in_loop:.0f} us in a loop at 1 kHz, medians ([what a step "
-            "takes](step-times.md))",
+            f"{step:.0f} us in a row of steps, {in_loop:.0f} us (median) in a loop at 1 kHz ([steps](step-times.md))",
         ],
         [
             "ES thesis",

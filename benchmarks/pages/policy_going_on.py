@@ -184,4 +184,6 @@ def _bar(before: Mapping[str, Any]) -> str:
     if any(seconds is None for seconds in reached):
         return "Not all of them come within 5 cm."
     said = ", ".join(f"{seconds:.0f}" for seconds in reached)
-    return f"All come within 5 cm: after {said} s of one core (of {max(ends):.1f} min at most; the bar is 60 min on two)."
+    return (
+        f"All come within 5 cm: after {said} s of one core (of {max(ends):.1f} min at most; the bar is 60 min on two)."
+    )

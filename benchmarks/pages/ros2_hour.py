@@ -55,8 +55,9 @@ def _answer(result: Mapping[str, Any]) -> str:
     grown = memory_mb[-1] - memory_mb[0]
     late = memory_mb[-1] - memory_mb[len(memory_mb) // 2 - 1]
     verdict = "met" if grown <= BAR_MB else "missed"
+    said = _uncorrected(result["bridge"]["counts"])
     return (
-        f"It lost {lost or 'nothing'}.{_uncorrected(result['bridge']['counts'])} Its memory grew by {grown:.2f} MB, {late:.2f} MB of this in the second half; "
+        f"It lost {lost or 'nothing'}.{said} Its memory grew by {grown:.2f} MB, {late:.2f} MB of this in the second half; "
         f"asked was no more than {BAR_MB:g} MB, which is {verdict}."
     )
 

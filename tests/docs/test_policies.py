@@ -68,7 +68,9 @@ def test_the_thesis_grids_are_those_of_the_page():
 def test_figures_of_speed_are_about_those_of_the_benchmarks():
     rows = {row["name"]: row["value"] for name in ("policy_env", "policy_loop") for row in stored()[name]["rows"]}
     said = " ".join(TEXT.split())
-    one, many, threads = re.search(r"one arm has (.+?) of their speed, 16 arms (.+?), and two threads take (.+?) t", said).groups()
+    one, many, threads = re.search(
+        r"one arm has (.+?) of their speed, 16 arms (.+?), and two threads take (.+?) t", said
+    ).groups()
     assert float(one) == pytest.approx(rows["one arm: environment over bare stepping"], rel=0.1)
     assert float(many) == pytest.approx(rows["16 arms, 1 thread: environment over bare stepping"], rel=0.1)
     assert float(threads) == pytest.approx(rows["two threads over one"], rel=0.1)

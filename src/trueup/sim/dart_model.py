@@ -27,9 +27,7 @@ def load_dart() -> Any:
     try:
         import dartpy
     except ImportError as error:
-        raise ConfigError(
-            "the engine DART is not installed", got=str(error), hint=how_to_install("dart")
-        ) from error
+        raise ConfigError("the engine DART is not installed", got=str(error), hint=how_to_install("dart")) from error
     return dartpy
 
 
