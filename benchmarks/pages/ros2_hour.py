@@ -57,7 +57,8 @@ def _answer(result: Mapping[str, Any]) -> str:
     verdict = "met" if grown <= BAR_MB else "missed"
     said = _uncorrected(result["bridge"]["counts"])
     return (
-        f"It lost {lost or 'nothing'}.{said} Its memory grew by {grown:.2f} MB, {late:.2f} MB of this in the second half; "
+        f"It lost {lost or 'nothing'}.{said} "
+        f"Its memory grew by {grown:.2f} MB, {late:.2f} MB of this in the second half; "
         f"asked was no more than {BAR_MB:g} MB, which is {verdict}."
     )
 
