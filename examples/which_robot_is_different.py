@@ -2,7 +2,7 @@
 
 Four small arms are recorded, the last of which hears its commands late; each is identified by itself, and compared.
 Only delays are fitted, so that they stand for wrong gains and friction, too: the arm's true delay is 24 ms. A joint is
-compared over those arms only whose motions determine its delay: no shoulder here, nor the elbow of the last arm.
+compared over those arms only whose motions determine its delay: here no shoulder, and not the elbow of the last arm.
 
     python examples/which_robot_is_different.py OUT
 """

@@ -177,7 +177,7 @@ def test_without_dartpy_the_extra_is_named(monkeypatch):
 
     monkeypatch.delitem(sys.modules, "dartpy", raising=False)
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(ConfigError, match=r"DART is not installed.*\n.*trueup\[dart\]"):
+    with pytest.raises(ConfigError, match=r"DART is not installed.*\n.*\.\[dart\]"):
         skeleton_of(model)
 
 
