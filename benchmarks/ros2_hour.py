@@ -27,7 +27,7 @@ from trueup.stages.timing import machine_name
 
 RESULT = Path(__file__).parent / "results" / "ros2_hour.json"
 SECONDS = 3600.0
-# Growth over the hour, from the end of the first minute on.
+# Growth within the hour, from the end of the first minute on.
 BAR_MB = 1.0
 _EVERY_S, _SETTLED_S = 10.0, 60.0
 
@@ -50,7 +50,8 @@ def rows(result: Mapping[str, Any]) -> list[Row]:
         shown("bridge: from taken to sent, p99", bridge["added"]["p99_us"], "us"),
         shown("bridge: from taken to sent, longest", bridge["added"]["max_us"] / 1e3, "ms"),
         shown("memory after a minute", result["memory_mb"][0], "MB"),
-        at_most("memory at the end, beyond that", result["memory_mb"][-1] - result["memory_mb"][0], BAR_MB, "MB"),
+        at_most("largest memory, beyond that", max(result["memory_mb"]) - result["memory_mb"][0], BAR_MB, "MB"),
+        shown("memory at the end, beyond that", result["memory_mb"][-1] - result["memory_mb"][0], "MB"),
     ]
 
 
