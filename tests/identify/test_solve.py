@@ -278,14 +278,25 @@ def test_the_evolution_strategy_knows_the_joint_of_an_encoder_zero(tmp_path):
 # Several starts
 
 
-def judged(problem, solution):
+def judged(problem, solution, errors=None):
     posterior = posterior_of(problem, solution.z, solution.residual, solution.jacobian)
     items = fitted_parameters(posterior)
-    errors = {
+    errors = errors or {
         "nominal": {"val": Estimate(2.0, "rad", 1.9, 2.1)},
         "fitted": {"val": Estimate(1.0, "rad", 0.9, 1.1)},
     }
     return verdict(solution, items, errors, (), chosen_by_user=True, torque_seen=True)
+
+
+def test_the_test_motions_decide_nothing_about_the_status(small):
+    problem = Replaced(small, linear(small.size))
+    worse = {"train": Estimate(0.9, "rad"), "test": Estimate(3.0, "rad")}
+    errors = {"nominal": {name: Estimate(2.0, "rad") for name in worse}, "fitted": worse}
+    status, statements = judged(problem, solve(problem, SolveSettings()), errors)
+    assert status == "ok"
+    assert any("there is no val split" in line for line in statements)
+    errors["fitted"] = {"train": Estimate(2.5, "rad"), "test": Estimate(1.0, "rad")}
+    assert judged(problem, solve(problem, SolveSettings()), errors)[0] == "no-better"
 
 
 def test_starts_that_agree_leave_the_status_alone_and_say_so(small):

@@ -145,6 +145,9 @@ def test_a_search_that_the_time_has_ended_is_not_called_a_failure():
     assert alert_of(late).title == "▲ Ended by the time"
     assert "--budget" in alert_of(late).advice
     assert alert_of(replace(late, status="no-better")).tone == "bad"
+    others = replace(fit, solver={**fit.solver, "stop": "iterations", "short_of_time": ["friction"]})
+    apart = replace(late, solver={**late.solver, "agreement": "local-minima"})
+    assert (alert_of(others).tone, alert_of(apart).tone) == ("bad", "bad")
 
 
 def test_fitted_is_compared_with_stock_and_command(copied):

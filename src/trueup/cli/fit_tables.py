@@ -102,7 +102,7 @@ def status_line(fit: FitResult) -> tuple[str, str | None]:
         f"status: {fit.status}; of {len(free)} parameters that were fitted, the data determine {count['yes']}, "
         f"{count['weakly']} weakly, {count['no']} not"
     )
-    if fit.status == "not-converged" and fit.short_of_time:
+    if fit.ended_by_time:
         return f"{text}; the time has ended the search", "Give it more time (--budget), and run again with --overwrite."
     return text, _HINT.get(fit.status)
 

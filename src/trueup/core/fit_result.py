@@ -119,11 +119,12 @@ class FitResult:
 
     Attributes:
         status: the worst of what applies: `ok`; `not-identifiable` (the data do not determine some parameter);
-            `at-bound` (a parameter ended on a bound); `not-converged`; `no-better` (on motions that it was not
-            fitted to, the fitted model is no better than the nominal one).
+            `at-bound` (a parameter ended on a bound); `not-converged`; `no-better` (on val, or on
+            train without one, the fitted model is no better than the nominal one).
         statements: what a user must know before trusting the numbers, most important first.
         solver: name, why it was chosen, why it stopped, iterations, evaluations, seconds, settings; `short_of_time`:
-            models whose search a time limit has ended or kept from beginning, if any.
+            models whose search a time limit has ended or kept from beginning, if any; of several starts `starts`,
+            what came of them, and `agreement`, the same in a word.
         parameters: all parameters, also the frozen ones.
         correlation: parameter -> parameter -> correlation after the fit, of the free ones; pairs above 0.3 only.
         directions: combinations that the data leave open, the worst first.
@@ -158,6 +159,15 @@ class FitResult:
     def short_of_time(self) -> bool:
         """Whether a time limit decided about a search: without it, another fit may come of it."""
         return self.solver["stop"] == "time" or bool(self.solver.get("short_of_time"))
+
+    @property
+    def ended_by_time(self) -> bool:
+        """Whether it is `not-converged` only since a time limit ended the search of the model that was chosen.
+
+        Not so where only others were kept from beginning, nor where its starts disagree.
+        """
+        short = self.solver["stop"] == "time" and self.solver.get("agreement") != "local-minima"
+        return short and self.status == "not-converged"
 
     @property
     def free(self) -> tuple[FittedParameter, ...]:

@@ -124,7 +124,8 @@ def _best(problem: Problem, starts: Float64[np.ndarray, "S P"], found: Sequence[
         raise DataError("the model cannot be simulated from any of the starts", got=f"{len(found)} starts")
     agreement = compare_ends(space_of(problem), ends, costs, cost_tolerance=0.01, place_tolerance=0.1)
     seconds = round(sum(float(end.solution.solver["seconds"]) for end in found if end.solution is not None), 3)
-    solver = {**best.solver, "seconds": seconds, "evaluations": problem.evaluations, "starts": agreement.text}
+    told = {"starts": agreement.text, "agreement": agreement.verdict}
+    solver = {**best.solver, "seconds": seconds, "evaluations": problem.evaluations, **told}
     return replace(best, solver=solver, agreement=agreement)
 
 

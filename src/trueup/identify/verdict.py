@@ -59,7 +59,8 @@ def verdict(
         statements.append(
             f"the search stopped early ({solution.solver['stop']}): raise solver.max_iterations, or give it more time"
         )
-    judge = next((split for split in ("val", "test", "train") if split in errors["fitted"]), None)
+    # Not on test, which decides nothing.
+    judge = next((split for split in ("val", "train") if split in errors["fitted"]), None)
     if judge is not None:
         before, after = errors["nominal"].get(judge), errors["fitted"][judge]
         if before is not None and not after.value < before.value:

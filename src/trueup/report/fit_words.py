@@ -82,8 +82,7 @@ def alert_of(fit: FitResult) -> Alert | None:
     if fit.status == "ok":
         return None
     # A search that the time has ended is none that went astray: where it is, it is better than where it began.
-    short = fit.status == "not-converged" and fit.short_of_time
-    tone, title, lead, advice = _SHORT if short else _ALERTS[fit.status]
+    tone, title, lead, advice = _SHORT if fit.ended_by_time else _ALERTS[fit.status]
     return Alert(tone, title, lead, tuple(as_sentence(text) for text in fit.statements), advice, fit.status)
 
 
