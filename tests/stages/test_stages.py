@@ -6,7 +6,7 @@ import pytest
 
 from dataset.store_cases import write_npz
 from trueup.core.episode import Episode, EpisodeMeta, Flag
-from trueup.core.results import Estimate, MetricResult, Rung
+from trueup.core.results import Estimate, GapResult, MetricResult, Rung
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
 from trueup.dataset.importers.base import ImportOptions
@@ -16,7 +16,8 @@ from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode
 from trueup.stages import close, gap, import_logs, replay
 from trueup.stages.demonstrating import demo_dataset
 from trueup.stages.importing import checked
-from trueup.stages.ladder import choose
+from trueup.stages.ladder import choose, val_scores
+from trueup.stages.replaying import replay_unless_same
 
 
 @pytest.fixture
@@ -342,8 +343,47 @@ def test_a_rung_without_a_number_is_not_chosen():
         Rung(name, 0.0, {"val": {"position": {"rmse": item}}})
         for name, item in (("command", nothing), ("stock", something))
     ]
-    assert [rung.chosen for rung in choose(rungs)] == [False, True]
-    assert not any(rung.chosen for rung in choose(rungs[:1]))
+    assert [rung.chosen for rung in choose(rungs, [None, 0.1])] == [False, True]
+    assert not any(rung.chosen for rung in choose(rungs[:1], [None]))
+
+
+def test_a_rung_that_fails_on_a_motion_is_not_chosen_for_it():
+    """Its mean over the motions that it has is the lowest, its error on each of them is not."""
+    errors = {
+        "command": {"easy": 0.3, "hard": 0.9},
+        "mujoco/stock": {"easy": 0.1, "hard": 0.5},
+        "mujoco/fitted": {"easy": 0.2},
+        "mujoco/lost": {},
+    }
+    episodes = {
+        label: {name: {"position": {"rmse": {"a": error, "b": np.nan, "c": 9.0}}} for name, error in own.items()}
+        for label, own in errors.items()
+    }
+    found = GapResult({}, ("a", "b", "c"), ("a", "b"), episodes=episodes, splits={"easy": "val", "hard": "val"})
+    assert val_scores(found, list(errors)) == [0.3, 0.1, 0.2, None]
+    assert val_scores(found, ["command", "mujoco/stock"]) == pytest.approx([0.6, 0.3])
+    assert val_scores(replace(found, splits={"easy": "train"}), list(errors)) == [None] * 4
+
+
+def test_a_run_of_another_version_is_not_gone_on_with(demo):
+    robot = load_robot("demo_arm")
+    replay(demo, robot)
+    file = demo.path / "simulated" / "mujoco" / "stock" / "run.json"
+    tree = json.loads(file.read_text())
+
+    def noted(origin):
+        file.write_text(json.dumps({**tree, "info": {**tree["info"], "provenance": origin}}))
+        return Dataset(demo.path)
+
+    origin = tree["info"]["provenance"]
+    for other in ({"packages": {**origin["packages"], "mujoco": "2.3.7"}}, {"trueup": "0.0.1"}):
+        given = noted({**origin, **other})
+        with pytest.raises(OutputExists, match=r"made from other inputs \((mujoco 2\.3\.7|trueup 0\.0\.1)\)"):
+            replay(given, robot, resume=True)
+    done = replay_unless_same(given, robot, model=None, label="mujoco/stock", jobs=1)
+    assert (done.replaced, done.replayed, done.kept) == (True, 12, 0)
+    # Runs of which nothing is known are kept.
+    assert replay(noted({}), robot, resume=True).kept == 12
 
 
 def test_a_replay_of_which_nothing_comes_leaves_the_run_that_is_there(demo):

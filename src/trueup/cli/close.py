@@ -20,7 +20,7 @@ from trueup.cli.tables import ladder_table, steps_table, verdicts
 from trueup.core.close_result import StepName
 from trueup.core.results import GapResult
 from trueup.dataset.importers.base import ImportOptions
-from trueup.errors import ConfigError
+from trueup.errors import ConfigError, TrueupError
 
 if TYPE_CHECKING:
     from trueup.augment import Progress as TrainingProgress
@@ -133,7 +133,7 @@ def close(
 
 def exit_code(closed: Closed, *, skip_bad: bool = False) -> int:
     """2 if motions were refused, 3 if something is lacking, which is said."""
-    refused = bool(closed.replayed and closed.replayed.failed) or bool(closed.imported and closed.imported.refused)
+    refused = bool(_not_replayed(closed)) or bool(closed.imported and closed.imported.refused)
     if refused and not skip_bad:
         return 2
     missing = lacking(closed)
@@ -180,11 +180,20 @@ def _told(closed: Closed) -> dict[str, Any]:
     return {"of": {label for label in (best, FITTED) if label is not None}, "split": split}
 
 
+def _not_replayed(closed: Closed) -> list[tuple[str, TrueupError]]:
+    """Motion, with the model if it is not the one that came, and why."""
+    failed = list(closed.replayed.failed.items()) if closed.replayed else []
+    if closed.identified is not None:
+        own = closed.identified.replayed[1]
+        failed += [(f"{name}, by {own.label},", error) for name, error in own.failed.items()]
+    return failed
+
+
 def lacking(closed: Closed) -> list[str]:
     """What was asked for and is not there, or of no use; a fit that the time has ended is what there was time for."""
     found = [f"{step.name} failed" for step in closed.result.failed]
     fit = None if closed.identified is None else closed.identified.fit
-    if fit is not None and fit.status in UNUSABLE and not (fit.status == "not-converged" and fit.short_of_time):
+    if fit is not None and fit.status in UNUSABLE and not fit.ended_by_time:
         found.append(f"the fit is of no use ({fit.status})")
     return found
 
@@ -195,7 +204,7 @@ def show(closed: Closed, out_dir: Path) -> None:
 
     if closed.measurement is not None and not closed.imported:
         show_flags(closed.measurement.quality)
-    for name, error in closed.replayed.failed.items() if closed.replayed else ():
+    for name, error in _not_replayed(closed):
         problem(f"{name} was not replayed: {error.what}: {error.details}", error.hint)
     if closed.measurement is None:
         run = f", with the run {closed.replayed.label}" if closed.replayed else ""
@@ -218,7 +227,8 @@ def show(closed: Closed, out_dir: Path) -> None:
 def _show_ladder(closed: Closed, gap: GapResult) -> None:
     out.print(ladder_table(closed.ladder))
     if any(rung.chosen for rung in closed.ladder.rungs):
-        out.print("* best on val", markup=False)
+        common = ", of the motions that all have" if gap.settings["missing_episodes"] else ""
+        out.print(f"* best on val{common}", markup=False)
     for line in verdicts(gap, **_told(closed)):
         out.print(line, markup=False)
     for line in gap.settings["warnings"]:

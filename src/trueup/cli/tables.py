@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 
 from rich.markup import escape
 from rich.table import Table
 
 from trueup.core.close_result import CloseResult
-from trueup.core.results import Estimate, GapResult, Ladder, MetricResult, Metrics
+from trueup.core.results import Estimate, GapResult, Ladder, MetricResult, Metrics, PairedDifference
 
 _MAIN = "rmse"
 # What stands for the RMSE of a joint where the signal is that of a body.
@@ -94,10 +95,20 @@ def verdicts(gap: GapResult, *, of: Collection[str] | None = None, split: str | 
         if (of is not None and pair.run not in of) or split not in (None, pair.split):
             continue
         if _COMPARED.get(pair.signal) == pair.metric and (pair.split != "all" or whole):
-            change = f"{100 * abs(pair.relative):.1f} % {'less' if pair.difference.value < 0 else 'more'}"
+            change = _change(pair)
             about = f"{pair.signal}, " if pair.signal in _OF_BODIES else ""
             lines.append(f"{pair.run} against {pair.baseline}, {about}{pair.split}: {change} ({pair.verdict})")
     return lines
+
+
+def _change(pair: PairedDifference) -> str:
+    """By how much, in percent where the baseline has an error that it can be a part of."""
+    value = pair.difference.value
+    if math.isnan(value):
+        return "not defined"
+    size = replace(pair.difference, value=abs(value), low=None, high=None)
+    much = number(size) if math.isnan(pair.relative) else f"{100 * abs(pair.relative):.1f} %"
+    return f"{much} {'less' if value < 0 else 'more'}"
 
 
 def _repeats(splits: Mapping[str, Metrics], split: str, signal: str, metric: str) -> bool:

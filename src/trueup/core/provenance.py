@@ -37,6 +37,19 @@ def provenance(*, config: Mapping[str, Any], seed: int | None = None, data_hash:
     }
 
 
+def other_versions(origin: object) -> dict[str, str]:
+    """What simulates, and has another version now: name -> the version that a result was made with.
+
+    Args:
+        origin: the provenance of the result. What it does not say counts as the same.
+    """
+    said = origin if isinstance(origin, Mapping) else {}
+    packages = said.get("packages")
+    then = {"trueup": said.get("trueup"), "mujoco": packages.get("mujoco") if isinstance(packages, Mapping) else None}
+    now = {"trueup": version(), "mujoco": _installed("mujoco")}
+    return {name: str(then[name]) for name in now if then[name] not in (None, now[name])}
+
+
 def _installed(name: str) -> str | None:
     try:
         return metadata.version(name)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from trueup.align import JointMap
 from trueup.core.atomic import as_read_back
-from trueup.core.provenance import provenance
+from trueup.core.provenance import other_versions, provenance
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset, RunWriter, refuse_run
 from trueup.errors import DataError, OutputExists, TrueupError
@@ -80,7 +80,7 @@ def replay(
         ray: address of a Ray cluster, `local` for one on this machine, whose machines find dataset and model in the
             same folders; this process if None.
         overwrite: replace the run if it is there.
-        resume: keep the run if it was made from the same inputs, and add what is missing.
+        resume: keep the run if it was made from the same inputs by the same versions, and add what is missing.
         track: shows progress.
 
     Raises:
@@ -200,6 +200,14 @@ def by_payload(dataset: Dataset, robot: RobotSpec, ids: Sequence[str]) -> Iterat
         yield payload_kg, [name for name in ids if carried[name] == payload_kg]
 
 
+def carried_kg(dataset: Dataset, robot: RobotSpec) -> dict[str, float]:
+    """What the robot carries in simulations [kg], of the episodes in which it carries anything.
+
+    The hash of the dataset does not say it.
+    """
+    return {name: load for load, names in by_payload(dataset, robot, dataset.ids) if load for name in names}
+
+
 def _refuse_other_names(dataset: Dataset, ids: Sequence[str], joint_map: JointMap) -> None:
     """Names that fit no episode are said once, before anything is written."""
     first: TrueupError | None = None
@@ -217,14 +225,15 @@ def _refuse_other_names(dataset: Dataset, ids: Sequence[str], joint_map: JointMa
 def _inputs(
     robot: RobotSpec, simulator: MujocoSimulator | DartSimulator, settings: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """What decides about a motion of a run: if it is the same, the motion need not be simulated again."""
+    """What decides about a motion of a run, beside versions: if it is the same, it need not be simulated again."""
     return {"robot": robot.to_dict(), "model_sha256": simulator.fingerprint, "settings": dict(settings)}
 
 
 def _refuse_other_inputs(dataset: Dataset, label: str, inputs: Mapping[str, Any]) -> None:
-    stored = dataset.run_info(label).get("inputs", {})
-    plain = as_read_back(inputs)
+    info, plain = dataset.run_info(label), as_read_back(inputs)
+    stored = info.get("inputs", {})
     changed = sorted(key for key in plain if stored.get(key) != plain[key])
+    changed += [f"{name} {was}" for name, was in other_versions(info.get("provenance")).items()]
     if changed:
         raise OutputExists(
             f"the run {label!r} was made from other inputs ({', '.join(changed)})",

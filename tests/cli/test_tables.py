@@ -1,0 +1,28 @@
+"""Results as lines for the terminal."""
+
+import math
+
+import pytest
+
+from trueup.cli.tables import verdicts
+from trueup.core.results import Estimate, GapResult, PairedDifference
+
+
+@pytest.mark.parametrize(
+    ("value", "relative", "said"),
+    [
+        (-0.02, -0.5, "50.0 % less (better)"),
+        (0.02, math.nan, "0.02 rad more (worse)"),  # the baseline has no error at all
+        (math.nan, math.nan, "not defined (undecided)"),
+    ],
+)
+def test_how_much_one_run_is_better_than_another(value, relative, said):
+    verdict = "undecided" if math.isnan(value) else "better" if value < 0 else "worse"
+    pair = PairedDifference(
+        *("mujoco/fitted", "mujoco/stock", "test", "position", "rmse"),
+        difference=Estimate(value, "rad", value, value),
+        relative=relative,
+        verdict=verdict,
+    )
+    gap = GapResult({}, ("a",), ("a",), paired=(pair,), splits={"m": "test"})
+    assert verdicts(gap) == [f"mujoco/fitted against mujoco/stock, test: {said}"]
