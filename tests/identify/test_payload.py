@@ -10,6 +10,7 @@ from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.identify import Nominal, Problem, SegmentRule, SolveSettings, make_segments, solve
 from trueup.identify.config import make_parameters
+from trueup.identify.solution import fingerprint_of
 from trueup.robots.spec import PayloadSpec
 from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode
 
@@ -53,3 +54,10 @@ def test_damping_is_recovered_from_loaded_and_unloaded_motions(tmp_path):
     found = solve(problem.with_parameters(make_parameters(wrong, nominal)), SolveSettings())
     values = found.parameters.values(found.z)
     assert values == pytest.approx(truth, rel=0.02)
+
+
+def test_what_is_carried_decides_whether_a_search_is_gone_on_with(tmp_path):
+    nominal, logs = carrying(tmp_path, (0.0, 1.5))
+    other = [replace(log, meta=replace(log.meta, payload_kg=2 * log.meta.payload_kg)) for log in logs]
+    one, same, heavier = (fingerprint_of(problem_of(nominal, own), SolveSettings()) for own in (logs, logs, other))
+    assert one == same != heavier

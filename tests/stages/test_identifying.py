@@ -9,9 +9,10 @@ import yaml
 
 from identify.recovery_cases import SERVO, TORQUE, Truth, nominal_of
 from trueup.core.episode import Flag
+from trueup.core.fit_result import FitResult
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
 from trueup.errors import OutputExists
-from trueup.identify import IdentifyConfig, Nominal
+from trueup.identify import IdentifyConfig, Nominal, model_search
 from trueup.identify.config import DataChoice, SolverChoice
 from trueup.robots import load_robot
 from trueup.sim import ReplaySettings, replay_episode
@@ -148,6 +149,11 @@ def test_a_fit_that_was_killed_after_its_search_is_not_searched_again(rig, tmp_p
         fit(data, truth.robot, out, config=other, **resume)
     assert (out / "fit.json").read_bytes() == before, "a good fit is not replaced by --resume"
 
+    kept = FitResult.load(out / "fit.json")
+    replace(kept, provenance={**kept.provenance, "trueup": "0.0.1"}).save(out / "fit.json")
+    notes = fit(data, truth.robot, out, config=CONFIG, **resume).notes
+    assert any("fit.json was made by trueup 0.0.1" in note for note in notes)
+
 
 def test_a_fit_that_was_killed_between_two_models_goes_on_with_the_second(rig, tmp_path):
     truth, model = rig
@@ -178,3 +184,17 @@ def test_a_fit_that_was_killed_between_two_models_goes_on_with_the_second(rig, t
     values = {item["name"]: item["value"] for item in resumed["parameters"]}
     assert values == pytest.approx(whole.fit.values, rel=1e-9)
     assert yaml.safe_load((out / "robot.fitted.yaml").read_text())["model"] == "model.fitted.xml"
+
+
+def test_what_a_search_took_before_an_interruption_is_part_of_what_the_fit_took(rig, tmp_path, monkeypatch):
+    truth, model = rig
+    plain = model_search.solve
+
+    def resumed(*args, **options):
+        found = plain(*args, **options)
+        return replace(found, solver={**found.solver, "seconds": found.solver["seconds"] + 1000.0})
+
+    monkeypatch.setattr(model_search, "solve", resumed)
+    found = fit(stored(tmp_path / "data", logs_of(truth)), truth.robot, tmp_path / "fit", model=model, config=CONFIG)
+    assert [row.seconds > 1000.0 for row in found.fit.models] == [True]
+    assert found.ladder.rungs[-1].seconds > 1000.0

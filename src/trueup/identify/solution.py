@@ -177,6 +177,9 @@ def fingerprint_of(problem: Problem, settings: SolveSettings) -> str:
     for array in (delays_s, problem.columns, *(array for segment in problem.segments for array in _arrays(segment))):
         digest.update(f"{array.dtype} {array.shape}".encode())
         digest.update(np.ascontiguousarray(array).tobytes())
+    carried = [segment.payload_kg for segment in problem.segments]
+    if any(carried):
+        digest.update(json.dumps(carried).encode())
     plain = {
         "parameters": [parameter.to_json() for parameter in problem.parameters],
         "motions": [segment.episode_id for segment in problem.segments],

@@ -10,6 +10,7 @@ from trueup.core.atomic import json_hash
 from trueup.dataset import Dataset, read_split
 from trueup.errors import OutputExists
 from trueup.robots import RobotSpec
+from trueup.stages.replaying import carried_kg
 from trueup.stages.robot_model import model_file
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ _WORDS = {
     "robot": "robot (--robot)",
     "model": "model (--model)",
     "data": "data or splits",
+    "carried": "payload of motions (payload_kg)",
     "splits": "splits (--splits)",
     "seed": "seed (--seed)",
     "drop_flagged": "choice of motions (--drop-flagged)",
@@ -68,6 +70,7 @@ def asked_of_data(dataset: Dataset, robot: RobotSpec, model: Path | None) -> dic
     path = model_file(robot, dataset, given=model)
     return {
         "data": json_hash([dataset.hash, dict(dataset.splits)]),
+        "carried": json_hash(carried_kg(dataset, robot)),
         "model": MujocoSimulator.from_robot(robot, path).fingerprint,
     }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,8 @@ from trueup.core.atomic import read_json, remove
 from trueup.core.fit_result import FitResult
 from trueup.errors import OutputExists
 
+# State of the searches of a fit; gone when everything is written.
+CHECKPOINTS = "checkpoints"
 _ORIGIN = ("config", "data_hash", "seed")
 _FIT_FILES = (
     *("fit.json", "graybox.json", "fit.samples.npz"),
@@ -24,13 +27,14 @@ def forget_explanation(folder: Path, *, unless_of: str | None = None) -> None:
 
 
 def forget_fit(folder: Path) -> None:
-    """Remove what an identification left.
+    """Remove what an identification left, the state of its searches included.
 
     Raises:
         DataError: something that is called like it cannot be removed.
     """
     for name in _FIT_FILES:
         remove(folder / name)
+    shutil.rmtree(folder / CHECKPOINTS, ignore_errors=True)
 
 
 def forget_other_ladder(folder: Path) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from trueup.core.atomic import json_hash, remove
 from trueup.core.attribution import Attribution
 from trueup.core.fit_result import FitResult
+from trueup.core.provenance import other_versions
 from trueup.core.ray_workers import Cluster, connected
 from trueup.core.results import Ladder
 from trueup.core.sole_writer import sole_writer
@@ -22,20 +23,18 @@ from trueup.dataset import Dataset
 from trueup.errors import OutputExists, TrueupError
 from trueup.robots import RobotSpec, load_robot
 from trueup.stages.fit_given import keep_given
-from trueup.stages.folder import forget_explanation
+from trueup.stages.folder import CHECKPOINTS, forget_explanation
 from trueup.stages.ladder import ladder_of
 from trueup.stages.measuring import Measurement, gap
 from trueup.stages.motions import Motions, motions_of
 from trueup.stages.progress import Track, silent
-from trueup.stages.replaying import STOCK, ReplaySummary, replay_unless_same
+from trueup.stages.replaying import STOCK, ReplaySummary, carried_kg, replay_unless_same
 from trueup.stages.robot_model import model_file
 
 if TYPE_CHECKING:
     from trueup.identify import IdentifyConfig, OnModel
 
 FITTED = "mujoco/fitted"
-# State of the searches; gone when everything is written.
-_CHECKPOINTS = "checkpoints"
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ def fit(
     with connected(ray, jobs), sole_writer(out):
         if any(out.iterdir()) and not (overwrite or resume):
             raise OutputExists(f"{out} is not empty", hint="Give --overwrite or --resume, or choose another --out.")
-        checkpoints = out / _CHECKPOINTS
+        checkpoints = out / CHECKPOINTS
         if overwrite and not resume:
             shutil.rmtree(checkpoints, ignore_errors=True)
         path = model_file(robot, dataset, given=model)
@@ -163,7 +162,8 @@ def fit(
             ladder.save(out / "ladder.json")
         # Only here is nothing left that an interruption could cost.
         shutil.rmtree(checkpoints, ignore_errors=True)
-        notes = (*_left_out_notes(result), *_window_note(given, robot), *graybox, *measurement.gap.settings["warnings"])
+        notes = (*_left_out_notes(result), *_window_note(given, robot), *_version_note(result), *graybox)
+        notes = (*notes, *measurement.gap.settings["warnings"])
         return Identified(result, (stock, fitted), measurement, ladder, notes)
 
 
@@ -192,7 +192,8 @@ def _digest(dataset: Dataset, robot: RobotSpec, model: Path, config: IdentifyCon
         "config": (config or IdentifyConfig()).to_json(),
         "seed": seed,
     }
-    return json_hash(inputs)
+    carried = carried_kg(dataset, robot)
+    return json_hash({**inputs, "carried_kg": carried} if carried else inputs)
 
 
 def _finished(out: Path, inputs: str) -> FitResult | None:
@@ -207,7 +208,7 @@ def _finished(out: Path, inputs: str) -> FitResult | None:
     result = FitResult.load(path)
     if result.data.get("inputs") == inputs:
         return result
-    if (out / _CHECKPOINTS).is_dir():
+    if (out / CHECKPOINTS).is_dir():
         return None
     raise OutputExists(
         f"{path} was fitted to other data or splits, or with another robot, model, configuration or seed",
@@ -235,6 +236,12 @@ def _window_note(given: RobotSpec, robot: RobotSpec) -> list[str]:
         f"{robot.replay.window_s:g} s as the fit has them; robot.fitted.yaml says so"
     )
     return [note]
+
+
+def _version_note(result: FitResult) -> list[str]:
+    """A fit that was kept is not made again for a version's sake, as a run is."""
+    then = " and ".join(f"{name} {was}" for name, was in other_versions(result.provenance).items())
+    return [f"fit.json was made by {then}; --overwrite fits anew, with what is installed now"] if then else []
 
 
 def _save_graybox(motions: Motions, robot: RobotSpec, model: Path, out: Path) -> tuple[str, ...]:
