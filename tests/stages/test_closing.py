@@ -189,6 +189,13 @@ def test_what_is_lacking_decides_about_the_exit_code(closed):
     for status, lacks in (("not-converged", []), ("no-better", ["the fit is of no use (no-better)"])):
         fit = replace(closed.identified.fit, status=status, solver={**closed.identified.fit.solver, "stop": "time"})
         assert lacking(replace(closed, identified=replace(closed.identified, fit=fit))) == lacks
+    # Neither is a search that ended for another reason, while only others had no time, nor one whose starts disagree.
+    for solver in (
+        {"stop": "iterations", "short_of_time": ["friction"]},
+        {"stop": "time", "agreement": "local-minima"},
+    ):
+        fit = replace(closed.identified.fit, status="not-converged", solver={**closed.identified.fit.solver, **solver})
+        assert lacking(replace(closed, identified=replace(closed.identified, fit=fit)))
     only_loud = replace(closed.identified, fit=replace(closed.identified.fit, status="not-identifiable"))
     assert lacking(replace(closed, identified=only_loud)) == []
 
@@ -286,9 +293,11 @@ def test_before_there_is_a_fit_another_question_is_refused_too(data, tmp_path):
 def test_beginning_anew_leaves_nothing_of_another_configuration(closed, tmp_path):
     data = shutil.copytree(closed.dataset.path, tmp_path / "data")
     out = shutil.copytree(closed.dataset.path.parent / "out", tmp_path / "out")
+    (out / "checkpoints").mkdir()
     first = quick(data, out, config=OTHER, until="gap", overwrite=True)
-    assert {step.name: step.status for step in first.result.steps} == {"replay": "kept", "gap": "done"}
-    assert not {"fit.json", "identify.yaml", "explain.yaml", "networks"} & {path.name for path in out.iterdir()}
+    assert {step.name: step.status for step in first.result.steps} == {"replay": "done", "gap": "done"}
+    gone = {"fit.json", "identify.yaml", "explain.yaml", "networks", "checkpoints"}
+    assert not gone & {path.name for path in out.iterdir()}
     done = quick(data, out, config=OTHER, resume=True)  # the old networks are not in its way
     assert {step.name: step.status for step in done.result.steps} == {
         "replay": "kept",

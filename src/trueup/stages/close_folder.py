@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from trueup.core.atomic import as_read_back, remove, write_text
+from trueup.core.augment_result import AUGMENT_NAME
 from trueup.core.close_result import CLOSE_NAME, STEPS, CloseResult, Step, StepName, StepStatus
 from trueup.core.results import Ladder
 from trueup.errors import ConfigError, MissingDependency, OutputExists, TrueupError
@@ -23,8 +24,11 @@ if TYPE_CHECKING:
     from trueup.identify import IdentifyConfig
 
 NETWORKS = "networks"
+EXPLAIN_NAME = "explain.json"
 EXPLAIN_CONFIG, IDENTIFY_CONFIG = "explain.yaml", "identify.yaml"
 LADDER_NAME = "ladder.json"
+# Where the new close stands while the results of an earlier one are still there; as close.json.
+REPLACING_NAME = ".trueup-replacing.json"
 # Steps after which what was measured before is outdated.
 _MAKE_RUNS = ("replay", "identify", "augment")
 
@@ -49,19 +53,20 @@ class StepOutcome:
         what: what came of it.
         status: of `Step`, or what it was when it was done.
         kept: whether an earlier call has done it.
+        made: whether a step that makes runs has made any, so that what was measured before is outdated.
         inputs: of `Step`.
     """
 
     def __init__(self) -> None:
         self.what, self.inputs = "", ""
         self.status: StepStatus = "done"
-        self.kept = False
+        self.kept, self.made = False, True
 
 
 class CloseFolder:
     """Writes close.json after every step, so that a call that was interrupted can be told from one that ended.
 
-    What an earlier call has noted stays until a step is done again.
+    What an earlier call has noted stays until a step is done again. What is to be replaced stays until `begin_anew`.
 
     Args:
         path: the folder.
@@ -69,13 +74,22 @@ class CloseFolder:
         budget_s: of the call.
         overwrite: begin anew.
         provenance: of the result.
+
+    Attributes:
+        path: the folder.
+        overwrite: whether nothing counts that an earlier close has left: that was asked for, in this call or in one
+            that was interrupted before it came to it.
+        result: as far as this call went.
     """
 
     def __init__(
         self, path: Path, *, until: StepName, budget_s: float | None, overwrite: bool, provenance: Mapping[str, Any]
     ) -> None:
-        self.path, self.overwrite = path, overwrite
-        file = path / CLOSE_NAME
+        self.path = path
+        self._noted = (path / REPLACING_NAME).is_file()
+        self.overwrite = overwrite or self._noted
+        self._replacing = self.overwrite and any(path.iterdir())
+        file = path / (REPLACING_NAME if self._noted else CLOSE_NAME)
         known = CloseResult.load(file) if file.is_file() and not overwrite else CloseResult((), until)
         self._earlier = known
         self._made = False
@@ -87,21 +101,45 @@ class CloseFolder:
             provenance=provenance,
         )
 
-    def agree(self, asked: Mapping[str, Any]) -> None:
-        """Note what decides about the results; it is written with the first step.
+    def agree(self, asked: Mapping[str, Any], *, data_hash: str | None = None) -> None:
+        """Note what decides about the results; it is written with the next step.
+
+        Args:
+            asked: name -> what was asked for, or its hash.
+            data_hash: of the dataset, once there is one.
 
         Raises:
             OutputExists: an earlier call was asked for something else.
         """
         refuse_other(self.path, self._earlier.asked, asked)
-        self.result = replace(self.result, asked={**self.result.asked, **asked})
+        origin = {**self.result.provenance, **({} if data_hash is None else {"data_hash": data_hash})}
+        self.result = replace(self.result, asked={**self.result.asked, **asked}, provenance=origin)
+
+    @contextlib.contextmanager
+    def replacing(self) -> Iterator[None]:
+        """While it is not sure yet that there will be new results in place of those of an earlier close.
+
+        That these are to go is noted first. Without that note, a call that goes on from one that was killed would take
+        them for those of the new close. A call that fails before it has made anything takes the note back.
+        """
+        if self._replacing:
+            self._save()
+        try:
+            yield
+        except TrueupError:
+            if self._replacing and not self._noted and not self.result.steps:
+                remove(self.path / REPLACING_NAME)
+            raise
 
     def begin_anew(self) -> None:
-        """Remove what other data, or another configuration, have left."""
+        """Remove what other data, or another configuration, have left: the new close takes its place."""
         forget_fit(self.path)
-        for name in (EXPLAIN_CONFIG, IDENTIFY_CONFIG, LADDER_NAME, "gap.json"):
+        for name in (EXPLAIN_NAME, EXPLAIN_CONFIG, IDENTIFY_CONFIG, AUGMENT_NAME, LADDER_NAME, "gap.json"):
             remove(self.path / name)
         shutil.rmtree(self.networks, ignore_errors=True)
+        self._replacing = False
+        self._save()
+        remove(self.path / REPLACING_NAME)
 
     def earlier(self, name: StepName) -> Step | None:
         """The step as an earlier call has finished it."""
@@ -130,7 +168,7 @@ class CloseFolder:
             earlier = self.earlier(name)  # the time that it took when it was done
             seconds = done.seconds if earlier is None else earlier.seconds
             done = replace(done, seconds=seconds).of_earlier_call
-        elif done.finished and name in _MAKE_RUNS:
+        elif done.finished and outcome.made and name in _MAKE_RUNS:
             self._made = True
         self._note(done)
 
@@ -186,4 +224,4 @@ class CloseFolder:
         self._save()
 
     def _save(self) -> None:
-        self.result.save(self.path / CLOSE_NAME)
+        self.result.save(self.path / (REPLACING_NAME if self._replacing else CLOSE_NAME))

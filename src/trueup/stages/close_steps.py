@@ -20,7 +20,7 @@ from trueup.robots import RobotSpec
 from trueup.stages import close_words as words
 from trueup.stages.close_asked import asked_of_data
 from trueup.stages.close_budget import Budget, fitted_motion
-from trueup.stages.close_folder import EXPLAIN_CONFIG, LADDER_NAME, CloseFolder
+from trueup.stages.close_folder import EXPLAIN_CONFIG, EXPLAIN_NAME, LADDER_NAME, CloseFolder
 from trueup.stages.close_networks import Trained, corrected_everywhere, plan_of, train_each
 from trueup.stages.evaluating import judge
 from trueup.stages.folder import forget_explanation, refuse_other_fit
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from trueup.augment import Progress
     from trueup.identify import IdentifyConfig, OnModel
 
-EXPLAIN_NAME, FIT_NAME = "explain.json", "fit.json"
+FIT_NAME = "fit.json"
 NO_TIME = "no time was left"
 # Less than this is no time for a step that searches or trains [s].
 _LEAST_S = 2.0
@@ -100,7 +100,6 @@ class CloseSteps:
     drop_flagged: bool
     seed: int
     jobs: int | None
-    overwrite: bool
     folder: CloseFolder
     budget: Budget
     track: Track = silent
@@ -109,11 +108,11 @@ class CloseSteps:
     def climb(self) -> Closed:
         """All steps that were asked for, one after the other."""
         out, asked = self.folder.path, self.folder.result.is_asked
-        if not self.overwrite:
+        if not self.folder.overwrite:
             refuse_other_fit(out, self.dataset.hash)
-        self.folder.agree(asked_of_data(self.dataset, self.robot, self.model))
+        self.folder.agree(asked_of_data(self.dataset, self.robot, self.model), data_hash=self.dataset.hash)
         replayed = self._replay()
-        forget_explanation(out, unless_of=None if self.overwrite else self.dataset.hash)
+        forget_explanation(out, unless_of=None if self.folder.overwrite else self.dataset.hash)
         if not asked("gap"):
             return Closed(self.dataset, self.folder.result, replayed=replayed)
         rungs = {"stock": (STOCK, replayed.seconds)}
@@ -152,23 +151,27 @@ class CloseSteps:
         )
 
     def _replay(self) -> ReplaySummary:
-        robot = self.robot
-        if self.folder.result.is_asked("identify"):
+        robot, folder = self.robot, self.folder
+        if folder.result.is_asked("identify") or (not folder.overwrite and (folder.path / FIT_NAME).is_file()):
             from trueup.identify import judged
 
             # In the windows of the fit, where it has some: nothing else can be compared with it.
             robot = judged(robot, self.config)
         self.watch.on_step("replay")
-        with self.folder.step("replay") as step:
+        with folder.step("replay") as step:
             done = replay_unless_same(
                 self.dataset, robot, model=self.model, label=STOCK, jobs=self.jobs, track=self.track
             )
             step.what = f"{done.replayed + done.kept} motions simulated by the model as it came"
             if done.replaced:
-                step.what += f", in place of the run {STOCK} of another robot, model or setting"
-            step.kept = not done.replayed
-            if self.overwrite:  # only now, when nothing speaks against data, robot and model
-                self.folder.begin_anew()
+                step.what += f", in place of the run {STOCK} of another robot, model, setting or version"
+            step.made = bool(done.replayed)
+            # The run is the dataset's: it may be there before the first close of this folder.
+            step.kept = not step.made and folder.earlier("replay") is not None
+            if not step.made and not step.kept:
+                step.what += ", as the dataset has them"
+            if folder.overwrite:  # only now, when nothing speaks against data, robot and model
+                folder.begin_anew()
         return done
 
     def _measure(self, rungs: Mapping[str, tuple[str, float]]) -> tuple[Measurement, Ladder]:
@@ -277,7 +280,7 @@ class CloseSteps:
                 drop_flagged=self.drop_flagged,
                 seed=self.seed,
                 jobs=self.jobs,
-                overwrite=self.overwrite,
+                overwrite=self.folder.overwrite,
                 limit=limit,
                 track=self.track,
                 on_training=self.watch.on_training,

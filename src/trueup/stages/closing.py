@@ -20,7 +20,7 @@ from trueup.stages.close_budget import Budget
 from trueup.stages.close_folder import CloseFolder, may_begin
 from trueup.stages.close_networks import METHODS
 from trueup.stages.close_steps import Closed, CloseSteps, Watch
-from trueup.stages.importing import import_logs, refuse_nesting
+from trueup.stages.importing import import_logs, is_whole, refuse_nesting
 from trueup.stages.progress import Track, silent
 
 if TYPE_CHECKING:
@@ -73,14 +73,15 @@ def close(
         methods: of the networks that are trained on what is left.
         seed: of all draws.
         jobs: threads; the number of cores if None.
-        overwrite: replace the results that are in `out`.
+        overwrite: replace the results that are in `out`. They stay until there is a replay for new ones.
         resume: go on where an earlier call was interrupted, or ended, that asked for the same robot, model,
-            configuration, seed and motions. Other methods add networks.
+            configuration, seed and motions. Other methods add networks. One that was to replace results does so.
         track: shows progress.
         watch: who is told more.
 
     Raises:
-        OutputExists: `out` holds results, and neither `overwrite` nor `resume` is given; or those of other inputs.
+        OutputExists: `out` holds results, and neither `overwrite` nor `resume` is given; or those of other inputs, or
+            of fewer logs.
         ConfigError: there is no such step or method, nothing to import, options that would count for nothing, or a
             time that is not positive.
         TrueupError: what import, replay and gap raise.
@@ -122,43 +123,49 @@ def close(
         )
         folder.agree(asked_for)
         budget = Budget(budget_s, [step for step in STEPS if folder.result.is_asked(step)])
-        imported, path = None, source
-        if not is_dataset(source):
-            path = out / "dataset"
-            watch.on_step("import")
-            with folder.step("import") as step:
-                imported = import_logs(
-                    source,
-                    path,
-                    format=format,
-                    options=options,
-                    robot=robot,
-                    refuse_others=not resume,
-                    splits=splits,
-                    seed=seed,
-                    overwrite=overwrite,
-                    resume=resume,
-                    track=track,
-                )
-                step.what = f"{len(Dataset(path))} motions"
-                step.kept = not imported.imported
-            watch.on_import(imported)
-        if until == "import":
-            return Closed(Dataset(path), folder.result, imported=imported)
-        steps = CloseSteps(
-            dataset=Dataset(path),
-            robot=robot,
-            model=model,
-            config=config,
-            methods=methods,
-            metrics=metrics,
-            drop_flagged=drop_flagged,
-            seed=seed,
-            jobs=jobs,
-            overwrite=overwrite,
-            track=track,
-            watch=watch,
-            folder=folder,
-            budget=budget,
-        )
-        return replace(steps.climb(), imported=imported)
+        with folder.replacing():
+            imported, path = None, source
+            if not is_dataset(source):
+                path = out / "dataset"
+                watch.on_step("import")
+                with folder.step("import") as step:
+                    # What was to be replaced when an earlier call was interrupted is not gone on with.
+                    old = folder.overwrite and folder.earlier("import") is None
+                    anew = overwrite or (old and is_whole(path))
+                    imported = import_logs(
+                        source,
+                        path,
+                        format=format,
+                        options=options,
+                        robot=robot,
+                        refuse_others=not resume,
+                        refuse_more=folder.earlier("replay") is not None,
+                        splits=splits,
+                        seed=seed,
+                        overwrite=anew,
+                        resume=not anew and resume,
+                        track=track,
+                    )
+                    step.what = f"{len(Dataset(path))} motions"
+                    step.kept = not imported.imported
+                watch.on_import(imported)
+            if until == "import":
+                if folder.overwrite:
+                    folder.begin_anew()
+                return Closed(Dataset(path), folder.result, imported=imported)
+            steps = CloseSteps(
+                dataset=Dataset(path),
+                robot=robot,
+                model=model,
+                config=config,
+                methods=methods,
+                metrics=metrics,
+                drop_flagged=drop_flagged,
+                seed=seed,
+                jobs=jobs,
+                track=track,
+                watch=watch,
+                folder=folder,
+                budget=budget,
+            )
+            return replace(steps.climb(), imported=imported)

@@ -14,7 +14,7 @@ from trueup.core.time_limit import TimeLimit
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter, is_dataset
 from trueup.errors import ConfigError, OutputExists
 from trueup.robots import load_robot
-from trueup.stages.close_folder import may_begin
+from trueup.stages.close_folder import CloseFolder, may_begin
 from trueup.stages.close_steps import Closed, Watch
 from trueup.stages.closing import close
 from trueup.stages.importing import checked
@@ -111,11 +111,14 @@ def demo(
         raise ConfigError("a demo records its data: there is nothing to import", available=STEPS[1:])
     limit = None if budget_s is None else TimeLimit.after(budget_s)
     on_begin()
-    if robot == "demo_arm":
-        data = demo_dataset(out / "dataset", seed=seed, overwrite=overwrite, resume=resume, track=track)
-    else:
-        threads = jobs or os.cpu_count() or 1
-        data = _panda(out / "dataset", seed=seed, jobs=threads, overwrite=overwrite, resume=resume, track=track)
+    with CloseFolder(
+        out, until=until, budget_s=budget_s, overwrite=overwrite, provenance=provenance(config={}, seed=seed)
+    ).replacing():
+        if robot == "demo_arm":
+            data = demo_dataset(out / "dataset", seed=seed, overwrite=overwrite, resume=resume, track=track)
+        else:
+            threads = jobs or os.cpu_count() or 1
+            data = _panda(out / "dataset", seed=seed, jobs=threads, overwrite=overwrite, resume=resume, track=track)
     left_s = None if limit is None else max(1.0, limit.left_s)
     return close(
         data,

@@ -104,6 +104,7 @@ def import_logs(
     options: ImportOptions | None = None,
     robot: RobotSpec | None = None,
     refuse_others: bool = False,
+    refuse_more: bool = False,
     splits: Path | Mapping[str, float] | None = None,
     seed: int = 0,
     overwrite: bool = False,
@@ -123,6 +124,7 @@ def import_logs(
         options: mapping file, units, topics.
         robot: whose logs they are; its limits enter the quality checks.
         refuse_others: refuse logs of which neither the first, the middle nor the last has a joint of this robot.
+        refuse_more: refuse logs that would add motions to the dataset that is there.
         splits: a split.json, or fractions such as {"train": 0.8, "val": 0.1, "test": 0.1} drawn by whole motion;
             None takes what lies beside the data.
         seed: of that draw.
@@ -131,7 +133,8 @@ def import_logs(
         track: shows progress.
 
     Raises:
-        OutputExists: `out` is there, and neither `overwrite` nor `resume` is given.
+        OutputExists: `out` is there, and neither `overwrite` nor `resume` is given; or it has fewer motions, and more
+            are refused.
         NameMismatch: the logs are of another robot, and such are refused; both lists are printed.
         TrueupError: the format is unknown, or no episode could be read.
     """
@@ -169,6 +172,12 @@ def import_logs(
             episode = _load(item, split, robot, refused)
             if episode is None:
                 continue
+            if refuse_more and there:
+                raise OutputExists(
+                    f"{source} holds motions that {out} has not",
+                    got=item.id,
+                    hint="Resume with the logs of the first call, give --overwrite, or choose another --out.",
+                )
             if writer is None:  # only now, so that an import of which nothing can be read leaves nothing behind
                 writer = stack.enter_context(DatasetWriter.create(out, info, overwrite=overwrite))
                 if plan.model_dir is not None:
@@ -193,6 +202,11 @@ def import_logs(
         notes += _assign(Dataset(out), entries)
     kept = len(plan.episodes) - len(missing)
     return ImportSummary(out, plan.format, imported, kept, refused, flagged, tuple(notes))
+
+
+def is_whole(out: Path) -> bool:
+    """Whether there is a dataset in a folder of which no import was interrupted."""
+    return is_dataset(out) and bool(DatasetInfo.load(out).provenance.get("complete", True))
 
 
 def _load(item: EpisodeSource, split: str, robot: RobotSpec | None, refused: dict[str, TrueupError]) -> Episode | None:
