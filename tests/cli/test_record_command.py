@@ -123,6 +123,7 @@ BAD = {
     "scale": (("--scale", "0"), "scale must be positive"),
     "negative scale": (("--scale", "-1"), "scale must be positive"),
     "unit": (("--unit", "-1"), "unit"),
+    "two robots behind ROS 2": (("--hardware", "ros2", "--unit", "1", "--unit", "2"), "one robot behind ROS 2"),
     "seed": (("--seed", "-1"), "seed"),
     "jobs": (("--jobs", "0"), "jobs"),
     "payload": (("--payload-kg", "7"), "payload"),

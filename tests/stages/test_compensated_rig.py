@@ -58,3 +58,20 @@ def test_joints_without_limits_are_refused(network):
     free = replace(PANDA, joints=(replace(PANDA.joints[0], position_limits=None), *PANDA.joints[1:]))
     with pytest.raises(ConfigError, match="would know no limits"):
         CompensatedRig.of(LabRig(LabSpec(), seed=3), free, network, control_hz=50.0)
+
+
+def test_a_robot_behind_ros_2_stays_one_when_its_commands_are_corrected(network, tmp_path):
+    """Several payloads would be wrong labels of what it carries, and other processes cannot drive it."""
+    pytest.importorskip("cyclonedds")
+    from trueup.ros2 import RobotTopics
+    from trueup.stages.recording import _is_live
+    from trueup.stages.ros2_rig import Ros2Rig
+
+    lab, live = LabRig(LabSpec(), seed=3), Ros2Rig(PANDA.joint_names, RobotTopics())
+    corrected = CompensatedRig.of(live, PANDA, network, control_hz=200.0)
+    assert _is_live(live)
+    assert _is_live(corrected)
+    assert not _is_live(CompensatedRig.of(lab, PANDA, network, control_hz=200.0))
+    with pytest.raises(ConfigError, match="with what it carries"):
+        record(tmp_path / "data", PANDA, corrected, PLANS, payloads_kg=(0.0, 1.0))
+    assert not (tmp_path / "data").exists()

@@ -123,11 +123,17 @@ def record(
         of_the_lab = {"--lab": lab, "--base": base, "--faults": faults, "--truth": truth, "--servo-hz": servo_hz}
         if given := [name for name, value in of_the_lab.items() if value]:
             raise ConfigError("a robot behind ROS 2 has none of the lab's options", got=given, hint="Leave them out.")
+        if unit and len(unit) > 1:
+            raise ConfigError(
+                "one robot behind ROS 2 is recorded at a time",
+                got=f"--unit {' --unit '.join(map(str, unit))}",
+                hint="Record into several datasets.",
+            )
         from trueup.ros2 import Network, RobotTopics
         from trueup.stages.ros2_rig import Ros2Rig
 
         where = RobotTopics(states, commands, form, network=Network(domain, localhost, reliable))
-        rigs = [Ros2Rig(spec.joint_names, where, *(unit or ()))]
+        rigs = [Ros2Rig(spec.joint_names, where, unit[0] if unit else 1)]
     else:
         rigs = [
             make_rig(

@@ -21,7 +21,7 @@ from trueup.errors import ConfigError, DataError, NameMismatch, OutputExists, Tr
 from trueup.robots import RobotSpec, find_model
 from trueup.stages.importing import checked
 from trueup.stages.progress import Track, silent
-from trueup.stages.rigs import LabRig, Rig, ServoedRig
+from trueup.stages.rigs import CompensatedRig, LabRig, Rig, ServoedRig
 from trueup.stages.ros2_rig import Ros2Rig
 
 if TYPE_CHECKING:
@@ -150,7 +150,7 @@ def record(
         raise ConfigError("payloads must be different masses >= 0", got=list(payloads_kg))
     if jobs < 1:
         raise ConfigError("jobs must be at least 1", got=jobs)
-    live = any(isinstance(one, Ros2Rig) for one in rigs)
+    live = any(_is_live(one) for one in rigs)
     if live and (len(rigs) > 1 or len(payloads_kg) > 1):
         raise ConfigError(
             "one robot behind ROS 2 is recorded at a time, with what it carries",
@@ -204,6 +204,11 @@ def record(
     if truth is not None and known is not None:
         known.save(truth)
     return RecordSummary(out, recorded, kept, skipped, failed, flagged, time.perf_counter() - started)
+
+
+def _is_live(rig: Rig) -> bool:
+    """Whether there is one of it, whatever corrects its commands."""
+    return isinstance(rig, Ros2Rig) or (isinstance(rig, CompensatedRig) and _is_live(rig.inner))
 
 
 def _truth(path: Path, rigs: Sequence[Rig], out: Path, *, there: bool) -> Truth:

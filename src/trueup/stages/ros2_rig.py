@@ -25,7 +25,7 @@ class Ros2Rig:
     joints: tuple[str, ...]
     topics: RobotTopics
     number: int = 1
-    _robot: Ros2Robot | None = field(default=None, repr=False, compare=False)
+    _robot: Ros2Robot | None = field(default=None, init=False, repr=False, compare=False)
 
     @property
     def unit(self) -> str:
