@@ -8,7 +8,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from trueup.errors import ConfigError
 from trueup.ros2 import Float64MultiArray, JointState, Network
-from trueup.ros2.messages import Header, MultiArrayDimension, MultiArrayLayout, Time
+from trueup.ros2.messages import TYPE_HASHES, Header, MultiArrayDimension, MultiArrayLayout, Time
 from trueup.ros2.node import mangled
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
@@ -54,6 +54,14 @@ def test_arrays_are_the_bytes_of_a_bag(dims, data):
 def test_types_are_called_as_ros_calls_them():
     assert JointState.__idl_typename__ == "sensor_msgs::msg::dds_::JointState_"
     assert Float64MultiArray.__idl_typename__ == "std_msgs::msg::dds_::Float64MultiArray_"
+
+
+@pytest.mark.parametrize(
+    ("type_", "name"),
+    [(JointState, "sensor_msgs/msg/JointState"), (Float64MultiArray, "std_msgs/msg/Float64MultiArray")],
+)
+def test_types_have_the_hashes_of_their_definitions(type_, name):
+    assert TYPE_HASHES[type_.__idl_typename__] == STORE.hash_rihs01(name)
 
 
 @given(st.integers(-(2**31) * 10**9, 2**31 * 10**9 - 1))

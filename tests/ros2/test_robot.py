@@ -1,17 +1,18 @@
 """A robot behind topics: driven by a recorder, lost, found again, and served by ourselves."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from ros2.ros2_cases import JOINTS, InThread, Publishing, network, wait_for
+from ros2.ros2_cases import JOINTS, InThread, Publishing, network, state, wait_for
 from trueup.core.protocols import Hardware
 from trueup.errors import ConfigError, NameMismatch, RobotStopped
 from trueup.lab import SimulatedRobot
 from trueup.record.following import follow
 from trueup.robots import find_model, load_robot
-from trueup.ros2 import Float64MultiArray, Node, RobotTopics, Ros2Robot, serve
+from trueup.ros2 import Float64MultiArray, JointState, Node, RobotTopics, Ros2Robot, serve
 from trueup.sim import MujocoSimulator
 
 ARM = load_robot("demo_arm")
@@ -180,3 +181,18 @@ def test_a_robot_that_takes_no_torques_is_not_served_as_one():
     robot = SimulatedRobot(MujocoSimulator.from_robot(ARM, find_model(ARM)), steps_per_control=1)
     with pytest.raises(ConfigError, match="torque"):
         serve(robot, RobotTopics(signals=("torque",), network=network()))
+
+
+@pytest.mark.parametrize("changes", [{"position": [1.0]}, {"position": [], "velocity": [], "effort": []}])
+def test_a_driver_whose_arrays_do_not_fit_has_no_other_joints(changes):
+    where = network()
+
+    def speak(stop):
+        with Node(where) as node:
+            outbox = node.publish("/joint_states", JointState)
+            while not stop.wait(0.01):
+                outbox.send(replace(state(0.0), **changes))
+
+    with InThread(speak), pytest.raises(RobotStopped, match="say nothing of their joints") as refused:
+        Ros2Robot(JOINTS, RobotTopics(network=where), patience_s=1.0)
+    assert "ros2 topic echo /joint_states" in refused.value.hint

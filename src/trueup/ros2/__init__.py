@@ -11,7 +11,7 @@ from trueup.ros2.bridge import BridgeReport as BridgeReport
 from trueup.ros2.bridge import run_bridge as run_bridge
 from trueup.ros2.messages import Float64MultiArray as Float64MultiArray
 from trueup.ros2.messages import JointState as JointState
-from trueup.ros2.node import Network as Network
+from trueup.ros2.network import Network as Network
 from trueup.ros2.node import Node as Node
 from trueup.ros2.robot import RobotTopics as RobotTopics
 from trueup.ros2.robot import Ros2Robot as Ros2Robot

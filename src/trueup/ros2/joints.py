@@ -20,10 +20,14 @@ class JointColumns:
 
     Args:
         joints: of the robot, in its order.
+
+    Attributes:
+        others: joints of the last message in which one of these was missing, or there twice; empty if there was none.
     """
 
     def __init__(self, joints: Sequence[str]) -> None:
         self.joints = tuple(joints)
+        self.others: tuple[str, ...] = ()
         self._names: list[str] = []
         self._columns: list[int] | None = None
 
@@ -34,6 +38,7 @@ class JointColumns:
             place = {name: column for column, name in enumerate(names)}
             known = len(place) == len(names) and all(joint in place for joint in self.joints)
             self._names, self._columns = names, [place[joint] for joint in self.joints] if known else None
+            self.others = self.others if known else tuple(names)
         return self._columns
 
     def read(self, message: JointState) -> dict[str, Float[np.ndarray, "J"]] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from trueup.ros2.node import Outbox
+from trueup.ros2.node import ANOTHER_TYPE, Outbox
 
 # Discovery of nodes and topics takes a second or two: who is not there then is said not to be [s].
 _PATIENCE_S = 3.0
@@ -15,6 +15,8 @@ def refusal_hint(topic: str, refused: str) -> str:
     """What to do for a listener that asks for what is not offered."""
     if refused == "reliability":
         return "Give --reliable, or let it listen as to a sensor (best effort)."
+    if refused == ANOTHER_TYPE:
+        return f"`ros2 topic info -v {topic}` shows both types: --form says which is published; or name another topic."
     return f"`ros2 topic info -v {topic}` shows what both sides ask for and offer; let it ask for no {refused}."
 
 

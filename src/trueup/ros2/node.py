@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import re
-import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
-from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.domain import DomainParticipant
 from cyclonedds.internal import InvalidSample
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
@@ -18,12 +15,12 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
 from trueup.errors import ConfigError
+from trueup.ros2.messages import TYPE_HASHES, Unreadable
+from trueup.ros2.network import Network
 
 Message = TypeVar("Message")
 
 _NS = 1_000_000_000
-# Domains of ROS 2 beyond this one have ports that an operating system gives away (DDSI-RTPS, 9.6.1.1).
-_LAST_DOMAIN = 232
 # A reader keeps this many messages: four seconds of a robot at 1 kHz. ROS keeps five of a sensor, which a loop that is
 # late once by 6 ms has lost; how much a reader keeps is its own affair and agrees with every writer.
 _KEPT = 4096
@@ -33,80 +30,23 @@ _AT_A_TIME = 64
 # A reliable writer keeps this many commands for readers that have missed some, as ROS does by default: who has missed
 # more has no use for the older ones.
 _COMMANDS_KEPT = 10
+# What a listener has asked for that speaks of other messages under the same name: Cyclone says so by a number of
+# its own (24), or by none (0) where it does not know how the other type is made.
+ANOTHER_TYPE = "another type"
 # DDS's numbers of what a reader may ask for and a writer may not offer (DDS 1.4, 2.2.3).
 _POLICIES = {
+    0: ANOTHER_TYPE,
     2: "durability",
     4: "deadlines",
     6: "ownership",
     8: "liveliness",
     11: "reliability",
     23: "another encoding",
+    24: ANOTHER_TYPE,
 }
 # Once around in a wait, so that signals are seen [s].
 _WAIT_S = 0.1
 _NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
-_LOCALHOST = """<General><AllowMulticast>false</AllowMulticast>
-<Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces></General>
-<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>60</MaxAutoParticipantIndex>
-<Peers><Peer address="localhost"/></Peers></Discovery>"""
-
-# Domains are of the whole process, and have their settings once.
-_domains: dict[int, tuple[bool, Domain | None]] = {}
-_lock = threading.Lock()
-
-
-@dataclass(frozen=True)
-class Network:
-    """Where the other nodes are.
-
-    Attributes:
-        domain: ROS 2's domain, 0 to 232; `ROS_DOMAIN_ID`, or 0, if None.
-        localhost: this computer only, as `ROS_LOCALHOST_ONLY=1`; what the environment says if None. Where
-            `CYCLONEDDS_URI` is set, its settings count, and this must not be asked for.
-        reliable: joint states that are published are offered again to readers that ask for it, and kept for them
-            meanwhile; without, as of sensors in ROS 2, a message is sent once. Commands are always reliable.
-
-    Raises:
-        ConfigError: there is no such domain, or two settings contradict each other.
-    """
-
-    domain: int | None = None
-    localhost: bool | None = None
-    reliable: bool = False
-
-    def __post_init__(self) -> None:
-        """Refuse domains that are none."""
-        if not 0 <= self.number <= _LAST_DOMAIN:
-            raise ConfigError("a domain of ROS 2", got=self.number, expected=f"0 to {_LAST_DOMAIN}")
-        if self.localhost and os.environ.get("CYCLONEDDS_URI"):
-            raise ConfigError(
-                "this computer only, and CYCLONEDDS_URI",
-                got="both",
-                hint="Unset CYCLONEDDS_URI, or name the interface lo there.",
-            )
-
-    @property
-    def number(self) -> int:
-        """The domain's number.
-
-        Raises:
-            ConfigError: ROS_DOMAIN_ID is no number.
-        """
-        if self.domain is not None:
-            return self.domain
-        said = os.environ.get("ROS_DOMAIN_ID") or "0"
-        if not said.isascii() or not said.isdigit():
-            raise ConfigError("ROS_DOMAIN_ID is no domain", got=said, expected=f"0 to {_LAST_DOMAIN}")
-        return int(said)
-
-    @property
-    def local(self) -> bool:
-        """Whether only this computer is spoken to."""
-        if self.localhost is not None:
-            return self.localhost
-        asked = os.environ.get("ROS_LOCALHOST_ONLY") == "1"
-        asked |= os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "").upper() == "LOCALHOST"
-        return asked and not os.environ.get("CYCLONEDDS_URI")
 
 
 def mangled(topic: str) -> str:
@@ -131,14 +71,16 @@ class Inbox(Generic[Message]):
 
     Attributes:
         topic: its name in ROS 2.
+        unreadable: messages whose texts are not UTF-8; they are not given to anybody.
     """
 
     def __init__(self, participant: DomainParticipant, topic: str, type_: type[Message]) -> None:
-        self.topic = topic
+        self.topic, self.unreadable = topic, 0
         qos = Qos(
             Policy.Reliability.BestEffort,  # hears reliable writers, too
             Policy.Durability.Volatile,
             Policy.History.KeepLast(_KEPT),
+            *_type_hash(type_),
             Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
         )
         self._reader = DataReader(participant, _topic(participant, topic, type_), qos=qos)
@@ -152,7 +94,8 @@ class Inbox(Generic[Message]):
     def take(self, most: int = _KEPT) -> list[Message]:
         """What has come since it was asked last, all of it or so much; writers that came or went are no messages."""
         samples: list[Any] = self._reader.take(N=most)
-        return [sample for sample in samples if not isinstance(sample, InvalidSample)]
+        self.unreadable += sum(isinstance(sample, Unreadable) for sample in samples)
+        return [sample for sample in samples if not isinstance(sample, InvalidSample | Unreadable)]
 
     def coming(self) -> Iterator[Message]:
         """What has come since it was asked last, and comes meanwhile, taken a few at a time; at some point it ends."""
@@ -186,6 +129,7 @@ class Outbox(Generic[Message]):
             Policy.Reliability.Reliable(max_blocking_time=0) if reliable else Policy.Reliability.BestEffort,
             Policy.Durability.Volatile,
             Policy.History.KeepLast(kept if reliable else 1),
+            *_type_hash(type_),
             Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
         )
         self._writer = DataWriter(participant, _topic(participant, topic, type_), qos=qos)
@@ -214,18 +158,12 @@ class Node:
         network: where the others are.
 
     Raises:
-        ConfigError: this process has been in the domain with another reach.
+        ConfigError: see `Network.join`.
     """
 
     def __init__(self, network: Network | None = None) -> None:
         self.network = network or Network()
-        number, local = self.network.number, self.network.local
-        with _lock:
-            if number not in _domains:
-                _domains[number] = (local, Domain(number, _settings(number)) if local else None)
-        if _domains[number][0] != local:
-            raise ConfigError(f"domain {number} was begun in this process with another reach", got=f"localhost {local}")
-        self._participant = DomainParticipant(number)
+        self._participant = self.network.join()
         self._waiting = WaitSet(self._participant)
         self._watched: list[ReadCondition] = []
 
@@ -276,8 +214,10 @@ class Node:
         self.close()
 
 
-def _settings(number: int) -> str:
-    return f'<CycloneDDS><Domain Id="{number}">{_LOCALHOST}</Domain></CycloneDDS>'
+def _type_hash(type_: type[Any]) -> list[Policy.Userdata]:
+    """The hash of a type, as rmw_dds_common's `encode_type_hash_for_user_data_qos` writes it."""
+    found = TYPE_HASHES.get(type_.__idl_typename__)
+    return [] if found is None else [Policy.Userdata(f"typehash={found};".encode())]
 
 
 def _topic(participant: DomainParticipant, name: str, type_: type[Any]) -> Topic[Any]:

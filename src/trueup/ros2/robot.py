@@ -14,7 +14,8 @@ from trueup.errors import ConfigError, NameMismatch, RobotStopped
 from trueup.ros2.joints import FIELDS, JointColumns
 from trueup.ros2.listeners import refusal_hint
 from trueup.ros2.messages import Float64MultiArray, Header, JointState, Time
-from trueup.ros2.node import Network, Node, Outbox
+from trueup.ros2.network import Network
+from trueup.ros2.node import Node, Outbox
 
 # Discovery of nodes and topics takes a second or two [s].
 _DISCOVERY_S = 10.0
@@ -85,7 +86,7 @@ class Ros2Robot:
         self._commands: Outbox[Any] = self._node.publish(self.topics.commands, FORMS[self.topics.form], commands=True)
         self._started_s = self._heard_s = time.monotonic()
         self._reading: dict[str, np.ndarray] = {}
-        self._others: tuple[str, ...] = ()
+        self._broken = False
         try:
             self._find(patience_s)
         except BaseException:
@@ -157,7 +158,7 @@ class Ros2Robot:
             if read:
                 self._reading, self._heard_s = read, time.monotonic()
             else:
-                self._others = tuple(message.name)
+                self._broken |= not message.name or self._columns.find(message) is not None
 
     def _find(self, patience_s: float) -> None:
         """Until robot and topics have found each other."""
@@ -168,11 +169,17 @@ class Ros2Robot:
             if self._reading and self._commands.readers:
                 self._started_s = time.monotonic()
                 return
-        if not self._reading and self._others:
+        if not self._reading and self._broken:
+            raise RobotStopped(
+                f"joint states on {self.topics.states} say nothing of their joints",
+                expected="as many numbers as there are names in each array that is not empty, and one that is not",
+                hint=f"`ros2 topic echo {self.topics.states}` shows what its driver publishes.",
+            )
+        if not self._reading and (others := self._columns.others):
             raise NameMismatch(
                 f"joint states on {self.topics.states} are of other joints",
                 left=self._joints,
-                right=self._others,
+                right=others,
                 left_name="the robot needs",
                 right_name="published are",
             )
