@@ -9,10 +9,10 @@ from benchmarks.networks import inputs_of, outputs_of, real_time
 
 from deploy.compensation_cases import compensation
 from ros2.ros2_cases import JOINTS, state
-from trueup.deploy import Compensator, Limits, Status, Stream, StreamSettings
+from trueup.deploy import Compensator, Limits, Status, Stream, StreamSettings, Why
 from trueup.errors import ConfigError, MissingSignal
 from trueup.ros2 import Augmented, Compensated, Float64MultiArray, JointState
-from trueup.ros2.answers import UNTOUCHED
+from trueup.ros2.answers import UNTOUCHED, Heard
 from trueup.ros2.joints import JointColumns
 
 RATE_HZ = 100.0
@@ -217,6 +217,44 @@ def test_a_network_that_reads_commands_holds_until_there_is_one(tmp_path):
         step = alone.step(values(state(number / RATE_HZ)), command, time_s=number / RATE_HZ)
         np.testing.assert_array_equal(bridge.to(state(number / RATE_HZ)).position, step["position"])
     assert bridge.counts["ok"]
+
+
+@pytest.mark.parametrize("message_hz", [RATE_HZ, 1000.0])
+def test_until_a_first_answer_the_simulators_own_values_go_on(tmp_path, message_hz):
+    """A network that reads commands which nobody has said: no NaN goes out that has not come in."""
+    channels = {"inputs": inputs_of(JOINTS, command=True), "outputs": outputs_of(JOINTS)}
+    real_time(tmp_path, hidden=(8, 5), rate_hz=RATE_HZ, joints=JOINTS, **channels)
+    bridge = Augmented(stream(tmp_path), message_hz=message_hz)
+    for number in range(25):
+        message = state(number / message_hz, names=("x", "b", "a"))
+        if number == 7:
+            message.velocity[1] = math.nan
+        answer = bridge.to(message)
+        for field in FIELD.values():
+            np.testing.assert_array_equal(getattr(answer, field), getattr(message, field))
+    assert bridge.counts == {"held": 25}
+    assert bridge.flags == {int(Why.NAN): 25}
+
+
+def test_what_is_wrong_is_counted_by_reason(folder):
+    bridge = Augmented(stream(folder))
+    for number in range(300):
+        bridge.to(state(number / 1000.0))  # ten times as often as was said
+    assert bridge.counts["fallback"] > 200
+    assert bridge.flags[int(Why.OFF_RATE)] == bridge.counts["fallback"]
+    assert bridge.rate_hz == pytest.approx(1000.0)
+    bridge.to(state(100.0))  # after a pause, and after a clock that was set back, a rate is that of what comes then
+    for number in range(100):
+        bridge.to(state(50.0 + number / RATE_HZ))
+    assert bridge.rate_hz == pytest.approx(RATE_HZ)
+
+
+def test_what_else_is_heard_counts_what_it_ignores():
+    heard = Heard(JOINTS, ("position",))
+    heard.hear(state(0.0, names=("finger", "thumb")))
+    heard.hear(state(0.0))
+    heard.hear(replace(state(0.0), position=[], velocity=[], effort=[]))
+    assert (heard.heard, heard.ignored, heard.others) == (1, 2, ("finger", "thumb"))
 
 
 def compensator(folder):

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from benchmarks.networks import inputs_of, outputs_of, real_time
+from cyclonedds.qos import Policy
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -15,6 +16,7 @@ from trueup.dataset import Dataset
 from trueup.deploy import Stream
 from trueup.errors import ConfigError, MissingSignal
 from trueup.ros2 import Augmented, Float64MultiArray, JointState, Node, run_bridge
+from trueup.ros2.messages import TYPE_HASHES, Header
 from trueup.stages import import_logs
 
 RATE_HZ = 100.0
@@ -65,6 +67,7 @@ def test_what_it_counts(folder):
     report = bridge.report
     assert (report.received, report.sent) == (41, 41)
     assert sum(report.counts.values()) == 41
+    assert (report.concerned, report.others) == (40, ("finger",))
     assert len(report.added) == 41
     assert 0 < report.added.percentile_us(50.0) <= report.added.percentile_us(99.0) <= report.added.max_us
     assert 1 <= report.most_waiting <= 41
@@ -173,6 +176,47 @@ def test_what_the_first_message_lacks_ends_it(folder):
 
     with pytest.raises(MissingSignal, match="torque"):
         lacking()
+
+
+class Raw(JointState, typename=JointState.__idl_typename__):
+    """A message with bytes in the place of its frame's letters."""
+
+    def serialize(self, **how):
+        """As C++ sends what nobody has looked at."""
+        return super().serialize(**how).replace(b"frame", b"\xff\xfe\xc3\x28\x80")
+
+
+def test_texts_that_are_none_are_dropped_and_counted_and_the_others_answered(folder):
+    where, messages = network(), [state(number / RATE_HZ) for number in range(30)]
+    with Bridge(where, augmented(folder)) as bridge, Node(where) as node:
+        source, answers = node.publish("/joint_states", JointState), node.listen("/corrected", JointState)
+        wait_for(lambda: source.readers and answers.writers and bridge.outbox.readers)
+        for message in messages:
+            source.send(Raw(Header(message.header.stamp, "frame"), message.name, message.position))
+            source.send(message)
+        got = received(answers, node, len(messages))
+    assert [answer.header for answer in got] == [message.header for message in messages]
+    assert bridge.report.unreadable == bridge.report.to_json()["unreadable"] == len(messages)
+    assert bridge.report.received == len(messages)
+
+
+def test_topics_say_the_hash_of_their_type():
+    """As ROS 2 looks for it since Iron; without one, nodes on rmw_cyclonedds log a warning for each topic."""
+    where = network()
+    with Node(where) as one, Node(where) as other:
+        for type_, topic in ((JointState, "/states"), (Float64MultiArray, "/commands")):
+            outbox, inbox = one.publish(topic, type_), other.listen(topic, type_)
+            wait_for(lambda: outbox.readers and inbox.writers)  # noqa: B023 - it is over before the next
+            (reader,), (writer,) = (
+                outbox._writer.get_matched_subscriptions(),
+                inbox._reader.get_matched_publications(),
+            )
+            said = f"typehash={TYPE_HASHES[type_.__idl_typename__]};".encode()
+            for endpoint in (
+                outbox._writer.get_matched_subscription_data(reader),
+                inbox._reader.get_matched_publication_data(writer),
+            ):
+                assert endpoint.qos[Policy.Userdata].data == said
 
 
 def test_it_ends_when_its_time_is_over(folder):

@@ -11,9 +11,15 @@ import pytest
 from benchmarks.networks import inputs_of, outputs_of, real_time
 
 from deploy.compensation_cases import compensation
-from ros2.ros2_cases import network
+from ros2.ros2_cases import Publishing, network
+from trueup.cli.main import main
+from trueup.cli.ros2 import _asked_to_stop as asked_to_stop
+from trueup.core.model_card import Input
 from trueup.dataset import Dataset
+from trueup.errors import ConfigError, DataError
 from trueup.robots import load_robot
+from trueup.ros2 import Network, Node
+from trueup.stages.bridging import bridge
 
 ARM = load_robot("demo_arm")
 RATE_HZ = 100.0
@@ -148,12 +154,79 @@ def test_what_is_no_network_or_has_no_model_is_said_with_what_to_give(tmp_path):
 def test_compensations_need_limits_and_correct_commands(tmp_path):
     domain = network().number
     compensation(tmp_path / "net", load_robot("panda").joint_names, rate_hz=RATE_HZ)
-    code, _, err = ended(started("deploy", "ros2", tmp_path / "net", "--seconds", 1, domain=domain))
+    code, _, err = ended(started("deploy", "ros2", tmp_path / "net", "--payload-kg", 0, "--seconds", 1, domain=domain))
     assert code == 2
     assert "--robot" in err
-    code, _, err = ended(started("deploy", "ros2", tmp_path / "net", "--robot", "panda", "--seconds", 1, domain=domain))
+    code, _, err = ended(
+        started(
+            "deploy", "ros2", tmp_path / "net", "--robot", "panda", "--payload-kg", 0, "--seconds", 1, domain=domain
+        )
+    )
     assert code == 2  # nobody has sent a target
     assert "commands are corrected: /joint_targets -> /joint_commands, by /joint_states" in err
+
+
+@pytest.mark.parametrize(
+    ("direction", "options", "told"),
+    [
+        ("simulator", ("--payload-kg", 1), "corrects the commands of a simulator"),
+        ("robot", ("--payload-kg", 1, "--direction", "simulator"), "corrects the commands of a robot"),
+        ("robot", (), "--payload-kg"),
+    ],
+)
+def test_compensations_of_the_other_side_or_an_unknown_payload_are_refused(tmp_path, direction, options, told):
+    """What makes a simulator move like the robot makes the robot worse by as much."""
+    compensation(tmp_path, load_robot("panda").joint_names, rate_hz=RATE_HZ, direction=direction)
+    where = ("--robot", "panda", "--seconds", 1)
+    code, _, err = ended(started("deploy", "ros2", tmp_path, *where, *options, domain=network().number))
+    assert code == 2
+    assert told in err
+    assert "are corrected" not in err
+
+
+def test_states_of_a_payload_that_nobody_said_are_refused(tmp_path):
+    names = ARM.joint_names
+    inputs = (*inputs_of(names), Input("payload", "", "kg", "condition", low=0.0, high=3.0))
+    real_time(tmp_path, hidden=(8, 5), rate_hz=RATE_HZ, joints=names, inputs=inputs, outputs=outputs_of(names))
+    with pytest.raises(ConfigError, match="what the robot carries") as refused:
+        bridge(tmp_path, network=network(), seconds=0.0)
+    assert "--payload-kg" in refused.value.hint
+    assert bridge(tmp_path, network=network(), seconds=0.0, payload_kg=0.0).report.received == 0
+
+
+def test_a_simulator_whose_joints_are_called_otherwise_is_an_error(folder):
+    domain = network().number
+    bridging = started("deploy", "ros2", folder, "--seconds", 6, domain=domain)
+    with Node(Network(domain, localhost=True)) as node, Publishing(node, names=("left", "right")):
+        code, out, err = ended(bridging)
+    assert code == 2, err
+    assert "messages on /joint_states are of other joints" in err
+    assert "messages were of other joints, such as ['left', 'right']" in err
+    for name in ARM.joint_names:
+        assert name in err
+    assert "not of these joints" in out
+
+
+def test_what_was_counted_is_shown_where_its_file_cannot_be_written(folder, tmp_path, monkeypatch, capsys):
+    def full(path, _):
+        raise DataError(f"cannot write {path}", got="No space left on device")
+
+    monkeypatch.setattr("trueup.stages.bridging.write_json", full)
+    where = ("--domain", str(network().number), "--localhost")
+    with pytest.raises(SystemExit) as left:
+        main(["deploy", "ros2", str(folder), "--seconds", "0.2", "--out", str(tmp_path / "live"), *where])
+    out, err = capsys.readouterr()
+    assert left.value.code == 2
+    assert "0 messages in " in out
+    assert "No space left" in err
+
+
+def test_a_second_interrupt_does_not_wait():
+    with asked_to_stop() as stop:
+        signal.raise_signal(signal.SIGINT)
+        assert stop.is_set()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
 
 
 def test_results_that_are_there_are_not_replaced_unasked(folder, tmp_path):

@@ -17,6 +17,7 @@ from ros2.ros2_cases import JOINTS, InThread, Publishing, asking, network, state
 from trueup.errors import RobotStopped
 from trueup.robots import load_robot
 from trueup.ros2 import Float64MultiArray, JointState, Node, RobotTopics, Ros2Robot
+from trueup.ros2.listeners import Listeners
 from trueup.stages.bridging import BridgeTopics, bridge
 
 PANDA = load_robot("panda")
@@ -64,7 +65,7 @@ def test_corrected_commands_are_heard_by_listeners_of_both_kinds(tmp_path, relia
         Node(where) as node,
         Publishing(node, names=PANDA.joint_names),
         Publishing(node, "/joint_targets", names=PANDA.joint_names),
-        Bridging(tmp_path, where, robot=PANDA, form="array") as live,
+        Bridging(tmp_path, where, robot=PANDA, form="array", payload_kg=0.0) as live,
     ):
         reader = asking(node, "/joint_commands", Float64MultiArray, reliable=reliable)
         wait_for(lambda: len(reader.read(N=10)) >= 5, seconds=20.0)
@@ -76,7 +77,7 @@ def test_corrected_commands_are_heard_by_listeners_of_both_kinds(tmp_path, relia
 def test_corrected_commands_that_nobody_hears_are_a_warning(tmp_path):
     compensation(tmp_path, PANDA.joint_names, rate_hz=RATE_HZ)
     topics = BridgeTopics(publish="/forward_position_controller/commands")
-    with Bridging(tmp_path, network(), robot=PANDA, topics=topics) as live:
+    with Bridging(tmp_path, network(), robot=PANDA, topics=topics, payload_kg=0.0) as live:
         wait_for(lambda: live.warnings, seconds=20.0)
         time.sleep(2.5)
     ((message, hint),) = live.warnings  # said once
@@ -125,6 +126,19 @@ def test_a_robot_that_asks_for_what_is_not_offered_is_told_apart_from_one_that_i
         assert not reader.get_matched_publications()
     assert "a listener asks for durability, which is not offered" in str(refused.value)
     assert "ros2 topic info -v /joint_commands" in refused.value.hint
+
+
+def test_a_listener_to_messages_of_another_type_is_called_that():
+    where = network()
+    with Node(where) as node, Node(where) as other:
+        outbox = node.publish("/joint_commands", JointState, commands=True)
+        asking(other, "/joint_commands", Float64MultiArray)
+        told = []
+        listeners = Listeners(outbox, commands=True, tell=lambda *said: told.append(said))
+        wait_for(lambda: listeners.look(0.0) or told)
+    ((message, hint),) = told
+    assert message == "a listener to /joint_commands asks for another type, which is not offered: it hears nothing"
+    assert "--form" in hint
 
 
 def test_a_listener_that_stalls_does_not_hold_up_the_loop():

@@ -7,7 +7,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.table import Table
@@ -54,6 +54,10 @@ def ros2(
     payload_kg: Annotated[
         float | None, typer.Option("--payload-kg", min=0.0, help="What it carries [kg], for networks that read it.")
     ] = None,
+    direction: Annotated[
+        Literal["robot", "simulator"],
+        typer.Option("--direction", help="Whose commands a compensation corrects: it must have been trained for that."),
+    ] = "robot",
     form: options.Form = "joint_state",
     domain: options.Domain = None,
     localhost: options.Localhost = None,
@@ -82,29 +86,37 @@ def ros2(
 
     folder = trueup.zoo.folder_of(network)
     RealTimeSettings(priority, None if cpu is None else tuple(cpu), lock_memory=priority is not None).apply()
-    with _asked_to_stop() as stop, status_line() as line:
-        done = bridge(
-            folder,
-            topics=BridgeTopics(states, publish or "", commands or "", measured or ""),
-            network=Network(domain, localhost, reliable),
-            message_hz=hz,
-            robot=load_robot(robot) if robot else None,
-            payload_kg=payload_kg,
-            form=form,
-            out=out_dir,
-            overwrite=overwrite,
-            stop=stop,
-            seconds=seconds,
-            on_open=_opened,
-            on_progress=lambda report: line(_progress(report)),
-            on_warning=warning,
-        )
-    _show(done)
-    if not done.report.sent:
+    ended: list[Bridged] = []
+    try:
+        with _asked_to_stop() as stop, status_line() as line:
+            bridge(
+                folder,
+                topics=BridgeTopics(states, publish or "", commands or "", measured or ""),
+                network=Network(domain, localhost, reliable),
+                message_hz=hz,
+                robot=load_robot(robot) if robot else None,
+                payload_kg=payload_kg,
+                direction=direction,
+                form=form,
+                out=out_dir,
+                overwrite=overwrite,
+                stop=stop,
+                seconds=seconds,
+                on_open=_opened,
+                on_progress=lambda report: line(_progress(report)),
+                on_end=ended.append,
+                on_warning=warning,
+            )
+    finally:  # what was counted for hours is shown, whatever becomes of its file
+        for done in ended:
+            _show(done)
+    (done,) = ended
+    if done.file is not None:
+        out.print(f"counts and histograms: {done.file}", markup=False)
+    if not done.report.concerned or not done.report.sent:
         answered = done.topics.commands if done.compensation else done.topics.states
-        untouched = f"; {done.report.received} messages were of other joints" if done.report.received else ""
         problem(
-            f"nothing of joints {list(done.card.joints)} came on {answered}{untouched}",
+            f"nothing of joints {list(done.card.joints)} came on {answered}{_untouched(done.report)}",
             "`ros2 topic echo` shows what is published; --domain and --states say where to listen.",
         )
         return 2
@@ -180,7 +192,13 @@ def serve(
 def _asked_to_stop() -> Iterator[threading.Event]:
     """An event that Ctrl-C and the end of a container set, so that topics are left properly and figures are shown."""
     stop = threading.Event()
-    before = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def asked(*_: object) -> None:
+        if stop.is_set():  # again: what goes on has not looked yet, as while a network is loaded
+            raise KeyboardInterrupt
+        stop.set()
+
+    before = {number: signal.signal(number, asked) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield stop
     finally:
@@ -202,6 +220,7 @@ def _progress(report: BridgeReport) -> str:
     if not report.received:
         return f"waiting for messages, {report.seconds:.0f} s"
     shares = ", ".join(f"{name} {100 * count / report.received:.0f} %" for name, count in report.counts.items())
+    shares += f" ({', '.join(report.reasons)})" if report.reasons else ""
     p99 = report.added.percentile_us(99.0)
     return f"{report.received} messages, {shares}; 99 % answered within {p99:.0f} us"
 
@@ -209,6 +228,8 @@ def _progress(report: BridgeReport) -> str:
 def _show(done: Bridged) -> None:
     report = done.report
     counts = ", ".join(f"{name} {count}" for name, count in report.counts.items())
+    if report.reasons:
+        counts += "; " + ", ".join(f"{name} in {count}" for name, count in report.reasons.items())
     out.print(
         f"{report.received} messages in {report.seconds:.1f} s, {report.sent} answered ({counts or 'none'}); "
         f"at most {report.most_waiting} waited",
@@ -216,8 +237,17 @@ def _show(done: Bridged) -> None:
     )
     if report.received:
         out.print(_histogram(report))
-    if done.file is not None:
-        out.print(f"counts and histograms: {done.file}", markup=False)
+
+
+def _untouched(report: BridgeReport) -> str:
+    """What came instead."""
+    if not report.received:
+        return ""
+    if report.concerned:
+        return f" that could be answered; {report.concerned} messages came"
+    if not report.others:
+        return f"; {report.received} messages said nothing of theirs"
+    return f"; {report.received} messages were of other joints, such as {list(report.others)}"
 
 
 def _histogram(report: BridgeReport) -> Table:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -22,15 +23,34 @@ Command = JointState | Float64MultiArray
 UNTOUCHED = "not of these joints"
 # Where a stamp lies this share of a message's period before it is due, it is the one that is due.
 _EARLY = 0.5
+# A rate says nothing of times in which nothing was to come [s].
+_PAUSE_S = 1.0
 # Where sensors have said nothing for so long, nobody knows where the robot is [s].
 STALE_S = 0.1
 
 
 @runtime_checkable
 class Answer(Protocol):
-    """Messages in, messages out."""
+    """Messages in, messages out.
+
+    Attributes:
+        counts: status -> messages answered with it, and `UNTOUCHED`.
+        flags: `Why` of the network's step, as a plain number -> messages answered by it; those without one are not
+            counted.
+    """
 
     counts: Counter[str]
+    flags: Counter[int]
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """Joints of the last message that was not of the network's."""
+        ...
+
+    @property
+    def rate_hz(self) -> float:
+        """How often messages of the network's joints come, by their stamps [Hz]; NaN if nobody knows yet."""
+        ...
 
     def to(self, message: JointState) -> Command | None:
         """What is published, None if nothing is."""
@@ -45,13 +65,26 @@ class _Stamps:
 
     def __init__(self) -> None:
         self._first_ns: int | None = None
+        self._since_s = self._last_s = 0.0
+        self._count = 0
 
     def of(self, message: JointState) -> float:
         """The time of a message [s]."""
         stamp_ns = message.header.stamp.ns or time.monotonic_ns()
         if self._first_ns is None:
             self._first_ns = stamp_ns
-        return (stamp_ns - self._first_ns) / NS_PER_S
+        time_s = (stamp_ns - self._first_ns) / NS_PER_S
+        if not 0.0 <= time_s - self._last_s <= _PAUSE_S:  # a clock that was set back, or somebody who had left
+            self._since_s, self._count = time_s, 0
+        self._last_s = time_s
+        self._count += 1
+        return time_s
+
+    @property
+    def rate_hz(self) -> float:
+        """Messages per second of their own time; NaN as long as there are none [Hz]."""
+        seconds = self._last_s - self._since_s
+        return (self._count - 1) / seconds if seconds > 0.0 else math.nan
 
 
 class Heard:
@@ -60,7 +93,11 @@ class Heard:
     Args:
         joints: of the robot, in its order.
         signals: that a network reads.
-        stale_s: what is older is not known any more [s]; commands hold until there is another.
+        stale_s: what came longer ago is not known any more [s]; commands hold until there is another.
+
+    Attributes:
+        heard: messages of these joints that came.
+        ignored: others, which say nothing of this robot.
     """
 
     def __init__(self, joints: Sequence[str], signals: Sequence[str], *, stale_s: float = np.inf) -> None:
@@ -68,11 +105,20 @@ class Heard:
         self._unknown = {signal: np.full(len(joints), np.nan) for signal in signals}
         self._values = dict(self._unknown)
         self._came_s, self._stale_s = -np.inf, stale_s
+        self.heard = self.ignored = 0
 
     def hear(self, message: JointState) -> None:
         """Keep what it says of all joints; messages of others are none of this robot."""
         if read := self._columns.read(message):
             self._values, self._came_s = {**self._values, **read}, time.monotonic()
+            self.heard += 1
+        else:
+            self.ignored += 1
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """Joints of the last message that was of others."""
+        return self._columns.others
 
     @property
     def values(self) -> dict[str, Float64[np.ndarray, "J"]]:
@@ -85,15 +131,16 @@ class Augmented:
     """Joint states of a simulator, as the robot would have measured them (Realeasy, Fig. 1).
 
     Messages may come a whole number of times as often as the network was trained for: it sees every so many of them,
-    by their stamps, and its correction is held in between. Those of other joints are passed on as they are; so a
-    subscriber finds on the one topic all that it found on the other.
+    by their stamps, and its correction is held in between. Those of other joints are passed on as they are, and so
+    are these until there is a first answer: a subscriber finds on the one topic all that it found on the other.
 
     Args:
         stream: of a network that corrects joint states.
         message_hz: messages per second [Hz]; the network's rate if None.
 
     Attributes:
-        counts: status -> messages answered with it, and `UNTOUCHED`.
+        counts: see `Answer`.
+        flags: see `Answer`.
         command: what was commanded, for networks that read it.
         measured: what the robot's sensors say, likewise.
 
@@ -120,6 +167,7 @@ class Augmented:
         self.command = Heard(card.joints, of["command"])
         self.measured = Heard(card.joints, of["measured"], stale_s=STALE_S)
         self.counts: Counter[str] = Counter()
+        self.flags: Counter[int] = Counter()
         self._stamps = _Stamps()
         self._period_s, self._early_s = every / rate_hz, _EARLY / rate_hz
         self._all = every == 1
@@ -146,13 +194,26 @@ class Augmented:
         asked = self._is_due(time_s)
         if asked:
             self._ask(read, time_s)
-        self.counts[self._stream.latest.status.value] += 1
+        latest = self._stream.latest
+        self.counts[latest.status.value] += 1
+        if latest.flags:
+            self.flags[latest.flags] += 1
         for name, rows in self._rows.items():
             if asked or self._correction is None:
                 read[name][rows] = self._answered[name]
             else:
                 read[name][rows] += self._correction[name]
         return self._columns.written(message, {name: read[name] for name in self._rows})
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """See `Answer`."""
+        return self._columns.others
+
+    @property
+    def rate_hz(self) -> float:
+        """See `Answer`."""
+        return self._stamps.rate_hz
 
     def _is_due(self, time_s: float) -> bool:
         """Whether the network sees this message: one per period of its own, wherever the first of them was."""
@@ -167,12 +228,14 @@ class Augmented:
 
     def _ask(self, read: dict[str, Float64[np.ndarray, "J"]], time_s: float) -> None:
         step = self._stream.step(read, self.command.values, self.measured.values, time_s=time_s)
+        own = {name: read[name][rows] for name, rows in self._rows.items()}
+        if math.isinf(step.age_s):  # nothing has ever been answered that could be held
+            self._answered, self._correction = own, {name: np.zeros_like(values) for name, values in own.items()}
+            return
         self._answered = {name: step[name].copy() for name in self._rows}
         # What is held is older than this message: nothing of it is to be added to one that comes until the next step.
         held = step.status is Status.HELD
-        self._correction = (
-            None if held else {name: self._answered[name] - read[name][rows] for name, rows in self._rows.items()}
-        )
+        self._correction = None if held else {name: self._answered[name] - values for name, values in own.items()}
 
 
 class Compensated:
@@ -186,7 +249,8 @@ class Compensated:
             order, as the forward command controllers of ros2_control take it.
 
     Attributes:
-        counts: status -> targets answered with it, and `UNTOUCHED`.
+        counts: see `Answer`.
+        flags: see `Answer`.
         states: what the robot's sensors say.
     """
 
@@ -196,6 +260,7 @@ class Compensated:
         self._targets = JointColumns(joints)
         self.states = Heard(joints, ("position", "velocity"), stale_s=STALE_S)
         self.counts: Counter[str] = Counter()
+        self.flags: Counter[int] = Counter()
         self._stamps = _Stamps()
 
     def to(self, message: JointState) -> Command | None:
@@ -208,6 +273,8 @@ class Compensated:
         answer = self._compensator.step(
             known["position"], known["velocity"], read["position"], time_s=self._stamps.of(message)
         )
+        if answer.flags:
+            self.flags[answer.flags] += 1
         if not np.isfinite(answer.target).all():
             self.counts[Status.HELD.value] += 1
             return None  # no joint may be commanded a number that nobody has ever said
@@ -215,6 +282,16 @@ class Compensated:
         if self._form is Float64MultiArray:
             return Float64MultiArray(data=answer.target.tolist())
         return self._targets.written(message, {"position": answer.target})
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """See `Answer`."""
+        return self._targets.others
+
+    @property
+    def rate_hz(self) -> float:
+        """See `Answer`."""
+        return self._stamps.rate_hz
 
 
 def signals_read(stream: Stream | Compensator, series: str) -> list[str]:

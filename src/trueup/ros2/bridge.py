@@ -5,13 +5,15 @@ from __future__ import annotations
 import gc
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
 from trueup.deploy.latency import Latency
-from trueup.ros2.answers import Answer
+from trueup.deploy.step import Why
+from trueup.ros2.answers import UNTOUCHED, Answer
 from trueup.ros2.messages import JointState
 from trueup.ros2.node import Inbox, Node, Outbox
 
@@ -33,6 +35,9 @@ class BridgeReport:
         most_waiting: largest number of messages that waited to be taken.
         seconds: how long the bridge was open [s].
         counts: what became of the messages: status of the network's answers, and messages of other joints.
+        reasons: what was wrong, by the names of `Why` -> messages; one with several counts for each of them.
+        others: joints of the last message that was of others.
+        unreadable: messages besides whose texts are none; they are not passed on.
     """
 
     received: int = 0
@@ -42,12 +47,29 @@ class BridgeReport:
     most_waiting: int = 0
     seconds: float = 0.0
     counts: dict[str, int] = field(default_factory=dict)
+    reasons: dict[str, int] = field(default_factory=dict)
+    others: tuple[str, ...] = ()
+    unreadable: int = 0
+
+    @property
+    def concerned(self) -> int:
+        """Messages of the network's joints."""
+        return self.received - self.counts.get(UNTOUCHED, 0)
+
+    def note(self, seconds: float, answer: Answer, inbox: Inbox[JointState]) -> None:
+        """What they say after so long [s]."""
+        self.seconds, self.counts, self.others = seconds, dict(answer.counts), answer.others
+        reasons: Counter[str] = Counter()
+        for flags, count in answer.flags.items():
+            reasons.update({str(why.name): count for why in Why(flags)})
+        self.reasons, self.unreadable = dict(reasons), inbox.unreadable
 
     def to_json(self) -> dict[str, Any]:
         """Numbers for a file."""
-        counted = {"received": self.received, "sent": self.sent, "most_waiting": self.most_waiting}
+        counted = {name: getattr(self, name) for name in ("received", "sent", "most_waiting", "unreadable")}
         times = {"added": self.added.to_json(), "way": self.way.to_json()}
-        return {**counted, "seconds": self.seconds, "counts": self.counts, **times}
+        what = {"counts": self.counts, "reasons": self.reasons, "others": list(self.others)}
+        return {**counted, "seconds": self.seconds, **what, **times}
 
 
 def run_bridge(
@@ -88,11 +110,12 @@ def run_bridge(
                         hear(message)
                 _answer_all(report, inbox, outbox, answer)
             if now - told >= _PROGRESS_S or (seconds is not None and now - began >= seconds):
-                told, report.seconds, report.counts = now, now - began, dict(answer.counts)
+                told = now
+                report.note(now - began, answer, inbox)
                 on_progress(report)
             if seconds is not None and now - began >= seconds:
                 break
-    report.seconds, report.counts = time.monotonic() - began, dict(answer.counts)
+    report.note(time.monotonic() - began, answer, inbox)
     return report
 
 
