@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -106,6 +108,27 @@ def test_a_torque_limit_holds(tmp_path):
     simulator = two_links(tmp_path, ControllerSpec(kind="position", kp=400.0, kv=2.0), torque_limit=3.0)
     result = simulator.rollout(request({"position": np.ones((1, 300, 2))}))
     assert np.abs(result.torque).max() == pytest.approx(3.0)
+
+
+def test_a_fingerprint_does_not_say_from_where_the_model_was_read(tmp_path, monkeypatch):
+    (tmp_path / "meshes").mkdir()
+    corners = ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))
+    faces = ((1, 3, 2), (1, 2, 4), (1, 4, 3), (2, 3, 4))
+    (tmp_path / "meshes" / "a.obj").write_text(
+        "".join(f"v {x} {y} {z}\n" for x, y, z in corners) + "".join(f"f {a} {b} {c}\n" for a, b, c in faces)
+    )
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        '<mujoco><compiler meshdir="meshes"/><asset><mesh name="a" file="a.obj"/></asset><worldbody><body>'
+        '<joint name="a" axis="0 1 0"/><geom type="mesh" mesh="a"/></body></worldbody></mujoco>'
+    )
+    robot = RobotSpec("arm", (JointSpec("a"),), "arm.xml", controller=ControllerSpec("torque"))
+    monkeypatch.chdir(tmp_path)
+    here = MujocoSimulator.from_robot(robot, Path("arm.xml"))
+    assert "meshes" in str(here.model.paths)
+    assert here.fingerprint == MujocoSimulator.from_robot(robot, path).fingerprint
+    monkeypatch.chdir(tmp_path.parent)
+    assert here.fingerprint == MujocoSimulator.from_robot(robot, Path(tmp_path.name) / "arm.xml").fingerprint
 
 
 def test_motions_of_a_batch_do_not_touch_each_other(tmp_path):

@@ -142,11 +142,10 @@ def _ended(
         for start in starts:
             yield _searched(start, problem, settings, checkpoint, on_progress)
         return
-    # Anew, since its path stands in the compiled model, where that has meshes.
-    nominal = Nominal(problem.nominal.given, problem.nominal.path.absolute())
+    nominal = problem.nominal
     given = _Given(
         nominal.given,
-        nominal.path,
+        nominal.path.absolute(),
         nominal.simulator.fingerprint,
         problem.parameters,
         problem.segments,

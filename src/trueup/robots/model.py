@@ -25,9 +25,11 @@ def load_spec(path: Path) -> mujoco.MjSpec:
         ConfigError: missing file, no valid MJCF or URDF, or masses that hang on missing meshes.
     """
     with _reading(path):
+        # Places of meshes stand in the compiled model and in its fingerprint, which must not depend on where we are.
+        whole = path.absolute()
         if root_tag(path) == "robot":
-            return mujoco.MjSpec.from_string(_urdf_without_missing_meshes(path))
-        spec = mujoco.MjSpec.from_file(str(path))
+            return mujoco.MjSpec.from_string(_urdf_without_missing_meshes(whole))
+        spec = mujoco.MjSpec.from_file(str(whole))
     _drop_missing_meshes(spec, path.parent)
     return spec
 

@@ -135,7 +135,7 @@ def replay(
         missing = [name for name in wanted if writer is None or name not in writer.ids]
         results: Iterator[tuple[str, TimeSeries | TrueupError]]
         if ray is not None:
-            there = path.resolve()  # which stands in the compiled model, where that has meshes
+            there = path.resolve()
             parts = (
                 ReplayPart(
                     *(dataset.path.resolve(), tuple(names[first : first + PART]), robot, there, engine),
