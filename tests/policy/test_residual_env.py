@@ -19,21 +19,10 @@ from gymnasium.wrappers import (
 )
 
 from augment.evaluation_cases import card_of, shift_folder
-from policy.residual_cases import SHIFT, XML, Arm, shifting
+from policy.residual_cases import SHIFT, Arm, shifting
 from trueup.core.model_card import Input
 from trueup.errors import ConfigError, NameMismatch
 from trueup.policy import ResidualEnv
-
-
-@pytest.fixture
-def xml(tmp_path):
-    (tmp_path / "arm.xml").write_text(XML)
-    return tmp_path / "arm.xml"
-
-
-@pytest.fixture
-def network(tmp_path):
-    return shifting(tmp_path / "network", SHIFT)
 
 
 def test_observations_are_of_the_corrected_state_and_the_physics_is_not_touched(xml, network):

@@ -17,17 +17,6 @@ from trueup.policy import ResidualEnv
 from trueup.robots import ControllerSpec
 
 
-@pytest.fixture
-def xml(tmp_path):
-    (tmp_path / "arm.xml").write_text(XML)
-    return tmp_path / "arm.xml"
-
-
-@pytest.fixture
-def network(tmp_path):
-    return shifting(tmp_path / "network", SHIFT)
-
-
 class Inside(Arm):
     """The model of a simulator, as an environment that sees its joints."""
 

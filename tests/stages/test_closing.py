@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
+from stages.closes import METHODS, OTHER, QUICK, ROBOT, files_in, quick
 from trueup.cli.close import lacking
 from trueup.cli.main import main
 from trueup.core.atomic import as_read_back
@@ -31,7 +32,6 @@ from trueup.errors import (
     how_to_install,
 )
 from trueup.identify import IdentifyConfig
-from trueup.identify.config import DataChoice, SolverChoice
 from trueup.report import build_report
 from trueup.report.sections.steps import alone_words, steps_alert, time_words
 from trueup.robots import load_robot
@@ -41,40 +41,10 @@ from trueup.stages import (
     Watch,
     close,
     close_networks,
-    demo_dataset,
     export_dataset,
     import_logs,
 )
 from trueup.stages.close_budget import Budget, fitted_motion
-
-ROBOT = load_robot("demo_arm")
-# Two quantities, little motion: a fit of seconds.
-QUICK = IdentifyConfig(
-    fit={"delay_s": "all", "kp": "all"},
-    data=DataChoice(budget_s=12.0),
-    solver=SolverChoice(max_iterations=4),
-)
-METHODS = ("moving-average",)
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    return demo_dataset(tmp_path_factory.mktemp("recorded") / "data")
-
-
-@pytest.fixture(scope="module")
-def closed(recorded, tmp_path_factory):
-    data = shutil.copytree(recorded, tmp_path_factory.mktemp("closed") / "data")
-    return close(data, ROBOT, data.parent / "out", config=QUICK, methods=METHODS, jobs=2)
-
-
-@pytest.fixture
-def data(recorded, tmp_path):
-    return shutil.copytree(recorded, tmp_path / "data")
-
-
-def quick(data, out, **options):
-    return close(data, ROBOT, out, **{"config": QUICK, "methods": METHODS, "jobs": 2, **options})
 
 
 def steps_of(out):
@@ -253,9 +223,6 @@ def test_a_method_that_fails_does_not_hide_the_others(data, tmp_path, monkeypatc
     assert [rung.name for rung in done.ladder.rungs][-1] == "fitted+moving-average"
 
 
-OTHER = replace(QUICK, data=DataChoice(budget_s=13.0))
-
-
 @pytest.mark.parametrize("budget_s", [None, 60.0])
 @pytest.mark.parametrize(
     ("changed", "said"),
@@ -305,10 +272,6 @@ def test_beginning_anew_leaves_nothing_of_another_configuration(closed, tmp_path
         **dict.fromkeys(("explain", "identify", "augment"), "done"),
     }
     assert IdentifyConfig.load(out / "identify.yaml") == OTHER
-
-
-def files_in(folder):
-    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def test_other_splits_are_refused_before_any_is_given(data, tmp_path):

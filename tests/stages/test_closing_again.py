@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from stages.test_closing import METHODS, OTHER, QUICK, ROBOT, files_in, quick
+from stages.closes import OTHER, QUICK, ROBOT, files_in, quick
 from trueup.cli.close import exit_code
 from trueup.core.close_result import STEPS
 from trueup.dataset import Dataset, DatasetWriter
@@ -14,7 +14,7 @@ from trueup.errors import DataError, OutputExists, TrueupError
 from trueup.identify.config import DataChoice, SolverChoice
 from trueup.report.sections.steps import time_words
 from trueup.robots.spec import PayloadSpec
-from trueup.stages import Watch, close, demo, demo_dataset, export_dataset
+from trueup.stages import Watch, demo, export_dataset
 from trueup.stages.close_asked import asked_of_data, refuse_other
 from trueup.stages.identifying import explain_inputs
 
@@ -32,22 +32,6 @@ def killed_in(step):
             raise Killed
 
     return Watch(on_step=on_step)
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    return demo_dataset(tmp_path_factory.mktemp("recorded") / "data")
-
-
-@pytest.fixture(scope="module")
-def closed(recorded, tmp_path_factory):
-    data = shutil.copytree(recorded, tmp_path_factory.mktemp("closed") / "data")
-    return close(data, ROBOT, data.parent / "out", config=QUICK, methods=METHODS, jobs=2)
-
-
-@pytest.fixture
-def data(recorded, tmp_path):
-    return shutil.copytree(recorded, tmp_path / "data")
 
 
 @pytest.fixture

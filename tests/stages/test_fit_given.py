@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from trueup.core.fit_result import FIT_CONFIG, STOCK_ROBOT
 from trueup.identify import IdentifyConfig
 from trueup.identify.config import DataChoice
 from trueup.robots import find_model, load_robot, shipped_robots
-from trueup.stages.fit_given import FIT_CONFIG, STOCK_ROBOT, keep_given
+from trueup.stages.fit_given import keep_given
 
 CONFIG = IdentifyConfig(fit={"kp": "all", "delay_s": {"shared": True}}, data=DataChoice(budget_s=12.0))
 

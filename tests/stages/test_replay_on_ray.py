@@ -13,7 +13,7 @@ from trueup.dataset import Dataset, DatasetWriter
 from trueup.errors import ConfigError, DataError
 from trueup.robots import PayloadSpec, find_model, load_robot
 from trueup.sim import ReplaySettings
-from trueup.stages import demo_dataset, replay
+from trueup.stages import replay
 from trueup.stages.replay_parts import ReplayPart, replayed_on_ray
 
 pytestmark = QUIET
@@ -27,11 +27,6 @@ def cluster():
     """Its workers are started once."""
     with local_cluster():
         yield
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    return demo_dataset(tmp_path_factory.mktemp("recorded") / "data")
 
 
 def same_runs(one, other):

@@ -12,7 +12,7 @@ from trueup.augment.config import FEWEST_FOR_CHANCE
 from trueup.augment.corrector import Corrector
 from trueup.augment.pairs import Pairs
 from trueup.augment.training import predictions
-from trueup.measure import by_motion
+from trueup.measure import by_motion, motion_numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +36,7 @@ class Errors:
     @property
     def motions(self) -> Int[np.ndarray, "E"]:
         """The number of the motion that each episode executed, (E,)."""
-        numbers = {name: number for number, name in enumerate(dict.fromkeys(self.executed))}
-        return np.array([numbers[name] for name in self.executed]) if numbers else np.arange(len(self.rows))
+        return motion_numbers(self.executed) if self.executed else np.arange(len(self.rows))
 
     def merged(self, groups: Sequence[int]) -> Errors:
         """The outputs of a group as one: the components of a vector are used together or not at all.

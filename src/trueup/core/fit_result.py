@@ -12,6 +12,9 @@ from trueup.core.config import read_versioned
 from trueup.core.results import Estimate
 
 FIT_SCHEMA = "trueup.fit/1"
+# Beside a result, what it was made from: the robot as it came, which finds its model, and the configuration. Not
+# robot.yaml and fit.yaml: people call theirs so, and may keep them in the folder of results.
+STOCK_ROBOT, FIT_CONFIG = "robot.stock.yaml", "fit.config.yaml"
 
 # From good to bad; the status of a fit is the worst that applies.
 FitStatus = Literal["ok", "not-identifiable", "at-bound", "not-converged", "no-better"]

@@ -17,7 +17,7 @@ from trueup.measure.nearer import nearer_of
 from trueup.measure.plane import PlaneBuilder
 from trueup.measure.repeats import RepeatBuilder, conditions_repeat
 from trueup.measure.trend import trend, trends_of
-from trueup.measure.uncertainty import bootstrap_interval, by_motion, paired_difference, ratio_interval
+from trueup.measure.uncertainty import bootstrap_interval, by_motion, motion_numbers, paired_difference, ratio_interval
 
 __all__ = [
     "COMMAND_RUN",
@@ -53,6 +53,7 @@ __all__ = [
     "measure_gap",
     "metric",
     "metric_unit",
+    "motion_numbers",
     "mse",
     "nearer_of",
     "nrmse",

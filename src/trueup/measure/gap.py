@@ -14,7 +14,7 @@ from trueup.measure.columns import mean
 from trueup.measure.comparison import COMMAND_RUN, Comparison
 from trueup.measure.metrics.base import MAX_LAG_S, MetricOptions
 from trueup.measure.reduction import REST, Column, Reduction, Table
-from trueup.measure.uncertainty import LEVEL, bootstrap_interval, estimate, paired_difference
+from trueup.measure.uncertainty import LEVEL, bootstrap_interval, estimate, motion_numbers, paired_difference
 
 ALL = "all"
 EPISODE_METRICS = ("rmse", "max", "phase_lag", "position_norm", "rotation_distance")
@@ -155,9 +155,8 @@ def _groups(metas: Sequence[EpisodeMeta]) -> dict[str, dict[str, Bool[np.ndarray
 
 
 def executed_of(metas: Sequence[EpisodeMeta]) -> Int[np.ndarray, "E"]:
-    """The number of the motion that each episode executed, the same for its repetitions, in order of appearance."""
-    numbers = {name: number for number, name in enumerate(dict.fromkeys(meta.executed for meta in metas))}
-    return np.array([numbers[meta.executed] for meta in metas], dtype=np.int64)
+    """`motion_numbers` of episodes."""
+    return motion_numbers(meta.executed for meta in metas)
 
 
 def _summarize(

@@ -34,6 +34,7 @@ motions that are counted as few (a cluster bootstrap).
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int
@@ -195,6 +196,12 @@ def ratio_interval(
     low = np.where(few, np.fmin(low, value - half), low)
     high = np.where(few, np.fmax(high, value + half), high)
     return value, np.where(enough, low, np.nan), np.where(enough, high, np.nan)
+
+
+def motion_numbers(executed: Iterable[str]) -> Int[np.ndarray, "E"]:
+    """The number of the motion that each episode executed, the same for its repetitions, in order of appearance."""
+    numbers: dict[str, int] = {}
+    return np.array([numbers.setdefault(name, len(numbers)) for name in executed], dtype=np.int64)
 
 
 def by_motion(sums: Float64[np.ndarray, "E K"], motions: Int[np.ndarray, "E"]) -> Float64[np.ndarray, "M K"]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from trueup.core.augment_result import AugmentResult
 from trueup.report.folder import RunFolder
 from trueup.report.network_recipes import by_val
+from trueup.report.verdict import TOO_KIND
 
 _CHOSEN_ON = "val"
 
@@ -25,7 +26,4 @@ def choice_sentence(result: AugmentResult, *, elsewhere: bool) -> str:
         return ""
     if elsewhere:
         return f"Of {len(result.models)} networks it is the best on validation motions."
-    return (
-        f"It is the best of {len(result.models)} networks on the very motions that it is judged on, "
-        "so the number is a little too kind."
-    )
+    return f"It is the best of {len(result.models)} networks {TOO_KIND}"

@@ -15,7 +15,7 @@ from trueup.core.augment_result import AUGMENT_NAME, AugmentResult
 from trueup.core.close_result import CLOSE_NAME, CloseResult
 from trueup.core.design_result import DESIGN_NAME, DesignResult
 from trueup.core.engines import EngineComparison
-from trueup.core.fit_result import FitResult
+from trueup.core.fit_result import FIT_CONFIG, STOCK_ROBOT, FitResult
 from trueup.core.graybox_result import GrayboxResult
 from trueup.core.model_card import CARD_NAME, ModelCard
 from trueup.core.policy_evaluation import (
@@ -39,8 +39,6 @@ Loaded = TypeVar("Loaded")
 GAP_NAME = "gap.json"
 # What an identification writes beside fit.json for other programs.
 FITTED_FILES = ("robot.fitted.yaml", "model.fitted.xml", "isaac.actuators.yaml", "fit.samples.npz")
-# What it was given: the robot as it came, which finds its model, and the configuration.
-STOCK_ROBOT, FIT_CONFIG = "robot.stock.yaml", "fit.config.yaml"
 # Where a close imports logs to, and where the page proposes to put designed motions.
 OWN_DATASET, PLANS = "dataset", "plans"
 # Limits that a model states for the planning of motions.

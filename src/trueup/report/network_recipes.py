@@ -6,8 +6,9 @@ import json
 import math
 from collections.abc import Sequence
 
+from trueup.core.fit_result import STOCK_ROBOT
 from trueup.core.model_card import Channel, ModelCard
-from trueup.report.folder import STOCK_ROBOT, RunFolder
+from trueup.report.folder import RunFolder
 from trueup.report.labels import MAIN_METRIC, SIGNALS, main_signal, ordered
 from trueup.report.recipes import MODEL, ROBOT, Recipe, held_back, stepped_lines
 

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from trueup.core.design_result import DesignResult, Foreseen
-from trueup.core.fit_result import FitResult, FittedParameter
+from trueup.core.fit_result import FIT_CONFIG, STOCK_ROBOT, FitResult, FittedParameter
 from trueup.core.traces import MEASURED, TraceSet
 from trueup.report.chooser import Cell, Table, TableRow
 from trueup.report.fit_words import CAUSES, kind_of, listed
-from trueup.report.folder import FIT_CONFIG, OWN_DATASET, PLANS, STOCK_ROBOT, RunFolder
+from trueup.report.folder import OWN_DATASET, PLANS, RunFolder
 from trueup.report.numbers import NOTHING, percent, plural, significant, with_unit
 from trueup.report.recipes import Recipe
 

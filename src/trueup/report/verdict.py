@@ -18,6 +18,9 @@ from trueup.report.numbers import (
     with_unit,
 )
 
+# What is said of the best of several that nothing else has judged.
+TOO_KIND = "on the very motions that it is judged on, so the number is a little too kind."
+
 
 @dataclass(frozen=True)
 class Headline:
@@ -97,10 +100,7 @@ def _choose(
     chosen = next((rung.name for rung in ladder.rungs if rung.chosen), None) if ladder else None
     rung_run = next((label for label in candidates if chosen in (label, *rung_names(label))), None)
     if rung_run is not None and split == "val":
-        return rung_run, (
-            f"It was chosen among {len(candidates)} runs on the very motions that it is judged on, "
-            "so the number is a little too kind."
-        )
+        return rung_run, f"It was chosen among {len(candidates)} runs {TOO_KIND}"
     if rung_run is not None:
         return rung_run, f"Of {len(candidates)} runs it is the one chosen on validation motions."
     on = "val" if split != "val" and all("val" in scored[label] for label in candidates) else split
@@ -110,10 +110,7 @@ def _choose(
             best,
             f"Of {len(candidates)} runs it has the lowest error on the validation motions, on which it was chosen.",
         )
-    return best, (
-        f"It is the lowest of {len(candidates)} runs on the very motions that it is judged on, "
-        "so the number is a little too kind."
-    )
+    return best, f"It is the lowest of {len(candidates)} runs {TOO_KIND}"
 
 
 def rung_names(label: str) -> tuple[str, ...]:

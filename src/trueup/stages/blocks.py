@@ -12,6 +12,7 @@ from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.graybox_result import HELD_OUT, GrayboxResult
 from trueup.dataset import Dataset
 from trueup.errors import TrueupError
+from trueup.measure import executed_of
 from trueup.stages.comparing import Frame
 
 if TYPE_CHECKING:
@@ -72,8 +73,7 @@ def _thinned(dataset: Dataset, metas: Sequence[EpisodeMeta]) -> list[str]:
     samples = dict(zip(dataset.ids, dataset.index.column("measured_samples").to_pylist(), strict=True))
     total = sum(samples[meta.id] for meta in metas)
     every = max(1, -(-total // _MOST_SAMPLES))
-    executed = {name: number for number, name in enumerate(dict.fromkeys(meta.executed for meta in metas))}
-    return [meta.id for meta in metas if executed[meta.executed] % every == 0]
+    return [meta.id for meta, motion in zip(metas, executed_of(metas), strict=True) if motion % every == 0]
 
 
 def _spread(names: Sequence[str]) -> Sequence[str]:

@@ -10,14 +10,12 @@ from typing import TYPE_CHECKING
 import yaml
 
 from trueup.core.atomic import as_read_back, write_text
+from trueup.core.fit_result import FIT_CONFIG, STOCK_ROBOT
 from trueup.errors import ConfigError
 from trueup.robots import RobotSpec, find_model
 
 if TYPE_CHECKING:
     from trueup.identify import IdentifyConfig
-
-# Not robot.yaml and fit.yaml: people call theirs so, and may keep them in the folder of results.
-STOCK_ROBOT, FIT_CONFIG = "robot.stock.yaml", "fit.config.yaml"
 
 
 def keep_given(folder: Path, robot: RobotSpec, model: Path, config: IdentifyConfig | None) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from trueup.core.atomic import read_json, remove
-from trueup.core.fit_result import FitResult
+from trueup.core.fit_result import FIT_CONFIG, STOCK_ROBOT, FitResult
 from trueup.errors import OutputExists
 
 # State of the searches of a fit; gone when everything is written.
@@ -15,7 +15,7 @@ CHECKPOINTS = "checkpoints"
 _ORIGIN = ("config", "data_hash", "seed")
 _FIT_FILES = (
     *("fit.json", "graybox.json", "fit.samples.npz"),
-    *("model.fitted.xml", "robot.fitted.yaml", "isaac.actuators.yaml", "robot.stock.yaml", "fit.config.yaml"),
+    *("model.fitted.xml", "robot.fitted.yaml", "isaac.actuators.yaml", STOCK_ROBOT, FIT_CONFIG),
 )
 
 
