@@ -1,5 +1,7 @@
 """Where a SAT looks: what is known of its attention is what is said of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -7,12 +9,17 @@ import torch
 from augment.evaluation_cases import JOINTS, RUN, episode_of
 from augment.sat_cases import HEADS, SAMPLES, sat_of
 from trueup.augment.attention import attention_profile
+from trueup.core.episode import EpisodeMeta
 from trueup.errors import DataError
 
 
 def motions(count=3, samples=40):
     rng = np.random.default_rng(0)
-    return [episode_of(rng, samples=samples + number) for number in range(count)]
+    return [recording(episode_of(rng, samples=samples + number), number) for number in range(count)]
+
+
+def recording(episode, motion, again=""):
+    return replace(episode, meta=EpisodeMeta(f"m{motion}{again}", source=f"plans/{motion}"))
 
 
 def softmax(scores):
@@ -43,6 +50,14 @@ def test_a_network_that_looks_at_one_sample_has_half_of_its_attention_there():
     lags = lags[:, ::-1].copy()
     found = attention_profile(sat_of(JOINTS, lags=lags), motions(2), RUN)
     assert found.oldest.value == pytest.approx(1.0)
+
+
+def test_repetitions_of_a_motion_are_drawn_together():
+    made, once = sat_of(JOINTS), motions(4)
+    twice = [recording(episode, number, again) for number, episode in enumerate(once) for again in "ab"]
+    expected, found = (attention_profile(made, episodes, RUN).half_s for episodes in (once, twice))
+    assert expected.low < expected.high
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high))
 
 
 @pytest.mark.parametrize("feedback", ["own", "zero"])

@@ -227,6 +227,24 @@ def test_a_warning_that_is_right_as_often_as_it_says_is_reliable():
     assert curve.far == pytest.approx(0.5, abs=0.02)
 
 
+def test_warnings_about_repetitions_of_a_motion_are_drawn_together():
+    card = torque_card(outputs={("torque", joint): FAR for joint in ("a", "b")})
+    motions = far_motions(np.random.default_rng(11), lambda correction: correction)[:6]
+    builders = {name: EvaluationBuilder(RUN, [Candidate(label("net"), card)]) for name in ("once", "twice")}
+    for number, (measured, stock, corrected) in enumerate(motions):
+        runs = {RUN: stock, label("net"): corrected}
+        builders["once"].add(comparison_of(number, measured, runs))
+        for again in range(2):
+            builders["twice"].add(comparison_of(2 * number + again, measured, runs, source=f"plans/{number}"))
+    once, twice = (
+        item.result(split="test", draws=400).models[0].reliability[ANY_CONDITION]["torque"].observed
+        for item in builders.values()
+    )
+    assert len(once) == 10
+    for found, expected in zip(twice, once, strict=True):
+        assert (found.value, found.low, found.high) == pytest.approx((expected.value, expected.low, expected.high))
+
+
 def test_a_warning_that_exaggerates_is_found_out():
     """It says c where the truth is c / 2: off by a quarter on average."""
     says = {("torque", joint): FAR for joint in ("a", "b")}

@@ -145,6 +145,22 @@ def test_half_of_an_offset_that_is_known_is_gone(world):
     assert item.simulated.unit == "rad"
 
 
+def test_repetitions_of_a_motion_are_no_further_evidence(tmp_path):
+    once = recorded(tmp_path / "once")
+    with DatasetWriter.create(tmp_path / "twice", DatasetInfo(robot=ROBOT.name)) as writer:
+        for name in once.ids:
+            for again in "ab":
+                episode = once.episode(name)
+                meta = replace(episode.meta, id=f"{name}{again}", source=f"plans/{name}")
+                writer.append(replace(episode, meta=meta))
+    data, net = [once, Dataset(tmp_path / "twice")], network(tmp_path / "net")
+    result = robustness(data, ROBOT, net, tmp_path / "out", jobs=1, bootstrap_draws=300)
+    first, second = (row.errors["mae"] for row in result.datasets)
+    for part in ("simulated", "corrected", "gone"):
+        found, expected = getattr(second, part), getattr(first, part)
+        assert (found.value, found.low, found.high) == pytest.approx((expected.value, expected.low, expected.high))
+
+
 def test_a_simulator_that_is_farther_off_gains_less(world):
     gone = [row.errors["mae"].gone.value for row in (world[3].datasets[0], *world[3].perturbed["resistance"])]
     errors = [row.errors["mae"].simulated.value for row in (world[3].datasets[0], *world[3].perturbed["resistance"])]

@@ -15,7 +15,7 @@ from trueup.core.attention import AttentionProfile
 from trueup.core.episode import Episode
 from trueup.core.results import Estimate
 from trueup.errors import DataError
-from trueup.measure import bootstrap_interval
+from trueup.measure import bootstrap_interval, motion_numbers
 
 
 def attention_profile(
@@ -27,7 +27,7 @@ def attention_profile(
         made: with the weights.
         episodes: with the run in them.
         run: label of the run that is corrected.
-        draws: of the bootstrap over motions.
+        draws: of the bootstrap over motions; repetitions are drawn together.
         seed: of the bootstrap.
 
     Returns:
@@ -40,13 +40,19 @@ def attention_profile(
     network = made.corrector.network
     if not isinstance(network, Sat) or network.attention is None:
         return None
-    found = [own for own in (_of_motion(made, network, episode, run) for episode in episodes) if own is not None]
+    found, executed = [], []
+    for episode in episodes:
+        own = _of_motion(made, network, episode, run)
+        if own is not None:
+            found.append(own)
+            executed.append(episode.meta.executed)
     if not found:
         raise DataError("no motion is longer than the history", expected=f"more than {network.history} samples")
     shares = np.stack(found)
     lags_s = np.array([_half(own) for own in shares]) / made.card.rate_hz
     oldest = shares[:, -max(1, network.history // 4) :].sum(axis=1)
-    ends = bootstrap_interval(np.stack([lags_s, oldest], axis=1), draws=draws, seed=seed)
+    motions = motion_numbers(executed)
+    ends = bootstrap_interval(np.stack([lags_s, oldest], axis=1), motions=motions, draws=draws, seed=seed)
     half, rest = (
         Estimate(float(values.mean()), unit, *(None if np.isnan(end) else float(end) for end in (left, right)))
         for values, unit, left, right in zip((lags_s, oldest), ("s", "1"), *ends, strict=True)

@@ -280,7 +280,11 @@ class EvaluationBuilder:
             reliability={
                 name: found
                 for name, rows in groups.items()
-                if (found := tally.calibration.result(rows, draws=pooling[name].draws, seed=pooling[name].seed))
+                if (
+                    found := tally.calibration.result(
+                        rows, motions=pooling[name].motions, draws=pooling[name].draws, seed=pooling[name].seed
+                    )
+                )
             },
             latency=candidate.latency,
         )

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int
 
 from trueup.core.augment_result import Reliability
 from trueup.core.results import Estimate
-from trueup.measure import ratio_interval
+from trueup.measure import by_motion, ratio_interval
 
 
 class Calibration:
@@ -50,22 +50,31 @@ class Calibration:
                 sums[row] += np.bincount(bins, weights=weights, minlength=self.bins)
         self._motions += 1
 
-    def result(self, rows: Bool[np.ndarray, "E"], *, draws: int, seed: int) -> dict[str, Reliability]:
-        """Signal -> reliability over these motions, for the signals that have one."""
+    def result(
+        self, rows: Bool[np.ndarray, "E"], *, motions: Int[np.ndarray, "R"] | None = None, draws: int, seed: int
+    ) -> dict[str, Reliability]:
+        """Signal -> reliability, for the signals that have one.
+
+        Args:
+            rows: which of the E recordings that were counted.
+            motions: number of the motion that each of these R executed; repetitions are drawn together. All differ if None.
+            draws: of the bootstrap.
+            seed: of the bootstrap.
+        """
         found = {}
-        for signal, motions in self._sums.items():
-            table = np.array(
-                [motions.get(motion, np.zeros((4, self.bins))) for motion in np.flatnonzero(rows).tolist()]
-            )
+        for signal, sums in self._sums.items():
+            table = np.array([sums.get(number, np.zeros((4, self.bins))) for number in np.flatnonzero(rows).tolist()])
             if table[:, 0].any():
-                found[signal] = _reliability(table, draws, seed)
+                found[signal] = _reliability(table, np.arange(len(table)) if motions is None else motions, draws, seed)
         return found
 
 
-def _reliability(table: Float64[np.ndarray, "E 4 bins"], draws: int, seed: int) -> Reliability:
+def _reliability(
+    table: Float64[np.ndarray, "R 4 bins"], motions: Int[np.ndarray, "R"], draws: int, seed: int
+) -> Reliability:
     filled = np.flatnonzero(table[:, 0].sum(axis=0))
     samples, predicted, far, squares = np.moveaxis(table[:, :, filled], 1, 0)
-    observed, low, high = ratio_interval(far, samples, draws=draws, seed=seed)
+    observed, low, high = ratio_interval(by_motion(far, motions), by_motion(samples, motions), draws=draws, seed=seed)
     weight = samples.sum(axis=0) / samples.sum()
     mean = predicted.sum(axis=0) / samples.sum(axis=0)
     share = float(far.sum() / samples.sum())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int
 
 from trueup.augment.components import POSITION
 from trueup.core.hold import SAME_INSTANT_S
@@ -14,7 +14,7 @@ from trueup.core.results import Estimate, Verdict
 from trueup.core.robustness_result import ERROR_KINDS, ErrorKind, Improvement
 from trueup.core.timeseries import TimeSeries
 from trueup.errors import ConfigError, DataError, MissingSignal, UnitError
-from trueup.measure import position_distance, ratio_interval
+from trueup.measure import by_motion, position_distance, ratio_interval
 from trueup.measure.uncertainty import estimate
 
 JOINT_POSITION = "position"
@@ -125,15 +125,17 @@ def improvements(
     corrected: Float64[np.ndarray, "E 2"],
     unit: str,
     *,
+    motions: Int[np.ndarray, "E"] | None = None,
     draws: int = 2000,
     seed: int = 0,
 ) -> dict[ErrorKind, Improvement]:
-    """What a correction takes away of the errors of E motions, with paired intervals over them.
+    """What a correction takes away of the errors of E recordings, with paired intervals over motions.
 
     Args:
-        simulated: mean and largest error of each motion.
+        simulated: mean and largest error of each recording.
         corrected: likewise, after correction.
         unit: of the errors.
+        motions: number of the motion that each executed; repetitions are drawn together. All differ if None.
         draws: bootstrap resamples.
         seed: of the bootstrap.
 
@@ -145,6 +147,8 @@ def improvements(
             "the simulator makes no error that could be taken away", hint="Was this dataset recorded from it?"
         )
     every = np.ones_like(simulated)
+    if motions is not None:
+        simulated, corrected, every = (by_motion(sums, motions) for sums in (simulated, corrected, every))
     left, before, after = (
         ratio_interval(*pair, draws=draws, seed=seed)
         for pair in ((corrected, simulated), (simulated, every), (corrected, every))

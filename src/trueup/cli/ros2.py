@@ -220,7 +220,7 @@ def _progress(report: BridgeReport) -> str:
     if not report.received:
         return f"waiting for messages, {report.seconds:.0f} s"
     shares = ", ".join(f"{name} {100 * count / report.received:.0f} %" for name, count in report.counts.items())
-    shares += f" ({', '.join(report.reasons)})" if report.reasons else ""
+    shares += "".join(f", {name} in {count}" for name, count in report.reasons.items())
     p99 = report.added.percentile_us(99.0)
     return f"{report.received} messages, {shares}; 99 % answered within {p99:.0f} us"
 

@@ -17,7 +17,7 @@ from trueup.identify.config import IdentifyConfig
 from trueup.identify.problem import Problem
 from trueup.identify.quantities import quantity
 from trueup.identify.segments import Segment, SegmentRule, make_segments
-from trueup.measure import bootstrap_interval
+from trueup.measure import bootstrap_interval, motion_numbers
 from trueup.robots import RobotSpec
 
 
@@ -31,6 +31,7 @@ class Scores:
         rmse: NaN where a motion diverged.
         samples: number of samples of each motion, (E,).
         seed: of the intervals.
+        executed: what each motion executed, (E,), the same for its repetitions; none is repeated if empty.
     """
 
     episodes: tuple[str, ...]
@@ -38,6 +39,7 @@ class Scores:
     rmse: Float64[np.ndarray, "E J"]
     samples: Int[np.ndarray, "E"]
     seed: int = 0
+    executed: tuple[str, ...] = ()
 
     @property
     def mean(self) -> float:
@@ -58,13 +60,13 @@ class Scores:
         return {joint: float(value) for joint, value in zip(self.joints, values, strict=True)}
 
     def estimate(self, unit: str) -> Estimate:
-        """The mean with its 95 % interval over motions."""
+        """The mean with its 95 % interval over motions; repetitions are drawn together."""
         values = self.rmse.mean(axis=1, keepdims=True)
         if not np.isfinite(values).all():
             return Estimate(float("nan"), unit)
-        if values.size < 2:
+        low, high = bootstrap_interval(values, motions=motion_numbers(self.executed or self.episodes), seed=self.seed)
+        if np.isnan(low[0]):
             return Estimate(self.mean, unit)
-        low, high = bootstrap_interval(values, seed=self.seed)
         return Estimate(self.mean, unit, max(0.0, float(low[0])), float(high[0]))
 
 
@@ -104,10 +106,12 @@ class Scorer:
         )
         self._nominal, self._jobs, self._seed = nominal, jobs, seed
         self._segments: dict[str, list[Segment]] = {}
+        self._executed: dict[str, str] = {}
         self.refused: dict[str, dict[str, str]] = {}
         for split, logs in episodes.items():
             if not logs:
                 continue
+            self._executed.update({log.id: log.meta.executed for log in logs})
             try:
                 self._segments[split], refused = make_segments(logs, nominal.simulator, rule)
             except DataError as error:
@@ -143,4 +147,11 @@ class Scorer:
             ]
             samples[segment.episode_id] = own.shape[0]
         scored = tuple(joints[column] for column in problem.columns)
-        return Scores(tuple(rmse), scored, np.array(list(rmse.values())), np.array(list(samples.values())), self._seed)
+        return Scores(
+            tuple(rmse),
+            scored,
+            np.array(list(rmse.values())),
+            np.array(list(samples.values())),
+            self._seed,
+            tuple(self._executed[name] for name in rmse),
+        )

@@ -17,7 +17,7 @@ from trueup.core.results import Estimate
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.dataset import Dataset
 from trueup.errors import ConfigError, TrueupError
-from trueup.measure import bootstrap_interval
+from trueup.measure import bootstrap_interval, motion_numbers
 from trueup.robots import RobotSpec
 from trueup.stages.correcting import CorrectionSummary, in_run_names, make_unless_same
 from trueup.stages.progress import Track, silent
@@ -109,9 +109,10 @@ class GapTally:
     model: mujoco.MjModel
     _rows: dict[str, list[dict[str, np.ndarray]]] = field(default_factory=dict)
     _joints: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    _executed: dict[str, list[str]] = field(default_factory=dict)
 
-    def add(self, runs: Mapping[str, TimeSeries]) -> None:
-        """One motion: run -> its series."""
+    def add(self, runs: Mapping[str, TimeSeries], executed: str) -> None:
+        """One recording: run -> its series; repetitions of a motion executed the same."""
         from trueup.sim.projection import JointGaps
 
         for label, series in runs.items():
@@ -126,19 +127,21 @@ class GapTally:
             row = {name: values.mean(axis=0) for name, values in kinds.items()}
             row |= {f"{name}_max": values.max(axis=0) for name, values in kinds.items()}
             self._rows.setdefault(label, []).append(row)
+            self._executed.setdefault(label, []).append(executed)
 
     def of(self, label: str, *, draws: int, seed: int) -> dict[str, JointGap]:
         """Joint -> how far its bodies are apart, mean over motions, and over joints; nothing if none is joined."""
         rows = self._rows.get(label, [])
         if not rows:
             return {}
+        motions = motion_numbers(self._executed[label])
         found: dict[str, dict[str, Estimate]] = {name: {} for name in (*self._joints[label], ALL_JOINTS)}
         for kind, unit in _UNITS.items():
             table = np.array([row[kind] for row in rows])
             whole = table.max(axis=1) if kind.endswith("_max") else table.mean(axis=1)
             table = np.column_stack([table, whole])
-            ends = zip(table.mean(axis=0), *bootstrap_interval(table, draws=draws, seed=seed), strict=True)
-            for name, (value, low, high) in zip(found, ends, strict=True):
+            ends = bootstrap_interval(table, motions=motions, draws=draws, seed=seed)
+            for name, value, low, high in zip(found, table.mean(axis=0), *ends, strict=True):
                 known = (None, None) if np.isnan(low) else (max(float(low), 0.0), float(high))
                 found[name][kind] = Estimate(float(value), unit, *known)
         return {name: JointGap(**kinds) for name, kinds in found.items()}
@@ -170,7 +173,7 @@ def with_gaps(
             runs = {label: series for label, series in episode.simulated.items() if label in labels}
             if all(signal in episode.measured for signal in _POSES):
                 runs[_MEASURED] = in_run_names(episode, info).measured
-            tally.add(runs)
+            tally.add(runs, episode.meta.executed)
     except TrueupError as error:
         return result, [f"how far corrected bodies are apart at their joints is not known: {error.summary}"]
     gaps = {label: tally.of(label, draws=draws, seed=seed) for label in (*labels, _MEASURED)}

@@ -34,6 +34,7 @@ from trueup.core.robustness_result import (
 from trueup.core.sole_writer import writes_alone
 from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError, MissingSignal, OutputExists, TrueupError
+from trueup.measure import motion_numbers
 from trueup.robots import RobotSpec
 from trueup.stages.evaluating import EVERY_SPLIT
 from trueup.stages.progress import Track, silent
@@ -238,7 +239,7 @@ def robustness(
     cells = _Store(out, inputs, overwrite=overwrite, resume=resume)
 
     def row(item: _Motions, own: Sequence[Cell], what: str) -> RobustnessRow:
-        return _row(item.name, own, unit, bootstrap_draws, seed, what=what)
+        return _row(item, own, unit, bootstrap_draws, seed, what=what)
 
     rows = []
     for item in named:
@@ -368,22 +369,30 @@ def _card_of(card: ModelCard, robot: RobotSpec) -> ModelCard:
     return own
 
 
-def _row(dataset: str, cells: Sequence[Cell], unit: str, draws: int, seed: int, *, what: str) -> RobustnessRow:
+def _row(recorded: _Motions, cells: Sequence[Cell], unit: str, draws: int, seed: int, *, what: str) -> RobustnessRow:
     """One simulator: each motion counts with its mean over the draws that it survived."""
     motions = list(dict.fromkeys(name for cell in cells for name in cell.errors))
     if not motions:
         reasons = [why for cell in cells for why in cell.failed.values()]
         raise DataError(
-            f"{dataset}, {what}: no motion could be simulated and corrected",
+            f"{recorded.name}, {what}: no motion could be simulated and corrected",
             got=reasons[0] if reasons else None,
             hint="A smaller size may leave a robot that can be simulated." if len(cells) > 1 else None,
         )
     table = np.array([_mean([cell.errors[name] for cell in cells if name in cell.errors]) for name in motions])
+    executed = {meta.id: meta.executed for meta in recorded.data.metas}
     sums = [np.array(list(cell.errors.values())).sum(axis=0) for cell in cells if cell.errors]
     return RobustnessRow(
-        dataset=dataset,
+        dataset=recorded.name,
         motions=len(motions),
-        errors=improvements(table[:, :2], table[:, 2:], unit, draws=draws, seed=seed),
+        errors=improvements(
+            table[:, :2],
+            table[:, 2:],
+            unit,
+            motions=motion_numbers(executed[name] for name in motions),
+            draws=draws,
+            seed=seed,
+        ),
         draws=len(sums),
         least=min(float(1.0 - total[2] / total[0]) for total in sums) if len(cells) > 1 else None,
     )

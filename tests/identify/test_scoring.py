@@ -1,0 +1,41 @@
+"""Errors of models on whole motions, and how sure they are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identify.recovery_cases import Truth, nominal_of
+from trueup.core.parameters import ParameterSet
+from trueup.identify.scoring import Scorer, Scores
+
+
+def scores(rmse, executed=()):
+    rmse = np.asarray(rmse)
+    names = tuple(f"log{number}" for number in range(len(rmse)))
+    return Scores(names, ("shoulder", "elbow"), rmse, np.full(len(rmse), 100), executed=executed)
+
+
+def test_motions_that_were_recorded_again_are_no_further_evidence(tmp_path):
+    robot, nominal = nominal_of(tmp_path)
+    logs = [Truth(robot, nominal, {}).log(seed, seconds=2.0, name=f"log{seed}", noise=0.02) for seed in range(4)]
+
+    def again(log, suffix):
+        return replace(log, meta=replace(log.meta, id=log.meta.id + suffix, source=f"plans/{log.meta.id}"))
+
+    twice = [again(log, suffix) for log in logs for suffix in "ab"]
+    scorer = Scorer(nominal, {"val": logs, "test": twice}, seed=2)
+    once, repeated = (scorer.score(ParameterSet(()), {}, split).estimate("rad") for split in ("val", "test"))
+    assert (repeated.value, repeated.low, repeated.high) == pytest.approx((once.value, once.low, once.high))
+    apart = replace(scorer.score(ParameterSet(()), {}, "test"), executed=()).estimate("rad")
+    assert repeated.high - repeated.low > 1.2 * (apart.high - apart.low)
+
+
+def test_a_mean_has_no_interval_where_all_recordings_are_of_one_motion():
+    found = scores([[0.1, 0.2], [0.3, 0.4]], executed=("plan", "plan")).estimate("rad")
+    assert (found.value, found.low, found.high) == (pytest.approx(0.25), None, None)
+    assert scores([[0.1, 0.2]]).estimate("rad").low is None
+
+
+def test_a_motion_that_diverged_leaves_no_mean():
+    assert np.isnan(scores([[0.1, np.nan], [0.3, 0.4]]).estimate("rad").value)
