@@ -57,7 +57,8 @@ class Calibration:
 
         Args:
             rows: which of the E recordings that were counted.
-            motions: number of the motion that each of these R executed; repetitions are drawn together. All differ if None.
+            motions: number of the motion that each of these R executed, the same for repetitions, which are drawn
+                together. All differ if None.
             draws: of the bootstrap.
             seed: of the bootstrap.
         """
