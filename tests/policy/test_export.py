@@ -12,7 +12,7 @@ from trueup.core.policy_card import POLICY_CARD, POLICY_GRAPH, Kinematics, Polic
 from trueup.deploy.policy import Policy
 from trueup.errors import ConfigError, DataError, FormatError, NameMismatch
 from trueup.policy.arms import MujocoArms
-from trueup.policy.config import ALGORITHMS, LearnerConfig, PolicyConfig
+from trueup.policy.config import ALGORITHMS, LearnerConfig, PolicyConfig, task_of
 from trueup.policy.environment import ReachVector
 from trueup.policy.export import export
 from trueup.policy.learners import make_learner
@@ -102,6 +102,14 @@ def test_a_network_that_says_nothing_moves_nothing(tmp_path):
     said = loaded(tmp_path / "nan").step(np.zeros(7), np.zeros(7), np.ones(3))
     assert not said.sound
     assert not said.torque.any()
+
+
+@pytest.mark.parametrize("said", ["none", 3, {"reach": 2}, {"reach": ["a"]}, None])
+def test_a_card_whose_training_is_no_configuration_is_refused(tmp_path, said):
+    _, card = exported(tmp_path)
+    assert task_of(card).reach.site == card.site  # one that says nothing has the usual task
+    with pytest.raises(ConfigError, match="policy 'reach'"):
+        task_of(replace(card, provenance={"config": said}))
 
 
 def test_broken_files(tmp_path):

@@ -15,13 +15,21 @@ from trueup.ros2 import JointState, Network, Node, run_bridge
 from trueup.ros2.messages import Header, Time
 
 JOINTS = ("a", "b")
-_numbers = itertools.count()
+_numbers, _fresh = itertools.count(), itertools.count()
 
 
 def network(**options):
     """On this computer only, in a domain that no other test is in: tests run side by side."""
-    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
-    return Network(30 + 60 * (worker % 3) + next(_numbers) % 60, localhost=True, **options)
+    return Network(30 + 60 * _worker() + next(_numbers) % 60, localhost=True, **options)
+
+
+def fresh_domain():
+    """A domain that nothing in this process has been in: what it was begun with stays."""
+    return 10 * _worker() + next(_fresh)
+
+
+def _worker():
+    return int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % 3
 
 
 def state(time_s, names=JOINTS, *, frame="base", signals=("position", "velocity", "effort"), epoch_s=1_700_000_000):

@@ -167,3 +167,46 @@ def test_a_listener_that_stalls_does_not_hold_up_the_loop():
     assert longest_s < USUAL_WAIT_S
     assert stamps == sorted(set(stamps))
     assert stamps[-1] == last_ns
+
+
+def test_another_who_publishes_corrected_commands_is_told(tmp_path):
+    compensation(tmp_path, PANDA.joint_names, rate_hz=RATE_HZ)
+    where = network()
+    with Node(where) as node, Bridging(tmp_path, where, robot=PANDA, payload_kg=0.0) as live:
+        kept = [asking(node, "/joint_commands")]
+        wait_for(kept[0].get_matched_publications, seconds=20.0)
+        time.sleep(2.0)
+        assert not [message for message, _ in live.warnings if "somebody else" in message]
+        kept.append(node.publish("/joint_commands", JointState))
+        wait_for(lambda: any("somebody else" in message for message, _ in live.warnings))
+        time.sleep(1.5)
+    ((message, hint),) = [item for item in live.warnings if "somebody else" in item[0]]  # said once
+    assert message == "somebody else publishes to /joint_commands, too: whoever listens hears a mixture"
+    assert "`ros2 topic info -v /joint_commands`" in hint
+
+
+def test_those_who_publish_beside_are_counted_as_they_come_and_go():
+    where = network()
+    with Node(where) as node, Node(where) as beside:
+        kept = [beside.publish("/joint_commands", JointState)]
+        outbox = node.publish("/joint_commands", JointState, commands=True)
+        kept.append(node.publish("/joint_commands", JointState))  # its own
+        kept.append(beside.publish("/joint_states", JointState))
+        kept.append(beside.publish("/joint_commands", Float64MultiArray))  # nobody hears both types
+        wait_for(lambda: outbox.others == 1)
+        with Node(where) as another:
+            third = another.publish("/joint_commands", JointState)
+            wait_for(lambda: outbox.others == 2)
+            wait_for(lambda: third.others == 3)
+        wait_for(lambda: outbox.others == 1)
+        kept.clear()
+        wait_for(lambda: outbox.others == 0)
+
+
+def test_a_robot_that_somebody_else_drives_is_not_recorded():
+    where = network()
+    with Node(where) as node, Node(where) as other, Publishing(node):
+        _kept = asking(node, "/joint_commands"), other.publish("/joint_commands", JointState)
+        with pytest.raises(RobotStopped, match="somebody else publishes to /joint_commands, too") as refused:
+            Ros2Robot(JOINTS, RobotTopics(network=where), patience_s=2.0)
+    assert "ros2 topic info -v /joint_commands" in refused.value.hint

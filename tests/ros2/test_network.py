@@ -2,7 +2,7 @@
 
 import pytest
 
-from ros2.ros2_cases import network, wait_for
+from ros2.ros2_cases import fresh_domain, wait_for
 from trueup.errors import ConfigError
 from trueup.ros2 import JointState, Network, Node
 
@@ -20,7 +20,7 @@ def unsaid(monkeypatch):
 
 @pytest.mark.parametrize("settings", [NO_SUCH, "file:///nowhere/dds.xml", "<CycloneDDS><Nothing/></CycloneDDS>"])
 def test_what_dds_refuses_is_a_wrong_setting(unsaid, settings):
-    number = network().number
+    number = fresh_domain()
     unsaid.setenv("CYCLONEDDS_URI", settings)
     with pytest.raises(ConfigError, match="DDS lets nobody into domain") as refused:
         Node(Network(number))
@@ -45,7 +45,7 @@ def test_all_of_the_network_is_reached_where_another_has_begun_the_domain(unsaid
     """A program that speaks DDS itself has its own settings for the domain, which are kept."""
     from cyclonedds.domain import DomainParticipant
 
-    number = network().number
+    number = fresh_domain()
     other = DomainParticipant(number)
     with Node(Network(number, localhost=False)) as node:
         outbox, inbox = node.publish("/a", JointState), node.listen("/a", JointState)

@@ -162,6 +162,11 @@ def task_of(card: PolicyCard) -> PolicyConfig:
         ConfigError: the card says of its task what makes none.
     """
     said = card.provenance.get("config", {})
+    reach = said.get("reach", {}) if isinstance(said, dict) else None
+    if not isinstance(reach, dict):
+        raise ConfigError(
+            f"policy {card.name!r}, `config` of its provenance", got=said, expected="what it was trained with"
+        )
     own = {"torque_nm": list(card.torque_nm), "control_hz": card.rate_hz, "site": card.site}
-    tree = {"reach": {**said.get("reach", {}), **own}, "friction": said.get("friction", "simulator")}
+    tree = {"reach": {**reach, **own}, "friction": said.get("friction", "simulator")}
     return build(PolicyConfig, tree, f"policy {card.name!r}")

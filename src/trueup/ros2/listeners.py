@@ -1,4 +1,4 @@
-"""Whether what is published is heard, and what keeps listeners from it."""
+"""Whether what is published is heard, what keeps listeners from it, and who else speaks to them."""
 
 from __future__ import annotations
 
@@ -20,8 +20,13 @@ def refusal_hint(topic: str, refused: str) -> str:
     return f"`ros2 topic info -v {topic}` shows what both sides ask for and offer; let it ask for no {refused}."
 
 
+def others_hint(topic: str) -> str:
+    """What to do where others publish to the same topic."""
+    return f"`ros2 topic info -v {topic}` shows who they are; stop them, or let them publish elsewhere."
+
+
 class Listeners:
-    """A look, now and then, at who hears a topic; each trouble is told once.
+    """A look, now and then, at who hears a topic, and who else publishes there; each trouble is told once.
 
     Args:
         outbox: the topic.
@@ -31,7 +36,7 @@ class Listeners:
 
     def __init__(self, outbox: Outbox[Any], *, commands: bool, tell: Callable[[str, str], None]) -> None:
         self._outbox, self._commands, self._tell = outbox, commands, tell
-        self._told_refused = self._told_nobody = False
+        self._told_refused = self._told_nobody = self._told_others = False
 
     def look(self, seconds: float) -> None:
         """After so long [s]."""
@@ -42,6 +47,9 @@ class Listeners:
                 f"a listener to {topic} asks for {refused}, which is not offered: it hears nothing",
                 refusal_hint(topic, refused),
             )
+        if self._outbox.others and not self._told_others:
+            self._told_others = True
+            self._tell(f"somebody else publishes to {topic}, too: whoever listens hears a mixture", others_hint(topic))
         nobody = self._commands and not self._outbox.readers and seconds >= _PATIENCE_S
         if nobody and not self._told_refused and not self._told_nobody:
             self._told_nobody = True

@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from typing import Any, Generic, TypeVar
+from uuid import UUID
 
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.internal import InvalidSample
@@ -132,7 +134,11 @@ class Outbox(Generic[Message]):
             *_type_hash(type_),
             Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
         )
-        self._writer = DataWriter(participant, _topic(participant, topic, type_), qos=qos)
+        offered = _topic(participant, topic, type_)
+        self._writer = DataWriter(participant, offered, qos=qos)
+        self._participant, self._named = participant, (offered.name, offered.typename)
+        self._announced: BuiltinDataReader | None = None  # one that nobody asks would keep all that it was told
+        self._others: set[UUID] = set()
 
     def send(self, message: Message) -> None:
         """Publish."""
@@ -142,6 +148,20 @@ class Outbox(Generic[Message]):
     def readers(self) -> int:
         """How many listen there now."""
         return len(self._writer.get_matched_subscriptions())
+
+    @property
+    def others(self) -> int:
+        """How many others publish messages of this type there now, as far as they have been discovered."""
+        if self._announced is None:
+            self._announced = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
+        own = self._participant.guid
+        while seen := self._announced.take(N=_AT_A_TIME):
+            for writer in seen:
+                if not writer.sample_info.valid_data:  # it has left
+                    self._others.discard(writer.key)
+                elif (writer.topic_name, writer.type_name) == self._named and writer.participant_key != own:
+                    self._others.add(writer.key)
+        return len(self._others)
 
     @property
     def refused(self) -> str | None:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from trueup.errors import ConfigError, NameMismatch, RobotStopped
 from trueup.ros2.joints import FIELDS, JointColumns
-from trueup.ros2.listeners import refusal_hint
+from trueup.ros2.listeners import others_hint, refusal_hint
 from trueup.ros2.messages import Float64MultiArray, Header, JointState, Time
 from trueup.ros2.network import Network
 from trueup.ros2.node import Node, Outbox
@@ -71,7 +71,7 @@ class Ros2Robot:
         patience_s: how long the robot may take until it is heard [s].
 
     Raises:
-        RobotStopped: nobody publishes joint states, or nobody listens to commands.
+        RobotStopped: nobody publishes joint states, nobody listens to commands, or others publish commands, too.
         NameMismatch: what is published is of other joints; both lists are printed.
         ConfigError: a name of a topic, or a domain, that is none.
     """
@@ -166,7 +166,7 @@ class Ros2Robot:
         while time.monotonic() < until:
             self._node.wait()
             self._listen()
-            if self._reading and self._commands.readers:
+            if self._reading and self._commands.readers and not self._commands.others:
                 self._started_s = time.monotonic()
                 return
         if not self._reading and self._broken:
@@ -175,11 +175,11 @@ class Ros2Robot:
                 expected="as many numbers as there are names in each array that is not empty, and one that is not",
                 hint=f"`ros2 topic echo {self.topics.states}` shows what its driver publishes.",
             )
-        if not self._reading and (others := self._columns.others):
+        if not self._reading and (published := self._columns.others):
             raise NameMismatch(
                 f"joint states on {self.topics.states} are of other joints",
                 left=self._joints,
-                right=others,
+                right=published,
                 left_name="the robot needs",
                 right_name="published are",
             )
@@ -190,6 +190,12 @@ class Ros2Robot:
                 f"no joint states on {self.topics.states} within {patience_s:g} s",
                 got=found,
                 hint="`ros2 topic list` shows what there is; --states names another topic, --domain another domain.",
+            )
+        if others := self._commands.others:
+            raise RobotStopped(
+                f"somebody else publishes to {self.topics.commands}, too: the robot would follow a mixture",
+                got=f"{found}, {others} other publishers of commands",
+                hint=others_hint(self.topics.commands),
             )
         if refused := self._commands.refused:
             raise RobotStopped(

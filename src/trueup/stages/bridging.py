@@ -98,8 +98,9 @@ def bridge(
         on_open: told when all topics are open: their names, and whether it is a compensation.
         on_progress: told once per second.
         on_end: told what was done, before that is written.
-        on_warning: told once of each kind of listener that hears nothing, that nobody listens to commands, that what
-            comes is of other joints, and why nothing is corrected: what is wrong, and what to do.
+        on_warning: told once of each kind of listener that hears nothing, that nobody listens to commands, that
+            somebody else publishes, too, that what comes is of other joints, and why nothing is corrected: what is
+            wrong, and what to do.
 
     Raises:
         OutputExists: `bridge.json` is there.
