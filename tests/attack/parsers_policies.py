@@ -41,6 +41,8 @@ def make_policy(folder: Path) -> None:
 
 def seal(folder: Path) -> None:
     """Hashes as if whoever changed the files had written them."""
+    if not all((folder / name).is_file() for name in (POLICY_CARD, POLICY_GRAPH)):
+        return  # a pipe, or nothing
     with contextlib.suppress(OSError, ValueError, TypeError, AttributeError, RecursionError):
         card = json.loads((folder / POLICY_CARD).read_bytes())
         card["files"] = {POLICY_GRAPH: hashlib.sha256((folder / POLICY_GRAPH).read_bytes()).hexdigest()}

@@ -14,7 +14,7 @@ from trueup.core.augment_result import ALL_JOINTS, ANY_CONDITION, AugmentResult
 from trueup.core.model_card import ModelCard
 from trueup.core.results import GapResult, Ladder
 from trueup.core.step_times import StepTimes
-from trueup.dataset import Dataset
+from trueup.dataset import Dataset, DatasetWriter
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, OutputExists
 from trueup.report import build_report
 from trueup.robots import load_robot
@@ -157,8 +157,23 @@ def test_rates_below_that_of_the_network_are_refused_and_above_it_noted(data, ma
         evaluate(data, [make("fast", rate_hz=2 * rate_hz)], tmp_path / "out")
     found = evaluate(data, [make("slow", (0.1, 0.1, 0.1), rate_hz=rate_hz / 2)], tmp_path / "out", draws=50)
     (line,) = [line for line in found.notes if "samples per second" in line]
-    assert f"stock+slow: mujoco/stock has {rate_hz:g}" in line
+    assert f"stock+slow: mujoco/stock has {rate_hz:g} samples per second, and the network sees {rate_hz / 2:g} " in line
     assert line in found.result.notes
+
+
+def test_uneven_stamps_are_not_called_another_rate(make, tmp_path):
+    data = Dataset(demo_dataset(tmp_path / "data"))
+    with DatasetWriter.create(tmp_path / "uneven", data.info) as writer:
+        for name in data.ids:
+            episode = data.episode(name)
+            stamps = episode.measured.time_s.copy()
+            stamps[10:] += 0.4 * (stamps[1] - stamps[0])  # a message that was late once
+            writer.append(replace(episode, measured=replace(episode.measured, time_s=stamps)))
+    uneven = Dataset(tmp_path / "uneven")
+    replay(uneven, load_robot("demo_arm"))
+    found = evaluate(uneven, [make(shift=(0.1, 0.1, 0.1))], tmp_path / "out", draws=50)
+    (line,) = [line for line in found.notes if "interpolated" in line]
+    assert "mujoco/stock has samples at uneven times, and the network sees" in line
 
 
 def test_numbers_that_say_something_else_than_the_training_are_warned_of(data, make, tmp_path):

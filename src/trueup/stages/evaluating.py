@@ -354,9 +354,12 @@ def _resampled(dataset: Dataset, run: str, ids: Sequence[str], card: ModelCard) 
     series = dataset.episode(ids[0], runs=[run]).run(run)
     if Grid.of(series.time_s, card.rate_hz).own:
         return []
+    has = f"{series.rate_hz:.4g} samples per second"
+    if has == f"{card.rate_hz:.4g} samples per second":
+        has = "samples at uneven times"
     line = (
-        f"{corrected_label(run, card)}: {run} has {series.rate_hz:.4g} samples per second and the network sees "
-        f"{card.rate_hz:g}; its correction is interpolated between them"
+        f"{corrected_label(run, card)}: {run} has {has}, and the network sees {card.rate_hz:g} per second; "
+        "its correction is interpolated between them"
     )
     return [line]
 
