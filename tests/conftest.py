@@ -10,6 +10,10 @@ from shape_checks import begin_test, install
 
 install("trueup")
 
+from trueup.core.workers import wait_briefly  # noqa: E402 - what is imported before is not checked
+
+wait_briefly()  # tests run side by side, and more than one of them trains
+
 # A loaded machine must not fail a law; examples are the same in every run.
 settings.register_profile(
     "trueup", deadline=None, derandomize=True, max_examples=50, suppress_health_check=[HealthCheck.too_slow]

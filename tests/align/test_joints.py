@@ -1,16 +1,17 @@
 """Joint maps: what they do to every signal, and that they can be undone."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from align.align_cases import make_series
+from align.align_cases import make_episode, make_series
 from trueup.align import JointMap, JointRule
 from trueup.core.timeseries import TimeSeries
-from trueup.errors import ConfigError, NameMismatch, UnitError
+from trueup.errors import ConfigError, MissingSignal, NameMismatch, UnitError
 
 FACTORS = ("sign", "scale", "offset")
 SO101_JAW = JointRule("gripper", "Jaw", scale=1.92, offset=-0.17, log_unit="1")
@@ -210,6 +211,25 @@ def test_dictionary_round_trip_is_plain_json():
     assert JointMap.from_dict({"joints": {"a": {}}}) == JointMap.identity(("a",))
 
 
+def test_what_was_measured_stands_for_a_command_that_was_not_recorded():
+    rules = (JointRule("a", "x", sign=-1), JointRule("b", "y"))
+    measured = make_series([0.0, 0.1], ("y", "x"), position=[[0, 1], [2, 3]], torque=[[4.0, 5.0], [6.0, 7.0]])
+    plan = make_series([0.0, 0.3], ("y", "x"), torque=[[1.0, 1.0], [1.0, 1.0]])
+    episode = make_episode(measured, plan)
+    joint_map = JointMap(rules, measured_command="torque")
+    data = json.loads(json.dumps(joint_map.to_dict()))
+    assert JointMap.from_dict(data) == joint_map
+    for log in (episode, replace(episode, command=None)):
+        command = joint_map.of_episode(log).command
+        assert (command.joints, tuple(command.signals)) == (("a", "b"), ("torque",))
+        assert command["torque"].tolist() == [[-5.0, 4.0], [-7.0, 6.0]]
+        assert command.time_s.tolist() == [0.0, 0.1]
+    assert JointMap(rules).of_episode(episode).command["torque"].tolist() == [[-1.0, 1.0], [-1.0, 1.0]]
+    without = replace(episode, measured=make_series([0.0], ("x", "y"), position=[[0, 1]]))
+    with pytest.raises(MissingSignal, match="'one': no torque was measured, which stands for the command"):
+        joint_map.of_episode(without)
+
+
 @pytest.mark.parametrize(
     ("entry", "word"),
     [
@@ -232,7 +252,17 @@ def test_bad_rules_are_refused(entry, word):
         JointMap.from_dict({"joints": {"a": entry}})
 
 
-@pytest.mark.parametrize("data", [{}, {"joints": []}, {"joints": {}, "ignore": "a"}, {"joints": {}, "other": 1}, []])
+@pytest.mark.parametrize(
+    "data",
+    [
+        {},
+        {"joints": []},
+        {"joints": {}, "ignore": "a"},
+        {"joints": {}, "measured_command": 1},
+        {"joints": {}, "other": 1},
+        [],
+    ],
+)
 def test_bad_maps_are_refused(data):
     with pytest.raises(ConfigError):
         JointMap.from_dict(data)

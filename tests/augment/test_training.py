@@ -35,7 +35,9 @@ from trueup.errors import (
     TrueupError,
 )
 from trueup.stages import augment as augment_stage
+from trueup.stages.close_networks import Planned, train_each
 from trueup.stages.model_folder import SCRATCH_NAME
+from trueup.stages.training_data import lowest_rate
 
 SMALL = AugmentConfig(
     network=NetworkConfig("lstm", (12, 8)),
@@ -693,6 +695,23 @@ def test_other_rates_are_refused_unless_a_rate_is_given(tmp_path):
         augment([data], tmp_path / "a", run=RUN, config=SMALL)
     made = augment([data], tmp_path / "b", run=RUN, config=replace(SMALL, data=DataConfig(rate_hz=50.0)))
     assert made.augmentation.card.rate_hz == 50.0
+
+
+def test_a_close_trains_on_motions_of_different_rates_at_the_lowest(tmp_path):
+    rng = np.random.default_rng(0)
+    episodes = [labelled(k, split, *motion(rng, 80)) for k, split in enumerate(["train", "train", "val"])]
+    slow = [TimeSeries(s.time_s * 2, s.joints, s.signals, s.units) for s in (episodes[1][1], episodes[1][0].measured)]
+    one_rate = with_episodes(tmp_path / "one", episodes)
+    mixed = with_episodes(tmp_path / "mixed", [episodes[0], labelled(1, "train", *slow), episodes[2]])
+    assert (lowest_rate(one_rate, RUN), lowest_rate(mixed, RUN)) == (None, 50.0)
+    ask = {"drop_flagged": False, "seed": 0, "jobs": 1, "overwrite": False, "limit": None}
+    for data, rate_hz in ((one_rate, 100.0), (mixed, 50.0)):
+        failed = {}
+        plan = [Planned("stock", "moving-average")]
+        (made,) = train_each(plan, data, robot(), data.path / "networks", failed=failed, **ask)
+        assert not failed
+        assert ModelCard.load(made.folder).rate_hz == rate_hz
+        assert ("at the 50 samples per second of the slowest motion" in made.words) == (rate_hz == 50.0)
 
 
 def test_a_rate_that_a_control_loop_refuses_is_not_trained_as_the_networks(tmp_path):

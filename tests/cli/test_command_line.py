@@ -53,6 +53,27 @@ def motion(tmp_path):
     return folder
 
 
+def test_the_package_is_the_command_too():
+    done = subprocess.run([sys.executable, "-m", "trueup", "gap", "nowhere"], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "nowhere is no trueup dataset" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("said", "spins"),
+    [({}, "2000"), ({"GOMP_SPINCOUNT": "7"}, "7"), ({"OMP_WAIT_POLICY": "ACTIVE"}, "None")],
+)
+def test_threads_that_wait_give_their_cores_away_unless_somebody_has_said_otherwise(said, spins):
+    """libgomp reads it when it is loaded: before torch is."""
+    code = (
+        "import contextlib, os, sys\nfrom trueup.cli.main import main\nassert 'torch' not in sys.modules\n"
+        "with contextlib.suppress(SystemExit):\n    main(['--version'])\nprint(os.environ.get('GOMP_SPINCOUNT'))"
+    )
+    own = {name: value for name, value in os.environ.items() if name not in ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY")}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=own | said, check=True)
+    assert done.stdout.split()[-1] == spins
+
+
 def test_no_command_shows_the_commands(run):
     _, out, err = run()
     assert all(name in out + err for name in ("import", "replay", "gap", "report", "close", "demo", "doctor"))

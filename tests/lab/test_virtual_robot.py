@@ -227,6 +227,8 @@ def test_another_payload_keeps_pose_clock_and_warmth():
         (lambda: draw_truth(unit=-1), "negative"),
         (lambda: LabSpec(delay=Delay(delay_s=-0.001)), "delay.delay_s"),
         (lambda: LabSpec(friction=Friction(spread=1e5)), "friction.spread is a relative spread"),
+        (lambda: LabSpec(friction=Friction(presliding_rad=1e-300)), "presliding_rad is no size of a robot's"),
+        (lambda: LabSpec(friction=Friction(sliding=1e308)), "sliding is no size of a robot's"),
         (lambda: LabSpec(physics_step_s=0.0007), "whole number"),
         (lambda: LabSpec(friction=Friction(presliding_rad=0.0)), "presliding_rad must be positive"),
         (lambda: draw_truth(LabSpec(friction=Friction(viscous=(1.0, 2.0)))), "one number, or one per joint"),

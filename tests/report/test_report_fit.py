@@ -569,6 +569,15 @@ def test_an_attribution_survives_its_file_and_refuses_nonsense(tmp_path):
             Attribution.of("test", "rad", steps)
     with pytest.raises(DataError, match="same joints"):
         Attribution("test", "rad", (first, replace(second, errors={"x": 1.0})), {}, {})
+    for shares, total in (({"x": {"delay": -1e308}}, {}), ({}, {"delay": math.inf})):
+        with pytest.raises(DataError, match="a share of an attribution"):
+            Attribution("test", "rad", (first, second), shares, total)
+
+
+def test_a_fit_that_does_not_say_why_it_ended_did_not_end_by_time():
+    fit = replace(make_fit(JOINTS), solver={"name": "gauss-newton"})
+    assert not fit.ended_by_time
+    assert not fit.short_of_time
 
 
 def test_models_stand_beside_the_model_as_it_came():

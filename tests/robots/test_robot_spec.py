@@ -52,9 +52,22 @@ def test_a_delay_of_zero_for_one_joint_is_not_the_common_one(tmp_path):
     assert load_robot(tmp_path / "arm.yaml").delay_s == (0.0, 0.02)
 
 
+def test_a_measured_torque_stands_for_the_command_where_that_is_asked_for(tmp_path):
+    (tmp_path / "arm.yaml").write_text(GOOD + "controller: {kind: torque, source: measured}\n")
+    robot = load_robot(tmp_path / "arm.yaml")
+    assert robot.joint_rules()["measured_command"] == "torque"
+    assert robot.to_dict()["controller"]["source"] == "measured"
+    (tmp_path / "arm.yaml").write_text(GOOD + "controller: {kind: torque, source: commanded}\n")
+    robot = load_robot(tmp_path / "arm.yaml")
+    assert "measured_command" not in robot.joint_rules()
+    assert "source" not in robot.to_dict()["controller"]  # runs of before there was one are still of this robot
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [
+        ("controller: {kind: position, kp: 1, source: measured}", "Only a torque can be followed as it was measured"),
+        ("controller: {kind: torque, source: guessed}", "controller: source is not a choice"),
         ("scored: [c]", r"\['c'\] are not joints.*available: a, b"),
         ("controller: {kind: magic}", r"controller: kind is not a choice.*pid"),
         ("controller: {kind: torque, delay_s: -0.1}", "delay_s must be >= 0"),
@@ -65,7 +78,11 @@ def test_a_delay_of_zero_for_one_joint_is_not_the_common_one(tmp_path):
         ("controller: {kind: position, kp: 2, per_joint: {b: {Kp: 1}}}", r"unknown keys \['Kp'\]"),
         ("simulation: {timestep_s: 0}", "timestep_s must be positive"),
         ("controller: {kind: torque, per_joint: {b: {delay_s: -0.1}}}", "delay_s must be >= 0"),
-        ("controller: {kind: torque, delay_s: .inf}", "delay_s must be >= 0"),
+        (
+            "controller: {kind: torque, delay_s: .inf}",
+            r"not plain YAML: got \.inf in line \d+, which is no finite number",
+        ),
+        ("controller: {kind: torque, delay_s: .nan}", r"got \.nan in line \d+, which is no finite number"),
         ("controller: {kind: torque, per_joint: {b: {delay: 0.1}}}", r"unknown keys \['delay'\].*delay_s"),
         ("simulation: {gravity_compensation: 3}", "gravity_compensation"),
         ("friction: {c: {load: 0.1}}", r"\['c'\] are not joints.*available: a, b"),

@@ -13,7 +13,7 @@ from trueup.align.joint_rule import JointRule, check_keys
 from trueup.core.episode import Episode
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.core.units import si_factor
-from trueup.errors import ConfigError, NameMismatch, UnitError
+from trueup.errors import ConfigError, MissingSignal, NameMismatch, UnitError
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,7 @@ class JointMap:
     Attributes:
         rules: one per joint of the robot, in the robot's order.
         ignore: joints of the log that the robot does not have; any other unknown joint is an error.
+        measured_command: signal whose measurement stands for the command, where that was not recorded; none if empty.
 
     Raises:
         NameMismatch: a joint stands twice on one side, or is both mapped and ignored.
@@ -30,6 +31,7 @@ class JointMap:
 
     rules: tuple[JointRule, ...]
     ignore: tuple[str, ...] = ()
+    measured_command: str = ""
 
     def __post_init__(self) -> None:
         """Refuse names that stand twice."""
@@ -110,13 +112,15 @@ class JointMap:
         Raises:
             NameMismatch: the log's joints are not those of the map; both lists are printed.
             UnitError: a unit is unknown, or does not fit its signal.
+            MissingSignal: what stands for the command was not measured.
         """
-        measured, command = episode.measured, episode.command
-        return replace(
-            episode,
-            measured=self.for_series(measured).apply(measured),
-            command=None if command is None else self.for_series(command).apply(command),
-        )
+        measured = self.for_series(episode.measured).apply(episode.measured)
+        command = episode.command
+        if self.measured_command:
+            command = _alone(measured, self.measured_command, episode.id)
+        elif command is not None:
+            command = self.for_series(command).apply(command)
+        return replace(episode, measured=measured, command=command)
 
     def _refuse(self, series: TimeSeries) -> None:
         unknown = sorted(set(series.joints) - set(self.log_joints) - set(self.ignore))
@@ -138,7 +142,8 @@ class JointMap:
     def to_dict(self) -> dict[str, Any]:
         """A dictionary of plain values, for YAML and JSON; `from_dict` reads it back."""
         joints = {rule.joint: rule.to_dict() for rule in self.rules}
-        return {"joints": joints} | ({"ignore": list(self.ignore)} if self.ignore else {})
+        tree: dict[str, Any] = {"joints": joints} | ({"ignore": list(self.ignore)} if self.ignore else {})
+        return tree | ({"measured_command": self.measured_command} if self.measured_command else {})
 
     @staticmethod
     def from_dict(data: Any) -> JointMap:
@@ -149,14 +154,27 @@ class JointMap:
         Raises:
             ConfigError: a key is unknown, or a value is of the wrong kind.
         """
-        check_keys("joint map", data, ("joints", "ignore"))
-        joints, ignore = data.get("joints"), data.get("ignore", [])
+        check_keys("joint map", data, ("joints", "ignore", "measured_command"))
+        joints, ignore, command = data.get("joints"), data.get("ignore", []), data.get("measured_command", "")
         if not isinstance(joints, Mapping):
             raise ConfigError("`joints` of the joint map", got=type(joints).__name__, expected="a mapping")
         if not isinstance(ignore, Sequence) or isinstance(ignore, str):
             raise ConfigError("`ignore` of the joint map", got=repr(ignore), expected="a list of names")
         rules = tuple(JointRule.from_dict(str(name), entry) for name, entry in joints.items())
-        return JointMap(rules, tuple(map(str, ignore)))
+        if not isinstance(command, str):
+            raise ConfigError("`measured_command` of the joint map", got=repr(command), expected="the name of a signal")
+        return JointMap(rules, tuple(map(str, ignore)), command)
+
+
+def _alone(series: TimeSeries, signal: str, episode: str) -> TimeSeries:
+    """One signal of a series."""
+    if signal not in series:
+        raise MissingSignal(
+            f"episode {episode!r}: no {signal} was measured, which stands for the command",
+            available=series.signals,
+            hint="Leave `controller: {source: measured}` out of robot.yaml where commands were recorded.",
+        )
+    return replace(series, signals={signal: series[signal]}, units={signal: series.units[signal]}, bodies=())
 
 
 def _si(

@@ -29,6 +29,7 @@ from trueup.cli import (
     report,
 )
 from trueup.cli.console import out, problem
+from trueup.core.workers import wait_briefly
 from trueup.errors import TrueupError, how_to_install
 
 app = typer.Typer(
@@ -94,6 +95,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
     0: done; 1: a bug in trueup; 2: bad input; 3: a bar was not met or nothing could be identified; 130: Ctrl-C.
     """
+    wait_briefly()
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"] or ["--help"]

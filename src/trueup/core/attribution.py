@@ -16,6 +16,8 @@ from trueup.errors import DataError
 EXPLAIN_SCHEMA = "trueup.explain/1"
 # What no cause took away.
 UNEXPLAINED = "unexplained"
+# A step that makes the error a thousand times as large has a share of -1e6; what is beyond this cannot be drawn.
+_LARGEST_SHARE = 1e30
 # How the statement begins that names the searches that a time limit ended.
 SHORT_OF_TIME = "the time limit ended the search for"
 
@@ -83,7 +85,8 @@ class Attribution:
         provenance: versions, git hash, seed, data hash, configuration.
 
     Raises:
-        DataError: no steps, a first step with a cause, or steps that are not about the same joints.
+        DataError: no steps, a first step with a cause, steps that are not about the same joints, or a share that no
+            error can have.
     """
 
     split: str
@@ -110,6 +113,10 @@ class Attribution:
                 "the steps of an attribution are not about the same joints",
                 got=[sorted(step.errors) for step in self.steps],
             )
+        for row in (self.shares_total, *self.shares.values()):
+            beyond = [share for share in row.values() if abs(share) > _LARGEST_SHARE]
+            if beyond:
+                raise DataError("a share of an attribution", got=beyond[0], expected=f"at most {_LARGEST_SHARE:g}")
 
     @staticmethod
     def of(

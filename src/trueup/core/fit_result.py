@@ -161,7 +161,7 @@ class FitResult:
     @property
     def short_of_time(self) -> bool:
         """Whether a time limit decided about a search: without it, another fit may come of it."""
-        return self.solver["stop"] == "time" or bool(self.solver.get("short_of_time"))
+        return self.solver.get("stop") == "time" or bool(self.solver.get("short_of_time"))
 
     @property
     def ended_by_time(self) -> bool:
@@ -169,7 +169,7 @@ class FitResult:
 
         Not so where only others were kept from beginning, nor where its starts disagree.
         """
-        short = self.solver["stop"] == "time" and self.solver.get("agreement") != "local-minima"
+        short = self.solver.get("stop") == "time" and self.solver.get("agreement") != "local-minima"
         return short and self.status == "not-converged"
 
     @property

@@ -21,9 +21,22 @@ from threadpoolctl import threadpool_limits
 from trueup.errors import ConfigError
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+# So often does a thread of OpenMP look for the others before it gives its core away: some ten microseconds, longer than
+# threads of one training wait for each other. As libgomp has it, these are milliseconds.
+_SPINS = "2000"
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+
+def wait_briefly() -> None:
+    """Let OpenMP's threads, torch's, that wait for each other give their cores away soon.
+
+    As libgomp has it, they keep them, and where other programs want these cores, too, trainings take up to a hundred
+    times as long. It counts for a library that has not been loaded yet; what the environment says wins.
+    """
+    if "OMP_WAIT_POLICY" not in os.environ:
+        os.environ.setdefault("GOMP_SPINCOUNT", _SPINS)
 
 
 def in_processes(

@@ -21,6 +21,8 @@ PerJoint = tuple[float, ...]
 _SHIPPED = Path(str(resources.files("trueup.lab"))) / "labs"
 # Of a relative spread: five units drawn from it already differ by a factor of thousands, and a wider one overflows.
 _WIDEST = 5.0
+# Beyond these no unit makes sense of a number, and products of two are no numbers any more.
+_SMALLEST, _LARGEST = 1e-12, 1e12
 _SPREADS = ("mass", "shape", "armature", "spread", "error")
 
 
@@ -409,6 +411,10 @@ class LabSpec:
                 raise ConfigError(f"lab: {name}", got=value, expected="a finite number" if signed else ">= 0")
             if name.rpartition(".")[2] in _SPREADS and value > _WIDEST:
                 raise ConfigError(f"lab: {name} is a relative spread", got=value, expected=f"at most {_WIDEST:g}")
+            if not (value == 0 or _SMALLEST <= abs(value) <= _LARGEST):
+                raise ConfigError(
+                    f"lab: {name} is no size of a robot's", got=value, expected=f"0, or {_SMALLEST:g} to {_LARGEST:g}"
+                )
         positive = ("friction.presliding_rad", "friction.stribeck_velocity", "warming.time_constant_s")
         for name, value in _numbers(self):
             if value == 0 and name in (*positive, "physics_step_s", "saturation.torque_nm", "payload_radius_m"):

@@ -136,6 +136,8 @@ class ControllerSpec:
         ki: integral gain [Nm/(rad s); a `servo`'s V/(rad s)], `pid` and `servo` only.
         integral_limit: largest torque of the integral [Nm; a `servo`'s V], `pid` and `servo` only.
         delay_s: the command acts this much later [s], >= 0.
+        source: of the torques that are followed: what was `commanded`, or what the drives `measured`. The second is for
+            logs whose commanded torque is a plan, to which a controller inside the robot added what nobody recorded.
         per_joint: joint name -> gains and delay of a joint that differs.
 
     Raises:
@@ -149,6 +151,7 @@ class ControllerSpec:
     ki: float = 0.0
     integral_limit: float | None = None
     delay_s: float = 0.0
+    source: Literal["commanded", "measured"] = "commanded"
     per_joint: Mapping[str, JointGains] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -161,6 +164,12 @@ class ControllerSpec:
             )
         if self.kind != "model" and self.command not in ("", COMMAND_SIGNAL[self.kind]):
             raise ConfigError(f"controller kind {self.kind!r} follows {COMMAND_SIGNAL[self.kind]}", got=self.command)
+        if self.source == "measured" and self.signal != "torque":
+            raise ConfigError(
+                f"controller kind {self.kind!r} follows a {self.signal}, which is what simulations are to find out",
+                expected="source: commanded",
+                hint="Only a torque can be followed as it was measured.",
+            )
 
     def gain(self, name: Literal["kp", "kv", "ki", "delay_s"], joint: str) -> float:
         """The gain (or delay) of one joint."""
@@ -350,7 +359,8 @@ class RobotSpec:
             }
             if joint.log_unit is not None:
                 rules[joint.name]["log_unit"] = joint.log_unit
-        return {"joints": rules, "ignore": list(self.ignore)}
+        measured = {"measured_command": self.controller.signal} if self.controller.source == "measured" else {}
+        return {"joints": rules, "ignore": list(self.ignore), **measured}
 
     def to_dict(self) -> dict[str, Any]:
         """The resolved configuration, JSON types only."""
@@ -360,6 +370,8 @@ class RobotSpec:
             del tree["payload"]  # runs of robots that carry nothing were made before there was one
         if not self.simulation.base_sensor:
             del tree["simulation"]["base_sensor"]  # and those on a base at rest likewise
+        if self.controller.source == "commanded":
+            del tree["controller"]["source"]
         return tree
 
 

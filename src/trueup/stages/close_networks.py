@@ -18,9 +18,10 @@ from trueup.stages.correcting import correct_unless_same
 from trueup.stages.identifying import FITTED
 from trueup.stages.progress import Track, silent
 from trueup.stages.replaying import STOCK
+from trueup.stages.training_data import lowest_rate
 
 if TYPE_CHECKING:
-    from trueup.augment import Progress
+    from trueup.augment import AugmentConfig, Progress
 
 # The baseline of the papers, and both their networks: for a control loop, and for whole motions.
 METHODS = ("moving-average", "realeasy-rt", "realeasy")
@@ -118,6 +119,8 @@ def train_each(
 ) -> Iterator[Trained]:
     """Train networks one after the other; each has its share of what is left of the time.
 
+    Where motions have different rates, a network sees as many samples per second as the slowest of them has.
+
     Args:
         plan: which.
         dataset: with the runs.
@@ -140,13 +143,14 @@ def train_each(
 
     for number, item in enumerate(plan):
         share = None if limit is None else limit.share(1.0 / (len(plan) - number))
+        slowest_hz = lowest_rate(dataset, item.run)
         told = None if on_training is None else _named(on_training, item.rung)
         try:
             made = augment(
                 [dataset],
                 item.folder_in(folder),
                 run=item.run,
-                config=preset(item.method),
+                config=_at_rate(preset(item.method), slowest_hz),
                 robot=robot,
                 drop_flagged=drop_flagged,
                 seed=seed,
@@ -176,8 +180,13 @@ def train_each(
             kept="was finished already" in made.notes,
             cut_short=status == "out of time",
             words=f"{item.rung}: {used} of {len(outputs)} corrections help on val"
-            + (f", {status} after {epochs} epochs" if epochs else ""),
+            + (f", {status} after {epochs} epochs" if epochs else "")
+            + (f", at the {slowest_hz:g} samples per second of the slowest motion" if slowest_hz else ""),
         )
+
+
+def _at_rate(config: AugmentConfig, rate_hz: float | None) -> AugmentConfig:
+    return config if rate_hz is None else replace(config, data=replace(config.data, rate_hz=rate_hz))
 
 
 def corrected_everywhere(network: Trained, dataset: Dataset, *, track: Track = silent) -> Trained:

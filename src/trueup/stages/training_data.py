@@ -154,9 +154,22 @@ class TrainingData:
 
 def rate_of(episode: Episode, run: str) -> float:
     """Samples of the run per second, a whole number where it is nearly one [Hz]."""
-    rate = episode.run(run).rate_hz
-    whole = round(rate)
-    return float(whole) if whole and abs(rate / whole - 1) < RATE_TOLERANCE else rate
+    return _whole(episode.run(run).rate_hz)
+
+
+def lowest_rate(dataset: Dataset, run: str) -> float | None:
+    """Samples per second of the slowest motion of a run [Hz]; None where all motions have the same rate."""
+    there = set(dataset.run_ids(run))
+    rates = [
+        rate for name, rate in zip(dataset.ids, dataset.index["rate_hz"].to_pylist(), strict=True) if name in there
+    ]
+    lowest = _whole(min(rates, default=0.0))
+    return lowest if any(abs(rate / lowest - 1) > RATE_TOLERANCE for rate in rates) else None
+
+
+def _whole(rate_hz: float) -> float:
+    whole = round(rate_hz)
+    return float(whole) if whole and abs(rate_hz / whole - 1) < RATE_TOLERANCE else rate_hz
 
 
 def _physics(info: Mapping[str, Any]) -> tuple[Any, ...]:
