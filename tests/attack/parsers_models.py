@@ -8,7 +8,7 @@ import hashlib
 import json
 import random
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -54,19 +54,19 @@ def _card() -> ModelCard:
     return ModelCard.load(zoo.folder(zoo.names()[0]))
 
 
-def seal(folder: Path) -> None:
-    """Hashes as if whoever changed the files had written them."""
-    if not (folder / CARD_NAME).is_file():
+def seal(folder: Path, card_name: str = CARD_NAME, files: Sequence[str] = (ONNX_NAME, WEIGHTS_NAME)) -> None:
+    """Hashes in a card as if whoever changed the files had written them."""
+    if not (folder / card_name).is_file():
         return  # a pipe, or nothing
     try:
-        card = json.loads((folder / CARD_NAME).read_bytes())
+        card = json.loads((folder / card_name).read_bytes())
         card["files"] = {
             name: hashlib.sha256((folder / name).read_bytes()).hexdigest()
-            for name in (ONNX_NAME, WEIGHTS_NAME)
+            for name in files
             if (folder / name).is_file()
         }
         card["sha256"] = json_hash({key: value for key, value in card.items() if key != "sha256"})
-        (folder / CARD_NAME).write_text(json.dumps(card))
+        (folder / card_name).write_text(json.dumps(card))
     except (OSError, ValueError, TypeError, AttributeError, RecursionError):
         return  # changed beyond a hash
 

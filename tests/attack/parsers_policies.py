@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
 import json
 import random
 import shutil
@@ -16,10 +14,11 @@ import yaml
 
 from attack.harness import Parser, Unsound
 from attack.mutations import edit_tree, mutate
+from attack.parsers_models import seal
 from report.test_report_policies import evaluation, saved
 from trueup import zoo
 from trueup.compensate.config import METHODS, CompensateConfig
-from trueup.core.atomic import json_hash, write_json
+from trueup.core.atomic import write_json
 from trueup.core.config import build, read_yaml
 from trueup.core.policy_card import POLICY_CARD, POLICY_GRAPH, PolicyCard
 from trueup.core.policy_evaluation import EPISODES_NAME, EVALUATION_NAME, PolicyEvaluation, load_curves
@@ -39,17 +38,6 @@ def make_policy(folder: Path) -> None:
         shutil.copy(zoo.folder(POLICY) / name, folder / name)
 
 
-def seal(folder: Path) -> None:
-    """Hashes as if whoever changed the files had written them."""
-    if not all((folder / name).is_file() for name in (POLICY_CARD, POLICY_GRAPH)):
-        return  # a pipe, or nothing
-    with contextlib.suppress(OSError, ValueError, TypeError, AttributeError, RecursionError):
-        card = json.loads((folder / POLICY_CARD).read_bytes())
-        card["files"] = {POLICY_GRAPH: hashlib.sha256((folder / POLICY_GRAPH).read_bytes()).hexdigest()}
-        card["sha256"] = json_hash({key: value for key, value in card.items() if key != "sha256"})
-        (folder / POLICY_CARD).write_text(json.dumps(card))
-
-
 def change_policy(folder: Path, rng: random.Random) -> str:
     """What lies behind the hashes: the card's tree, or anything."""
     if rng.random() < 0.5:
@@ -58,7 +46,7 @@ def change_policy(folder: Path, rng: random.Random) -> str:
         card = json.loads((folder / POLICY_CARD).read_bytes())
         (folder / POLICY_CARD).write_text(json.dumps(edit_tree(card, rng)))
         said = "card edited"
-    seal(folder)
+    seal(folder, POLICY_CARD, [POLICY_GRAPH])
     return f"{said}, hashes made anew"
 
 
