@@ -19,7 +19,7 @@ from trueup.augment.scaling import summarize
 from trueup.augment.trained import Trained
 from trueup.augment.windows import Windows, whole_motions
 from trueup.cli.augment_train import progress_line
-from trueup.core.episode import Episode, EpisodeMeta
+from trueup.core.episode import Episode, EpisodeMeta, Flag
 from trueup.core.model_card import Channel, ModelCard
 from trueup.core.step_times import LATENCY_NAME
 from trueup.core.timeseries import TimeSeries
@@ -703,7 +703,16 @@ def test_a_close_trains_on_motions_of_different_rates_at_the_lowest(tmp_path):
     slow = [TimeSeries(s.time_s * 2, s.joints, s.signals, s.units) for s in (episodes[1][1], episodes[1][0].measured)]
     one_rate = with_episodes(tmp_path / "one", episodes)
     mixed = with_episodes(tmp_path / "mixed", [episodes[0], labelled(1, "train", *slow), episodes[2]])
-    assert (lowest_rate(one_rate, RUN), lowest_rate(mixed, RUN)) == (None, 50.0)
+    assert (lowest_rate(one_rate, RUN, drop_flagged=False), lowest_rate(mixed, RUN, drop_flagged=False)) == (None, 50.0)
+    only_test = with_episodes(tmp_path / "test", [*episodes, labelled(3, "test", *slow)])
+    assert lowest_rate(only_test, RUN, drop_flagged=False) is None  # test decides nothing
+    moment = [s.rows(slice(0, 1)) for s in (episodes[0][1], episodes[0][0].measured)]
+    with_moment = with_episodes(tmp_path / "moment", [*episodes, labelled(4, "train", *moment)])
+    assert lowest_rate(with_moment, RUN, drop_flagged=False) is None
+    flagged = labelled(1, "train", *slow)
+    flagged = flagged[0].with_flags((Flag("late", severity="warning"),)), flagged[1]
+    with_flagged = with_episodes(tmp_path / "flagged", [episodes[0], flagged, episodes[2]])
+    assert [lowest_rate(with_flagged, RUN, drop_flagged=drop) for drop in (False, True)] == [50.0, None]
     ask = {"drop_flagged": False, "seed": 0, "jobs": 1, "overwrite": False, "limit": None}
     for data, rate_hz in ((one_rate, 100.0), (mixed, 50.0)):
         failed = {}

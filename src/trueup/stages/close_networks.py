@@ -119,7 +119,7 @@ def train_each(
 ) -> Iterator[Trained]:
     """Train networks one after the other; each has its share of what is left of the time.
 
-    Where motions have different rates, a network sees as many samples per second as the slowest of them has.
+    Where motions of train and val have different rates, a network sees as many samples per second as the slowest has.
 
     Args:
         plan: which.
@@ -143,7 +143,7 @@ def train_each(
 
     for number, item in enumerate(plan):
         share = None if limit is None else limit.share(1.0 / (len(plan) - number))
-        slowest_hz = lowest_rate(dataset, item.run)
+        slowest_hz = lowest_rate(dataset, item.run, drop_flagged=drop_flagged)
         told = None if on_training is None else _named(on_training, item.rung)
         try:
             made = augment(

@@ -16,6 +16,7 @@ from trueup.core.results import Ladder
 from trueup.core.sole_writer import writes_alone
 from trueup.core.step_times import LATENCY_NAME, StepTimes
 from trueup.dataset import Dataset
+from trueup.deploy.agreement import RATE_TOLERANCE
 from trueup.errors import ConfigError, DataError, MissingSignal, OutputExists, TrueupError
 from trueup.stages.attending import with_attention
 from trueup.stages.comparing import comparison_of, frame_of
@@ -354,9 +355,8 @@ def _resampled(dataset: Dataset, run: str, ids: Sequence[str], card: ModelCard) 
     series = dataset.episode(ids[0], runs=[run]).run(run)
     if Grid.of(series.time_s, card.rate_hz).own:
         return []
-    has = f"{series.rate_hz:.4g} samples per second"
-    if has == f"{card.rate_hz:.4g} samples per second":
-        has = "samples at uneven times"
+    same = abs(series.rate_hz / card.rate_hz - 1) <= RATE_TOLERANCE
+    has = "samples at uneven times" if same else f"{series.rate_hz:.4g} samples per second"
     line = (
         f"{corrected_label(run, card)}: {run} has {has}, and the network sees {card.rate_hz:g} per second; "
         "its correction is interpolated between them"

@@ -157,14 +157,21 @@ def rate_of(episode: Episode, run: str) -> float:
     return _whole(episode.run(run).rate_hz)
 
 
-def lowest_rate(dataset: Dataset, run: str) -> float | None:
-    """Samples per second of the slowest motion of a run [Hz]; None where all motions have the same rate."""
+def lowest_rate(dataset: Dataset, run: str, *, drop_flagged: bool) -> float | None:
+    """Samples per second of the slowest motion of train and val [Hz]; None where all of them have the same rate.
+
+    Test motions have no say, and neither has a motion of one sample, which has no rate.
+    """
     there = set(dataset.run_ids(run))
     rates = [
-        rate for name, rate in zip(dataset.ids, dataset.index["rate_hz"].to_pylist(), strict=True) if name in there
+        rate
+        for meta, rate in zip(dataset.metas, dataset.index["rate_hz"].to_pylist(), strict=True)
+        if meta.split in ("train", "val") and meta.id in there and not (drop_flagged and meta.warned) and rate > 0.0
     ]
-    lowest = _whole(min(rates, default=0.0))
-    return lowest if any(abs(rate / lowest - 1) > RATE_TOLERANCE for rate in rates) else None
+    if not rates:
+        return None
+    lowest = _whole(min(rates))
+    return lowest if max(rates) > lowest * (1 + RATE_TOLERANCE) else None
 
 
 def _whole(rate_hz: float) -> float:
