@@ -1,0 +1,184 @@
+"""What moves in the foreign truths: links in MuJoCo or DART at a fine step, and motors behind a soft or loose gear.
+
+All motions of a case move side by side: positions, velocities and torques are (E, J).
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import dartpy as dart
+import mujoco
+import numpy as np
+
+from benchmarks.foreign_robots import joint_dofs
+
+FINE_S = 0.00025
+
+
+class Plant(Protocol):
+    """Links of a robot under the torques of its joints."""
+
+    q: np.ndarray
+    v: np.ndarray
+
+    def step(self, torque: np.ndarray) -> None:
+        """Go on by `FINE_S`."""
+
+
+class MujocoPlant:
+    """Links in MuJoCo, with dry friction that is as hard as the step allows.
+
+    Args:
+        model: with the true inertias, armature, damping and dry friction.
+        joints: which of its joints, (J,) names.
+        start: position at rest, (E, J).
+    """
+
+    def __init__(self, model: mujoco.MjModel, joints: tuple[str, ...], start: np.ndarray):
+        self._model, self._dofs = model, joint_dofs(model, joints)
+        self.q, self.v = start.copy(), np.zeros_like(start)
+        self._all = [mujoco.MjData(model) for _ in start]
+        for data, position in zip(self._all, start, strict=True):
+            data.qpos[self._dofs] = position
+
+    def step(self, torque: np.ndarray) -> None:
+        """Go on by `FINE_S`."""
+        model, dofs = self._model, self._dofs
+        for data, own, q, v in zip(self._all, torque, self.q, self.v, strict=True):
+            data.qfrc_applied[dofs] = own
+            mujoco.mj_step(model, data)
+            q[:] = data.qpos[dofs]
+            v[:] = data.qvel[dofs]
+
+
+class DartPlant:
+    """The same links in DART, built body by body from the compiled model.
+
+    DART has no armature. Its implicit damping is one: with the coefficient `a / h` and `a / h v` added to the torque,
+    (M + a) (v' - v) = h torque. Dry friction is a stiff spring that slips at the friction's torque (Jenkins): before
+    it slips, it gives by 0.1 mrad, less than an encoder sees.
+    """
+
+    def __init__(self, model: mujoco.MjModel, joints: tuple[str, ...], start: np.ndarray):
+        self._dofs = joint_dofs(model, joints)
+        self.q, self.v = start.copy(), np.zeros_like(start)
+        self._rotor = model.dof_armature[self._dofs] / FINE_S
+        self._slip = model.dof_frictionloss[self._dofs]
+        own = model.dof_M0[self._dofs]
+        self._stiff = np.minimum(self._slip / 1e-4, 0.1 * own / FINE_S**2)
+        self._brush, self._brush_damping = np.zeros_like(start), 0.3 * np.sqrt(self._stiff * own)
+        self._worlds = [self._world(model, index) for index in range(len(start))]
+        self._skeletons = [world.getSkeleton(0) for world in self._worlds]
+        order = [self._skeletons[0].getDof(model.joint(joint).name).getIndexInSkeleton() for joint in joints]
+        self._order = np.array(order)
+        for skeleton, position in zip(self._skeletons, start, strict=True):
+            skeleton.setPositions(position[np.argsort(self._order)])
+
+    def step(self, torque: np.ndarray) -> None:
+        """Go on by `FINE_S`."""
+        total = torque + self._rotor * self.v - self._friction()
+        for world, skeleton, own, q, v in zip(self._worlds, self._skeletons, total, self.q, self.v, strict=True):
+            forces = np.empty_like(own)
+            forces[self._order] = own
+            skeleton.setForces(forces)
+            world.step()
+            q[:] = skeleton.getPositions()[self._order]
+            v[:] = skeleton.getVelocities()[self._order]
+
+    def _friction(self) -> np.ndarray:
+        slip = np.divide(self._slip, self._stiff, out=np.zeros_like(self._slip), where=self._stiff > 0)
+        self._brush = np.clip(self._brush + FINE_S * self.v, -slip, slip)
+        return np.clip(self._stiff * self._brush + self._brush_damping * self.v, -self._slip, self._slip)
+
+    def _world(self, model: mujoco.MjModel, index: int) -> dart.simulation.World:
+        world = dart.simulation.World(f"motion {index}")
+        world.setTimeStep(FINE_S)
+        world.setGravity(model.opt.gravity)
+        skeleton = dart.dynamics.Skeleton("robot")
+        nodes: dict[int, dart.dynamics.BodyNode | None] = {0: None}
+        for body in range(1, model.nbody):
+            nodes[body] = _add_body(skeleton, model, body, nodes[int(model.body_parentid[body])])
+        world.addSkeleton(skeleton)
+        return world
+
+
+def _transform(pos: np.ndarray, quat: np.ndarray | None = None) -> dart.math.Isometry3:
+    turned = np.empty(9)
+    mujoco.mju_quat2Mat(turned, np.array([1.0, 0.0, 0.0, 0.0]) if quat is None else quat)
+    found = dart.math.Isometry3()
+    found.set_translation(pos)
+    found.set_rotation(turned.reshape(3, 3))
+    return found
+
+
+def _add_body(skeleton, model: mujoco.MjModel, body: int, parent):
+    """One body with its joint; hinges, slides and welds."""
+    place, below = _transform(model.body_pos[body], model.body_quat[body]), () if parent is None else (parent,)
+    if model.body_jntnum[body] == 0:
+        joint, node = skeleton.createWeldJointAndBodyNodePair(*below)
+        anchor = np.zeros(3)
+    else:
+        own = int(model.body_jntadr[body])
+        dof, anchor = int(model.jnt_dofadr[own]), model.jnt_pos[own]
+        if model.jnt_type[own] == mujoco.mjtJoint.mjJNT_HINGE:
+            joint, node = skeleton.createRevoluteJointAndBodyNodePair(*below)
+        else:
+            joint, node = skeleton.createPrismaticJointAndBodyNodePair(*below)
+        joint.setName(model.joint(own).name)
+        joint.setAxis(model.jnt_axis[own])
+        joint.setDampingCoefficient(0, model.dof_damping[dof] + model.dof_armature[dof] / FINE_S)
+    joint.setTransformFromParentBodyNode(place.multiply(_transform(anchor)))
+    joint.setTransformFromChildBodyNode(_transform(anchor))
+    turned = np.empty(9)
+    mujoco.mju_quat2Mat(turned, model.body_iquat[body])
+    turned = turned.reshape(3, 3)
+    moment = turned @ np.diag(model.body_inertia[body]) @ turned.T
+    node.setInertia(dart.dynamics.Inertia(max(model.body_mass[body], 1e-9), model.body_ipos[body], moment))
+    return node
+
+
+@dataclass
+class Gear:
+    """Motors that move their links through a spring with play; both are rigid at joints without.
+
+    Attributes:
+        stiffness: of the spring, 0 where the joint is rigid, (J,) [Nm/rad].
+        damping: of the spring while it is engaged, (J,) [Nm s/rad].
+        play: between the ends of the play, (J,) [rad].
+        inertia: of the rotor at the joint, (J,) [kg m2].
+        friction: dry friction of the motor, (J,) [Nm].
+        viscous: viscous friction of the motor, (J,) [Nm s/rad].
+    """
+
+    stiffness: np.ndarray
+    damping: np.ndarray
+    play: np.ndarray
+    inertia: np.ndarray
+    friction: np.ndarray
+    viscous: np.ndarray
+
+    def attach(self, plant: Plant) -> None:
+        """Begin at rest with the links of `plant`."""
+        self._plant, self._soft = plant, self.stiffness > 0
+        self._q, self._v = plant.q.copy(), plant.v.copy()
+
+    @property
+    def q(self) -> np.ndarray:
+        """Position of the motors, (E, J)."""
+        return np.where(self._soft, self._q, self._plant.q)
+
+    @property
+    def v(self) -> np.ndarray:
+        """Velocity of the motors, (E, J)."""
+        return np.where(self._soft, self._v, self._plant.v)
+
+    def step(self, torque: np.ndarray) -> None:
+        """Go on by `FINE_S` under the motors' torques."""
+        twist, rate = self._q - self._plant.q, self._v - self._plant.v
+        pressed = np.sign(twist) * np.maximum(np.abs(twist) - self.play / 2, 0.0)
+        passed = self.stiffness * pressed + np.where(pressed != 0, self.damping * rate, 0.0)
+        passed = np.where(pressed * passed > 0, passed, 0.0) if self.play.any() else passed
+        free = (self._v + FINE_S / self.inertia * (torque - passed)) / (1 + FINE_S * self.viscous / self.inertia)
+        self._v = np.sign(free) * np.maximum(np.abs(free) - FINE_S * self.friction / self.inertia, 0.0)
+        self._q = self._q + FINE_S * self._v
+        self._plant.step(np.where(self._soft, passed, torque))
