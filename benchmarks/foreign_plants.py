@@ -56,7 +56,7 @@ class DartPlant:
 
     DART has no armature. Its implicit damping is one: with the coefficient `a / h` and `a / h v` added to the torque,
     (M + a) (v' - v) = h torque. Dry friction is a stiff spring that slips at the friction's torque (Jenkins): before
-    it slips, it gives by 0.1 mrad, less than an encoder sees.
+    it slips, it gives by 0.02 mrad, less than an encoder sees.
     """
 
     def __init__(self, model: mujoco.MjModel, joints: tuple[str, ...], start: np.ndarray):
@@ -65,7 +65,7 @@ class DartPlant:
         self._rotor = model.dof_armature[self._dofs] / FINE_S
         self._slip = model.dof_frictionloss[self._dofs]
         own = model.dof_M0[self._dofs]
-        self._stiff = np.minimum(self._slip / 1e-4, 0.1 * own / FINE_S**2)
+        self._stiff = np.minimum(self._slip / 2e-5, 0.1 * own / FINE_S**2)
         self._brush, self._brush_damping = np.zeros_like(start), 0.3 * np.sqrt(self._stiff * own)
         self._worlds = [self._world(model, index) for index in range(len(start))]
         self._skeletons = [world.getSkeleton(0) for world in self._worlds]
@@ -111,28 +111,30 @@ def _transform(pos: np.ndarray, quat: np.ndarray | None = None) -> dart.math.Iso
     return found
 
 
-def _add_body(skeleton, model: mujoco.MjModel, body: int, parent):
-    """One body with its joint; hinges, slides and welds."""
-    place, below = _transform(model.body_pos[body], model.body_quat[body]), () if parent is None else (parent,)
-    if model.body_jntnum[body] == 0:
-        joint, node = skeleton.createWeldJointAndBodyNodePair(*below)
-        anchor = np.zeros(3)
-    else:
-        own = int(model.body_jntadr[body])
-        dof, anchor = int(model.jnt_dofadr[own]), model.jnt_pos[own]
-        if model.jnt_type[own] == mujoco.mjtJoint.mjJNT_HINGE:
-            joint, node = skeleton.createRevoluteJointAndBodyNodePair(*below)
-        else:
-            joint, node = skeleton.createPrismaticJointAndBodyNodePair(*below)
+def _add_body(
+    skeleton: dart.dynamics.Skeleton, model: mujoco.MjModel, body: int, parent: dart.dynamics.BodyNode | None
+) -> dart.dynamics.BodyNode:
+    """One body with its hinges and slides; all but the last of several joints move a body of hardly any mass."""
+    place, node, first = _transform(model.body_pos[body], model.body_quat[body]), parent, int(model.body_jntadr[body])
+    for own in range(first, first + int(model.body_jntnum[body])):
+        hinge, dof = model.jnt_type[own] == mujoco.mjtJoint.mjJNT_HINGE, int(model.jnt_dofadr[own])
+        add = skeleton.createRevoluteJointAndBodyNodePair if hinge else skeleton.createPrismaticJointAndBodyNodePair
+        joint, node = add() if node is None else add(node)
         joint.setName(model.joint(own).name)
         joint.setAxis(model.jnt_axis[own])
         joint.setDampingCoefficient(0, model.dof_damping[dof] + model.dof_armature[dof] / FINE_S)
-    joint.setTransformFromParentBodyNode(place.multiply(_transform(anchor)))
-    joint.setTransformFromChildBodyNode(_transform(anchor))
+        joint.setTransformFromParentBodyNode(place.multiply(_transform(model.jnt_pos[own])))
+        joint.setTransformFromChildBodyNode(_transform(model.jnt_pos[own]))
+        node.setInertia(dart.dynamics.Inertia(1e-9, np.zeros(3), 1e-9 * np.eye(3)))
+        place = _transform(np.zeros(3))
+    if node is parent:
+        add = skeleton.createWeldJointAndBodyNodePair
+        joint, node = add() if parent is None else add(parent)
+        joint.setTransformFromParentBodyNode(place)
     turned = np.empty(9)
     mujoco.mju_quat2Mat(turned, model.body_iquat[body])
     turned = turned.reshape(3, 3)
-    moment = turned @ np.diag(model.body_inertia[body]) @ turned.T
+    moment = turned @ np.diag(np.maximum(model.body_inertia[body], 1e-12)) @ turned.T
     node.setInertia(dart.dynamics.Inertia(max(model.body_mass[body], 1e-9), model.body_ipos[body], moment))
     return node
 

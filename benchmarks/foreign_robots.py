@@ -4,7 +4,7 @@ Nothing of trueup is imported: this makes data whose answer is known and that no
 """
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -31,6 +31,7 @@ class Robot:
         kv: their damping, (J,) or one [Nm s/rad].
         velocity_kv: gains of velocity servos, (J,) or one [Nm s/rad].
         limit: torque limits of drives that the model does not have, (J,) or one [Nm].
+        frictionloss: dry friction in the nominal model [Nm]; the model's own if not given.
         own: whether the model is the project's.
     """
 
@@ -43,6 +44,7 @@ class Robot:
     kv: tuple[float, ...] | float = 0.0
     velocity_kv: tuple[float, ...] | float | None = None
     limit: tuple[float, ...] | float | None = None
+    frictionloss: float | None = None
     own: bool = False
 
     def path(self) -> Path:
@@ -58,6 +60,8 @@ class Robot:
         spec.option.timestep = STEP_S
         _cut(spec, set(self.joints))
         self._drive(spec, drive)
+        for joint in spec.joints if self.frictionloss is not None else ():
+            joint.frictionloss = self.frictionloss
         spec.compile()
         return spec
 
@@ -180,6 +184,15 @@ _GR1_ARM = tuple(
     )
 )
 _TIDYBOT = tuple(f"joint_{number}" for number in range(1, 8))
+_VX300S = Robot(
+    name="vx300s",
+    file="vx300s.xml",
+    joints=tuple(
+        f"vx300s_left/{part}" for part in ("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate")
+    ),
+    home=(0.0, -0.6, 0.5, 0.0, -0.2, 0.0),
+    amplitude=(0.7, 0.5, 0.5, 0.7, 0.6, 0.8),
+)
 _FINGER_HOME, _FINGER_AMPLITUDE = (0.0, 0.7, 0.75, 0.7), (0.3, 0.55, 0.55, 0.55)
 
 ROBOTS: dict[str, Robot] = {
@@ -202,16 +215,8 @@ ROBOTS: dict[str, Robot] = {
             amplitude=(0.8, 0.55, 0.8, 0.6, 0.9, 0.7, 1.0),
             limit=(320.0, 320.0, 176.0, 176.0, 110.0, 40.0, 40.0),
         ),
-        Robot(
-            name="vx300s",
-            file="vx300s.xml",
-            joints=tuple(
-                f"vx300s_left/{part}"
-                for part in ("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate")
-            ),
-            home=(0.0, -0.6, 0.5, 0.0, -0.2, 0.0),
-            amplitude=(0.7, 0.5, 0.5, 0.7, 0.6, 0.8),
-        ),
+        _VX300S,
+        replace(_VX300S, name="vx300s_smooth", frictionloss=0.0),  # its model says 30 to 60 Nm
         Robot(
             name="h1_leg",
             file="h1.xml",
