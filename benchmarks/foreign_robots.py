@@ -14,7 +14,7 @@ import numpy as np
 Drive = Literal["position", "torque", "velocity"]
 STEP_S = 0.002  # of the model that a user has
 OWN = Path(__file__).resolve().parents[1] / "src" / "trueup" / "robots" / "models"
-_INVERSE_ONLY = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+_WITHOUT_FRICTION = mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_DAMPER
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,7 @@ class Robot:
         velocity_kv: gains of velocity servos, (J,) or one [Nm s/rad].
         limit: torque limits of drives that the model does not have, (J,) or one [Nm].
         frictionloss: dry friction in the nominal model [Nm]; the model's own if not given.
+        damping: viscous friction there, (J,) [Nm s/rad]; likewise.
         own: whether the model is the project's.
     """
 
@@ -45,6 +46,7 @@ class Robot:
     velocity_kv: tuple[float, ...] | float | None = None
     limit: tuple[float, ...] | float | None = None
     frictionloss: float | None = None
+    damping: tuple[float, ...] | None = None
     own: bool = False
 
     def path(self) -> Path:
@@ -60,8 +62,11 @@ class Robot:
         spec.option.timestep = STEP_S
         _cut(spec, set(self.joints))
         self._drive(spec, drive)
-        for joint in spec.joints if self.frictionloss is not None else ():
-            joint.frictionloss = self.frictionloss
+        for index, name in enumerate(self.joints):
+            if self.frictionloss is not None:
+                spec.joint(name).frictionloss = self.frictionloss
+            if self.damping is not None:
+                spec.joint(name).damping[0] = self.damping[index]
         spec.compile()
         return spec
 
@@ -83,6 +88,7 @@ class Robot:
         )
         for index, joint in enumerate(self.joints):
             actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE  # whatever the model's defaults are
             actuator.gainprm[0] = {"position": kp[index], "velocity": velocity[index], "torque": 1.0}[drive]
             if drive != "torque":
                 actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
@@ -143,10 +149,10 @@ def torque_limits(model: mujoco.MjModel, joints: tuple[str, ...]) -> np.ndarray:
 
 
 def inverse_dynamics(model: mujoco.MjModel, joints: tuple[str, ...], *track: np.ndarray) -> np.ndarray:
-    """Torques along positions, velocities and accelerations, each (T, J), without dry friction, (T, J)."""
+    """Torques along positions, velocities and accelerations, each (T, J), without any friction, (T, J)."""
     dofs, data = joint_dofs(model, joints), mujoco.MjData(model)
     flags = model.opt.disableflags
-    model.opt.disableflags = flags | _INVERSE_ONLY
+    model.opt.disableflags = flags | _WITHOUT_FRICTION
     torques = np.empty_like(track[0])
     for row, (q, v, a) in enumerate(zip(*track, strict=True)):
         data.qpos[dofs], data.qvel[dofs], data.qacc[dofs] = q, v, a
@@ -216,7 +222,8 @@ ROBOTS: dict[str, Robot] = {
             limit=(320.0, 320.0, 176.0, 176.0, 110.0, 40.0, 40.0),
         ),
         _VX300S,
-        replace(_VX300S, name="vx300s_smooth", frictionloss=0.0),  # its model says 30 to 60 Nm
+        # The model's 30 to 60 Nm of dry friction stand for damping.
+        replace(_VX300S, name="vx300s_smooth", frictionloss=0.0, damping=(4.0, 8.0, 4.0, 0.1, 0.4, 0.15)),
         Robot(
             name="h1_leg",
             file="h1.xml",

@@ -197,6 +197,7 @@ def _named(case: Case, model: mujoco.MjModel, values: Numbers) -> dict[str, floa
         found[f"joint_offset[{joint}]"] = 0.0
         if case.drive == "torque":
             found[f"torque_gain[{joint}]"] = 1.0
+            found |= {f"encoder_zero[m{motion:02d}:{joint}]": 0.0 for motion in range(case.motions)}
     for body, mass in values.mass.items():
         found[f"mass[{body}]"] = mass
         found |= {f"com_{axis}[{body}]": float(at) for axis, at in zip("xyz", model.body(body).ipos, strict=True)}
