@@ -21,7 +21,8 @@ class Case:
         name: of the case.
         robot: key of `ROBOTS`.
         group: `A` for numbers that a fit can find, `B` for a cause besides that it cannot.
-        drive: what the robot follows.
+        drive: what the robot follows: targets of its servos, or what a loop at `command_hz` makes of positions;
+            torques are those of the nominal model with a PD around them, as a rig computes them.
         commands: `fast` commands move every 2 ms and are logged at 100 Hz; `held` ones are constant between stamps.
         engine: what moves the links.
         cause: of group B.

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from benchmarks.foreign_cases import Case
-from benchmarks.foreign_plants import FINE_S, DartPlant, Gear, MujocoPlant, Plant
+from benchmarks.foreign_plants import FINE_S, Gear, MujocoPlant, Plant
 from benchmarks.foreign_robots import carried_inertia, inverse_dynamics, joint_dofs
 
 POSITION_NOISE, VELOCITY_NOISE = 3e-4, 5e-3  # of encoders, rad and rad/s (m and m/s of slides)
@@ -125,7 +125,7 @@ def simulate(
     tracks = tracks_of(case, seed)
     start = tracks[0][0]
     gear = _gear(case, model, true, cause)
-    plant: Plant = (DartPlant if case.engine == "dart" else MujocoPlant)(model, case.joints, start)
+    plant = _plant(case, model, start)
     moved: Plant | Gear = plant
     if gear is not None:
         gear.attach(plant)
@@ -154,6 +154,15 @@ def simulate(
     _check_range(case, model, position)
     time_s = np.arange(len(rows)) / case.measured_hz
     return Run(time_s, position, velocity, torque, commands[waiting:], full / len(rows))
+
+
+def _plant(case: Case, model: mujoco.MjModel, start: np.ndarray) -> Plant:
+    """The links of a case in its engine."""
+    if case.engine == "mujoco":
+        return MujocoPlant(model, case.joints, start)
+    from benchmarks.foreign_dart import DartPlant  # an extra of its own
+
+    return DartPlant(model, case.joints, start)
 
 
 class _Servo:
