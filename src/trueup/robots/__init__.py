@@ -2,6 +2,7 @@
 
 from trueup.robots.friction import JointFriction
 from trueup.robots.spec import (
+    CommandTiming,
     ControllerSpec,
     JointGains,
     JointSpec,
@@ -16,6 +17,7 @@ from trueup.robots.spec import (
 )
 
 __all__ = [
+    "CommandTiming",
     "ControllerSpec",
     "JointFriction",
     "JointGains",

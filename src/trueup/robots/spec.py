@@ -18,6 +18,7 @@ from trueup.robots.friction import JointFriction
 
 ControllerKind = Literal["model", "position", "pd", "pid", "servo", "torque", "velocity", "velocity-integrator"]
 CommandSignal = Literal["position", "velocity", "torque"]
+CommandTiming = Literal["held", "linear", "smooth"]
 
 # The signal of the command series that each controller follows.
 COMMAND_SIGNAL: Mapping[str, CommandSignal] = {
@@ -254,11 +255,18 @@ class ReplaySpec:
         settle_s: hold the first command for this long before a whole motion begins [s]. A robot that waited for its
             motion hangs in its controller; a simulation that is put into its pose first sags. Windows begin in the
             middle and need none.
+        command: what acts between two stamps of the command: the last one is `held`, or it moves on to the next,
+            `linear`ly or as a `smooth` (cubic) curve. The latter are for logs that hold fewer commands than the robot
+            was sent.
+        command_shift_s: commands act this much earlier than their stamps say [s], >= 0: the stamps are late. It is a
+            property of the log; `delay_s` is one of the robot.
     """
 
     window_s: float | None = None
     initial_velocity: Literal["zero", "measured"] | None = None
     settle_s: float = 0.0
+    command: CommandTiming = "held"
+    command_shift_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -325,8 +333,9 @@ class RobotSpec:
         for label, value in (("timestep_s", self.simulation.timestep_s), ("window_s", self.replay.window_s)):
             if value is not None and value <= 0:
                 raise ConfigError(f"robot {self.name!r}: {label} must be positive", got=value)
-        if not 0 <= self.replay.settle_s < np.inf:
-            raise ConfigError(f"robot {self.name!r}: settle_s must be >= 0", got=self.replay.settle_s)
+        for label, value in (("settle_s", self.replay.settle_s), ("command_shift_s", self.replay.command_shift_s)):
+            if not 0 <= value < np.inf:
+                raise ConfigError(f"robot {self.name!r}: {label} must be >= 0", got=value)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -337,6 +346,11 @@ class RobotSpec:
     def delay_s(self) -> tuple[float, ...]:
         """How much later commands act, one per joint [s]."""
         return tuple(self.controller.gain("delay_s", name) for name in self.joint_names)
+
+    @property
+    def replay_delay_s(self) -> tuple[float, ...]:
+        """How much later than their stamps commands of a log act, one per joint [s]; negative where stamps are late."""
+        return tuple(delay - self.replay.command_shift_s for delay in self.delay_s)
 
     @property
     def scored_joints(self) -> tuple[str, ...]:
@@ -370,6 +384,10 @@ class RobotSpec:
             del tree["payload"]  # runs of robots that carry nothing were made before there was one
         if not self.simulation.base_sensor:
             del tree["simulation"]["base_sensor"]  # and those on a base at rest likewise
+        if self.replay.command == "held":
+            del tree["replay"]["command"]
+        if not self.replay.command_shift_s:
+            del tree["replay"]["command_shift_s"]
         if self.controller.source == "commanded":
             del tree["controller"]["source"]
         return tree
