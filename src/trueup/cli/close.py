@@ -72,7 +72,7 @@ def close(
     command_topic: options.CommandTopic = None,
     measured_topic: options.MeasuredTopic = None,
     splits: options.Splits = None,
-    drop_flagged: options.DropFlagged = False,
+    drop_flagged: options.TrainFlagged = None,
     fail_above: options.FailAbove = None,
     seed: options.Seed = 0,
     jobs: options.Jobs = None,

@@ -11,6 +11,7 @@ from trueup.core.attribution import SHORT_OF_TIME, Attribution, AttributionStep
 from trueup.core.episode import Episode
 from trueup.core.parameters import ParameterSet
 from trueup.core.provenance import provenance
+from trueup.core.quality import left_out
 from trueup.core.time_limit import TimeLimit
 from trueup.errors import NotIdentifiable
 from trueup.identify.candidate import Nominal
@@ -19,7 +20,7 @@ from trueup.identify.excitation import excitation_of, freeze_still
 from trueup.identify.problem import Problem, Weights
 from trueup.identify.quantities import Cause, quantity
 from trueup.identify.scoring import Scorer, judged
-from trueup.identify.segments import left_out, make_segments, usable
+from trueup.identify.segments import make_segments, usable
 from trueup.identify.solution import OnModel, OnProgress
 from trueup.identify.solve import solve
 from trueup.identify.start import off_bounds, swept_start
@@ -76,8 +77,8 @@ def explain(
     fit = dict(settled.fit)
     if not given.fit:
         fit.setdefault("mass", "all")
-    sorted_out = {split: usable(own, keep_flagged=settled.data.keep_flagged) for split, own in episodes.items()}
-    nested = _NestedFits(soft, hard, {split: own for split, (own, _) in sorted_out.items()}, settled, jobs, seed)
+    logs, broken = usable(episodes, drop_flagged=settled.data.drop)
+    nested = _NestedFits(soft, hard, logs, settled, jobs, seed)
     steps = [nested.nominal_step()]
     causes = {
         cause: own
@@ -89,7 +90,7 @@ def explain(
         share = None if limit is None else limit.share(1.0 / (len(causes) - number))
         steps.append(nested.step(cause, _LABELS[cause], own, report, share))
     statements = [
-        *left_out(nested.unused({split: why for split, (_, why) in sorted_out.items()})),
+        *left_out(nested.unused(broken)),
         *nested.seen.statements,
         "each cause is taken away after those to its left; another order would share the gap differently",
     ]
@@ -183,9 +184,9 @@ class _NestedFits:
     def unused(self, flagged: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, str]]:
         """Split -> motion -> why it was neither fitted nor scored."""
         found = {name: dict(why) for name, why in flagged.items()}
-        found["train"] |= {name: error.summary for name, error in self._refused.items()}
+        found.setdefault("train", {}).update({name: error.summary for name, error in self._refused.items()})
         for name, own in self._unscored.items():
-            found[name] |= own
+            found.setdefault(name, {}).update(own)
         return found
 
 

@@ -66,17 +66,13 @@ class ModelSearch:
         self.chosen_by_user = config is not None and bool(config.fit)
         self.config = (config or IdentifyConfig()).resolved(nominal)
         self._checkpoints, self._on_progress = checkpoints, on_progress
-        keep = self.config.data.keep_flagged
-        sorted_out = {split: usable(logs, keep_flagged=keep) for split, logs in episodes.items()}
-        self.usable = {split: own for split, (own, _) in sorted_out.items() if own}
-        self._flagged = {split: why for split, (_, why) in sorted_out.items() if why}
+        self.usable, self._flagged = usable(episodes, drop_flagged=self.config.data.drop)
         self._train = self.usable.get("train", [])
         if not self._train:
-            flagged = self._flagged.get("train")
             raise NotIdentifiable(
                 "there is no motion to fit",
-                got=f"{len(flagged)} flagged ones" if flagged else "an empty train split",
-                hint="Give --splits at import, or data: {keep_flagged: true} in the configuration.",
+                got="nothing in train but flagged motions" if self._flagged.get("train") else "an empty train split",
+                hint="Give --splits at import, and leave `data: {drop_flagged: true}` out.",
             )
         self.notes = () if nominal.robot.payload else _payload_note(self._train)
         self._signal = nominal.robot.controller.signal

@@ -97,7 +97,7 @@ class CloseSteps:
     config: IdentifyConfig | None
     methods: Sequence[str]
     metrics: Sequence[str] | None
-    drop_flagged: bool
+    drop_flagged: bool | None
     seed: int
     jobs: int | None
     folder: CloseFolder
@@ -179,7 +179,7 @@ class CloseSteps:
         measurement = gap(
             self.dataset,
             runs=[label for label, _ in rungs.values()],
-            drop_flagged=self.drop_flagged,
+            drop_flagged=bool(self.drop_flagged),
             metrics=self.metrics,
             seed=self.seed,
             blocks=len(rungs) == 1,
@@ -258,6 +258,8 @@ class CloseSteps:
         return found
 
     def _augment(self, identified: Identified | None) -> tuple[Trained, ...]:
+        from trueup.identify import IdentifyConfig
+
         limit = self.budget.of("augment")
         # A fit that is no better than the model as it came is nothing to build on.
         fitted = identified is not None and identified.fit.status != "no-better"
@@ -277,7 +279,7 @@ class CloseSteps:
                 self.dataset,
                 self.robot,
                 self.folder.networks,
-                drop_flagged=self.drop_flagged,
+                drop_flagged=(self.config or IdentifyConfig()).data.drop,
                 seed=self.seed,
                 jobs=self.jobs,
                 overwrite=self.folder.overwrite,
@@ -309,7 +311,7 @@ class CloseSteps:
                 [network.folder for network in own],
                 run=own[0].run,
                 split=splits[0],
-                drop_flagged=self.drop_flagged,
+                drop_flagged=bool(self.drop_flagged),
                 seed=self.seed,
                 track=self.track,
             )
