@@ -26,6 +26,8 @@ from trueup.identify.solve import solve
 from trueup.identify.start import off_bounds, swept_start
 from trueup.robots import RobotSpec
 
+# Share of the time of a cause at which looking for a start ends.
+_SWEEP = 0.4
 _LABELS: Mapping[Cause, str] = {
     "delay": "delay",
     "gains": "gains of the drive",
@@ -87,7 +89,10 @@ def explain(
     }
     for number, (cause, own) in enumerate(causes.items()):
         report = None if on_progress is None else _named(on_progress, _LABELS[cause])
-        share = None if limit is None else limit.share(1.0 / (len(causes) - number))
+        if limit is not None and limit.left_s <= nested.least_s(own):
+            nested.unfinished += [_LABELS[name] for name in list(causes)[number:]]
+            break
+        share = None if limit is None else limit.share(1.0 / (len(causes) - number)).sooner(nested.scoring_s)
         steps.append(nested.step(cause, _LABELS[cause], own, report, share))
     statements = [
         *left_out(nested.unused(broken)),
@@ -136,16 +141,27 @@ class _NestedFits:
         )
         rule = replace(config.data, budget_s=config.data.budget_s / 2).rule(robot, seed)
         self._segments, self._refused = make_segments(logs["train"], soft.simulator, rule)
+        self._motions = [segment.episode_id for segment in self._segments]
         self._weights = Weights(config.signals, config.joints)
         self._settings = replace(config.solver.settings(seed), solver="gauss-newton", starts=1)
         self._chosen: dict[str, object] = {}
         self._values: dict[str, float] = {}
+        self._scored_s = sum(log.measured.duration_s for log in logs[split])
         self.unfinished: list[str] = []
+        self.scoring_s = self._candidate_s = 0.0
 
     def nominal_step(self) -> AttributionStep:
         """The model as it came."""
+        began = time.perf_counter()
         scores = self._scorers[id(self._soft)].score(ParameterSet(()), {}, self.split)
+        self.scoring_s = time.perf_counter() - began
+        self._candidate_s = self.scoring_s * sum(item.seconds for item in self._segments) / self._scored_s
         return AttributionStep("", "the model as it came", (), 0, scores.pooled, scores.estimate(self.unit))
+
+    def least_s(self, own: Mapping[str, object]) -> float:
+        """What one more cause takes at least: where it begins, derivatives there, and a step; then its score [s]."""
+        parameters = freeze_still(make_parameters(self._chosen | own, self._hard, self._motions), self.seen)
+        return self.scoring_s + self._candidate_s * (2 * len(parameters.free) + 2)
 
     def step(
         self,
@@ -159,15 +175,14 @@ class _NestedFits:
         began = time.perf_counter()
         self._chosen |= own
         nominal = self._soft if cause in ("delay", "gains") else self._hard
-        motions = [segment.episode_id for segment in self._segments]
         parameters = off_bounds(
-            freeze_still(make_parameters(self._chosen, nominal, motions), self.seen).at(self._values)
+            freeze_still(make_parameters(self._chosen, nominal, self._motions), self.seen).at(self._values)
         )
         problem = Problem(nominal, parameters, self._segments, weights=self._weights, jobs=self._jobs)
         # Only what is new is looked for from afar.
         new = parameters.hold(item.name for item in parameters if item.quantity not in own)
         if new.free:
-            swept = swept_start(problem.with_parameters(new))
+            swept = swept_start(problem.with_parameters(new), None if limit is None else limit.until(_SWEEP))
             problem = problem.with_parameters(
                 parameters.at({item.name: item.value for item in swept if not item.frozen})
             )
@@ -176,6 +191,7 @@ class _NestedFits:
             self._values = found.values
             if found.solver["stop"] == "time":
                 self.unfinished.append(label)
+            self._candidate_s = problem.seconds / max(1, problem.evaluations)
         scores = self._scorers[id(nominal)].score(problem.parameters, self._values, self.split)
         seconds = time.perf_counter() - began
         count = len(parameters.free)

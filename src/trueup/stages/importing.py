@@ -16,6 +16,7 @@ from trueup.align import JointMap, check_quality, limits_in_log
 from trueup.core.atomic import as_read_back
 from trueup.core.episode import Episode, Flag, warning_kinds
 from trueup.core.provenance import provenance
+from trueup.core.timeseries import TimeSeries
 from trueup.dataset import (
     Dataset,
     DatasetInfo,
@@ -243,19 +244,22 @@ def checked(episode: Episode, robot: RobotSpec | None = None) -> Episode:
 
 def _without_empty(episode: Episode) -> Episode:
     """Without signals that have a place in the log, and not a single value; positions stay, since a robot has them."""
-    flags = []
-    for name, series in (("measured", episode.measured), ("command", episode.command)):
-        if series is None:
-            continue
-        empty = [key for key, values in series.signals.items() if key != "position" and not np.isfinite(values).any()]
-        if not empty or len(empty) == len(series.signals):
-            continue
-        kept = {key: values for key, values in series.signals.items() if key not in empty}
-        units = {key: unit for key, unit in series.units.items() if key not in empty}
-        episode = replace(episode, **{name: replace(series, signals=kept, units=units)})
-        detail = "no sample of any joint has a value: the signal is left out"
-        flags += [Flag(kind="empty_signal", series=name, signal=key, detail=detail, severity="note") for key in empty]
-    return episode.with_flags((*episode.meta.flags, *flags)) if flags else episode
+    measured, flags = _with_values(episode.measured, "measured")
+    command, more = (None, []) if episode.command is None else _with_values(episode.command, "command")
+    if not flags and not more:
+        return episode
+    return replace(episode, measured=measured, command=command).with_flags((*episode.meta.flags, *flags, *more))
+
+
+def _with_values(series: TimeSeries, name: str) -> tuple[TimeSeries, list[Flag]]:
+    empty = [key for key, values in series.signals.items() if key != "position" and not np.isfinite(values).any()]
+    if not empty or len(empty) == len(series.signals):
+        return series, []
+    signals = {key: values for key, values in series.signals.items() if key not in empty}
+    units = {key: unit for key, unit in series.units.items() if key not in empty}
+    detail = "no sample of any joint has a value: the signal is left out"
+    flags = [Flag(kind="empty_signal", series=name, signal=key, detail=detail, severity="note") for key in empty]
+    return replace(series, signals=signals, units=units), flags
 
 
 def _refuse_nonsense(episode: Episode) -> None:
