@@ -160,7 +160,7 @@ class _NestedFits:
 
     def least_s(self, own: Mapping[str, object]) -> float:
         """What one more cause takes at least: where it begins, derivatives there, and a step; then its score [s]."""
-        parameters = freeze_still(make_parameters(self._chosen | own, self._hard, self._motions), self.seen)
+        parameters = freeze_still(make_parameters({**self._chosen, **own}, self._hard, self._motions), self.seen)
         return self.scoring_s + self._candidate_s * (2 * len(parameters.free) + 2)
 
     def step(
