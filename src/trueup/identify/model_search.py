@@ -89,17 +89,13 @@ class ModelSearch:
         self.chosen_by_user = config is not None and bool(config.fit)
         self.config = (config or IdentifyConfig()).resolved(nominal)
         self._checkpoints, self._on_progress = checkpoints, on_progress
-        keep = self.config.data.keep_flagged
-        sorted_out = {split: usable(logs, keep_flagged=keep) for split, logs in episodes.items()}
-        self.usable = {split: own for split, (own, _) in sorted_out.items() if own}
-        self._flagged = {split: why for split, (_, why) in sorted_out.items() if why}
+        self.usable, self._flagged = usable(episodes, drop_flagged=self.config.data.drop)
         self._train = self.usable.get("train", [])
         if not self._train:
-            flagged = self._flagged.get("train")
             raise NotIdentifiable(
                 "there is no motion to fit",
-                got=f"{len(flagged)} flagged ones" if flagged else "an empty train split",
-                hint="Give --splits at import, or data: {keep_flagged: true} in the configuration.",
+                got="nothing in train but flagged motions" if self._flagged.get("train") else "an empty train split",
+                hint="Give --splits at import, and leave `data: {drop_flagged: true}` out.",
             )
         self.notes = () if nominal.robot.payload else _payload_note(self._train)
         self._signal = nominal.robot.controller.signal
@@ -149,6 +145,8 @@ class ModelSearch:
             idle = [*idle, *(name for name in self._idle(best) if name not in idle)]
             finished = self._to_the_end(best, fit, idle)
             tried[tried.index(best)] = best = finished
+        if self._limit is not None and self._limit.over:
+            return best, tried
         settled = self._settled(best, fit, left_out=self._frozen(best), limit=self._limit)
         certain = self._certain(settled)
         self._finer = self._compared(certain)
@@ -199,13 +197,14 @@ class ModelSearch:
         return replace(item, solution=solution, val=self._on_val(solution))
 
     def scored_row(self, item: TriedModel, *, chosen: bool) -> ModelRow:
-        """The row of the table of models, with errors on every split."""
+        """The row of the table of models, with its errors; where the time is over, on val alone if it is not chosen."""
         values = item.solution.values
+        brief = not chosen and self._late and item.val is not None
         scores = {
             split: item.val
             if split == "val" and item.val
             else self._scorer.score(item.solution.parameters, values, split)
-            for split in self._scorer.splits
+            for split in (("val",) if brief else self.judged)
         }
         return replace(
             item.row,
@@ -217,6 +216,19 @@ class ModelSearch:
     def signals(self, item: TriedModel, split: str) -> dict[str, dict[str, float]]:
         """Logged signal -> joint -> error of one model on one split."""
         return self._scorer.signals(item.solution.parameters, item.solution.values, split)
+
+    @cached_property
+    def judged(self) -> tuple[str, ...]:
+        """The splits on which models are scored in the end: all, or without train where the time is over.
+
+        Val says which is best, and the ladder has the errors of all splits.
+        """
+        splits = self._scorer.splits
+        return tuple(split for split in splits if split != "train") if self._late and "val" in splits else splits
+
+    @property
+    def _late(self) -> bool:
+        return self._limit is not None and self._limit.spent >= _BEST
 
     @property
     def torque_seen(self) -> bool:
@@ -395,7 +407,7 @@ class ModelSearch:
         if begun is not None:
             problem = self._problem(off_bounds(parameters.at({item.name: item.value for item in begun})))
         elif start is None:
-            problem = self._started(self._problem(parameters))
+            problem = self._started(self._problem(parameters), limit)
         else:
             problem = self._problem(off_bounds(parameters.at(start.values)))
             # From a good place there may be nothing left to gain, which is no reason to search everywhere.
@@ -436,12 +448,12 @@ class ModelSearch:
     def _until(self, spent: float) -> TimeLimit | None:
         return None if self._limit is None else self._limit.until(spent)
 
-    def _started(self, problem: Problem) -> Problem:
+    def _started(self, problem: Problem, limit: TimeLimit | None) -> Problem:
         """The problem with a start from afar."""
         if self._signal == "torque":
             return problem.with_parameters(regressed_start(problem, self._train))
         begun = problem.with_parameters(servo_regressed(problem, self._train))
-        return begun.with_parameters(swept_start(begun))
+        return begun.with_parameters(swept_start(begun, limit))
 
     def _to_the_end(self, rough: TriedModel, fit: Mapping[str, Any], left_out: Sequence[str]) -> TriedModel:
         """The same model from where a rough search ended."""
