@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from jaxtyping import Float64
@@ -10,6 +10,7 @@ from jaxtyping import Float64
 from trueup.core.episode import Episode
 from trueup.core.parameters import ParameterSet
 from trueup.errors import TrueupError
+from trueup.identify.candidate import Nominal
 from trueup.identify.problem import Problem
 from trueup.identify.quantities import QUANTITIES, quantity
 from trueup.identify.regression import torque_start
@@ -21,6 +22,8 @@ _FACTORS = 4.0 ** np.arange(-4, 5)
 _DELAYS_S = np.array([0.0, 0.005, 0.01, 0.02, 0.03, 0.05, 0.08])
 # A start on a bound has a one-sided view and often stays there.
 _OFF_BOUND = 0.01
+# What is left of a mass at least, where others that are welded to it keep theirs.
+_LEAST_SHARE = 0.2
 
 
 def swept_start(problem: Problem) -> ParameterSet:
@@ -70,10 +73,25 @@ def regressed_start(problem: Problem, episodes: Sequence[Episode]) -> ParameterS
         "torque_offset": found.offset,
     }
     values = {f"{name}[{joint}]": value for name, own in terms.items() for joint, value in own.items()}
-    values |= {f"mass[{body}]": problem.nominal.inertial(body).mass * scale for body, scale in found.mass_scale.items()}
+    values |= _masses(problem.nominal, found.mass_scale)
     regressed = off_bounds(parameters.at({name: values[name] for name in parameters.names if name in values}))
     costs = np.sum(problem.residuals(np.array([parameters.start, regressed.start])) ** 2, axis=1)
     return regressed if costs[1] < costs[0] or not np.isfinite(costs[0]) else parameters
+
+
+def _masses(nominal: Nominal, scales: Mapping[str, float]) -> dict[str, float]:
+    """Mass parameters that make the sum of each rigid group `scales` times as heavy.
+
+    Args:
+        nominal: the model as it came.
+        scales: by the body with the joint.
+    """
+    found = {}
+    for group in nominal.rigid_groups:
+        scale = next((scales[body] for body in group if body in scales), 1.0)
+        masses = [nominal.inertial(body).mass for body in group]
+        found[f"mass[{group[0]}]"] = max(masses[0] + (scale - 1.0) * sum(masses), _LEAST_SHARE * masses[0])
+    return found
 
 
 def off_bounds(parameters: ParameterSet) -> ParameterSet:

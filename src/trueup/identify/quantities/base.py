@@ -34,7 +34,7 @@ class Quantity:
         write: sets the value for a target.
         excite: what kind of motion shows it; `{target}` is filled in.
         search: its default start, bounds, scale and prior.
-        needs: what a joint must have to be read, in words.
+        needs: what a joint must have, or a body must be, to be read, in words.
         addable: whether a start from the user puts it into a model that has none.
         brakes: whether more of it makes a joint slower, whatever else is the case.
         relative: whether it is a change of what the model says, so that a fitted model says it no longer.
