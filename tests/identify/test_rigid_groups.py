@@ -226,7 +226,7 @@ def test_a_point_has_a_mass_but_no_inertia_to_fit(tmp_path):
 
 
 def test_the_case_of_a_massless_flange(model_cases, tmp_path):
-    case, config = model_cases / "tool0", tmp_path / "fit.yaml"
+    case = model_cases / "tool0"
     import_logs(case / "logs", tmp_path / "data", format="npz")
     dataset = Dataset(tmp_path / "data")
     robot = load_robot(case / "arm.yaml")

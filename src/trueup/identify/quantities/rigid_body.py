@@ -10,7 +10,6 @@ from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.inertial import COMPONENTS
 from trueup.identify.quantities.base import Quantity
 
-
 _MASS, _EXTENT = "a body that has mass", "a body that has a rotational inertia"
 
 
