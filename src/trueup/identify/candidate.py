@@ -222,13 +222,15 @@ def _leading(model: mujoco.MjModel, group: list[str]) -> list[str]:
 
 
 def _with_model_controller(robot: RobotSpec) -> RobotSpec:
+    """The description of what stands in the model by now: its controller, and its laws of friction."""
     if robot.controller.kind == "model":
-        return robot
+        return replace(robot, friction={})
     delays = {name: gains for name, gains in robot.controller.per_joint.items() if gains.delay_s is not None}
     controller = ControllerSpec(
         kind="model",
         command=robot.controller.signal,
         delay_s=robot.controller.delay_s,
+        source=robot.controller.source,
         per_joint={name: replace(gains, kp=None, kv=None, ki=None) for name, gains in delays.items()},
     )
     return replace(robot, controller=controller, friction={})

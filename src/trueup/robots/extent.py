@@ -46,6 +46,17 @@ def root_tag(path: Path) -> str:
     return _Files().model(path).tag
 
 
+def folders_of(path: Path) -> frozenset[Path]:
+    """The folders of a model file and of all files that it includes and attaches: where its assets may lie.
+
+    Raises:
+        ConfigError: as of `root_tag`.
+    """
+    files = _Files()
+    files.model(path)
+    return files.folders
+
+
 @dataclass
 class _Extent:
     """Of a file, with all that it includes.
@@ -102,6 +113,11 @@ class _Files:
 
     def __init__(self) -> None:
         self._known: dict[tuple[Path, Path], _Extent | None] = {}
+
+    @property
+    def folders(self) -> frozenset[Path]:
+        """Of all files that were read."""
+        return frozenset(path.parent for path, _ in self._known)
 
     def model(self, path: Path) -> _Extent:
         """Of a model, with all that it attaches."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import mujoco
@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Float64
 
 from trueup.errors import ConfigError
-from trueup.robots.extent import root_tag
+from trueup.robots.extent import folders_of, root_tag
 
 
 def load_spec(path: Path) -> mujoco.MjSpec:
     """An editable model.
 
-    A mesh that is not there is dropped together with the geoms that show it: the dynamics come from the
-    inertials. (A body without an inertial would lose its mass by that; this is refused.)
+    A mesh, height field, texture or skin whose file is not there is dropped together with what shows it: the dynamics
+    come from the inertials. (A body without an inertial would lose its mass by that; this is refused.)
 
     Raises:
         ConfigError: missing file, no valid MJCF or URDF, or masses that hang on missing meshes.
@@ -30,7 +30,7 @@ def load_spec(path: Path) -> mujoco.MjSpec:
         if root_tag(path) == "robot":
             return mujoco.MjSpec.from_string(_urdf_without_missing_meshes(whole))
         spec = mujoco.MjSpec.from_file(str(whole))
-    _drop_missing_meshes(spec, path.parent)
+        _drop_missing(spec, folders_of(whole))
     return spec
 
 
@@ -42,7 +42,7 @@ def load_whole_spec(path: Path) -> mujoco.MjSpec:
     """
     with _reading(path):
         root_tag(path)
-        return mujoco.MjSpec.from_file(str(path))
+        return mujoco.MjSpec.from_file(str(path.absolute()))
 
 
 @contextlib.contextmanager
@@ -108,13 +108,63 @@ def _mesh_file(urdf: Path, filename: str) -> Path:
     return urdf.parent / name
 
 
-def _drop_missing_meshes(spec: mujoco.MjSpec, folder: Path) -> None:
-    base = folder / spec.meshdir if spec.meshdir else folder
-    missing = {mesh.name for mesh in spec.meshes if mesh.file and not (base / mesh.file).is_file()}
-    if not missing:
-        return
+def state_files(spec: mujoco.MjSpec, model: mujoco.MjModel, folders: Iterable[Path]) -> None:
+    """Name the files of a model by their whole paths, so that it can be written anywhere.
+
+    Args:
+        spec: the model, editable; it is changed.
+        model: the same, compiled, from which the places of most files are read.
+        folders: where MuJoCo has looked for those of which it keeps no place; see `extent.folders_of`.
+    """
+    kinds: tuple[tuple[Sequence[_Asset], np.ndarray], ...] = (
+        (spec.meshes, model.mesh_pathadr),
+        (spec.textures, model.tex_pathadr),
+        (spec.hfields, model.hfield_pathadr),
+        (spec.skins, model.skin_pathadr),
+    )
+    roots = tuple(folders)
+    for assets, places in kinds:
+        for asset in assets:
+            begin = int(places[asset.id]) if asset.file else -1
+            if begin >= 0:
+                asset.file = model.paths[begin:].split(b"\0", 1)[0].decode()
+    for texture in spec.textures:
+        for number, name in enumerate(texture.cubefiles):
+            if name:
+                found = next((path for path in _places(name, texture, spec, roots) if path.is_file()), None)
+                texture.cubefiles[number] = str(found or name)
+    spec.strippath = False
+    spec.meshdir = spec.texturedir = ""
+
+
+_Asset = mujoco.MjsMesh | mujoco.MjsTexture | mujoco.MjsHField | mujoco.MjsSkin
+
+
+def _places(name: str, asset: _Asset, spec: mujoco.MjSpec, folders: Iterable[Path]) -> Iterator[Path]:
+    """Where a file of a model may lie: beside it or what it includes, in a folder that one of them says for files."""
+    strip = (name.replace("\\", "/").rpartition("/")[2],) if spec.strippath else ()
+    said = [part for each in (asset.compiler, spec.compiler) for part in (each.texturedir, each.meshdir)]
+    for folder in folders:
+        for part in dict.fromkeys((*said, "")):
+            for own in (*strip, name):
+                yield folder / part / own
+
+
+def _drop_missing(spec: mujoco.MjSpec, folders: Iterable[Path]) -> None:
+    """Take out what shows files that are not there; nothing that moves the robot may depend on them."""
+    roots = tuple(folders)
+
+    def missing(assets: Sequence[_Asset]) -> set[str]:
+        return {
+            asset.name
+            for asset in assets
+            for name in (asset.file, *(asset.cubefiles if isinstance(asset, mujoco.MjsTexture) else ()))
+            if name and not any(path.is_file() for path in _places(name, asset, spec, roots))
+        }
+
+    meshes, textures, heights = missing(spec.meshes), missing(spec.textures), missing(spec.hfields)
     for body in spec.bodies:
-        shown = [geom for geom in body.geoms if geom.meshname in missing]
+        shown = [geom for geom in body.geoms if geom.meshname in meshes or geom.hfieldname in heights]
         if shown and not body.explicitinertial and body.name != "world" and any(_has_mass(geom) for geom in shown):
             raise ConfigError(
                 f"body {body.name!r} has no <inertial> and its mass comes from missing meshes",
@@ -123,9 +173,20 @@ def _drop_missing_meshes(spec: mujoco.MjSpec, folder: Path) -> None:
             )
         for geom in shown:
             spec.delete(geom)
-    for mesh in list(spec.meshes):
-        if mesh.name in missing:
-            spec.delete(mesh)
+    for material in spec.materials:
+        for number, name in enumerate(material.textures):
+            if name in textures:
+                material.textures[number] = ""
+    skins = missing(spec.skins)
+    for assets, lost in (
+        (spec.meshes, meshes),
+        (spec.textures, textures),
+        (spec.hfields, heights),
+        (spec.skins, skins),
+    ):
+        for asset in list(assets):
+            if asset.name in lost:
+                spec.delete(asset)
 
 
 def _has_mass(geom: mujoco.MjsGeom) -> bool:

@@ -106,7 +106,7 @@ def fit(
         ConfigError: no cluster answers, or there is one and a single start.
         TrueupError: what any step raises.
     """
-    from trueup.identify import identify, judged, refuse_one_start, save_identification
+    from trueup.identify import identify, judged, refuse_one_start, rehearse, save_identification
 
     out = Path(out)
     cluster = None if ray is None else Cluster(ray, jobs)
@@ -127,6 +127,7 @@ def fit(
         # Before the fit, since what keeps a replay from working must not come to light after an hour of it.
         stock = replay_unless_same(dataset, robot, model=path, label=STOCK, jobs=jobs, track=track)
         if result is None:
+            rehearse(robot, path, config)
             on_begin()
             found = identify(
                 motions.by_split,
@@ -152,7 +153,9 @@ def fit(
         keep_given(out, given, path, config)
         graybox = _save_graybox(motions, robot, path, out)
         fitted_robot = load_robot(out / "robot.fitted.yaml")
-        fitted = replay_unless_same(dataset, fitted_robot, model=None, label=FITTED, jobs=jobs, track=track)
+        # Not looked for: the dataset may hold a model of that name, too.
+        own = out / fitted_robot.model
+        fitted = replay_unless_same(dataset, fitted_robot, model=own, label=FITTED, jobs=jobs, track=track)
         measurement = gap(dataset, runs=[STOCK, FITTED], seed=seed, blocks=False, track=track)
         seconds = sum(row.seconds for row in result.models) + fitted.seconds
         ladder = ladder_of(measurement, {"stock": (STOCK, stock.seconds), "fitted": (FITTED, seconds)})
