@@ -151,6 +151,12 @@ class Nominal:
         """What drives a joint of the nominal model."""
         return drive_of(self.spec, self.model, self.channels(joint))
 
+    @property
+    def commanded_limits(self) -> dict[str, float]:
+        """Joint name -> largest commanded torque that reaches the joint [Nm or N], where it is limited."""
+        limits = self.simulator.torque_limits
+        return {joint: limit / (self.drive(joint).torque_gain or 1.0) for joint, limit in limits.items()}
+
     def length_unit(self, joint: str) -> Literal["rad", "m"]:
         """Unit of a joint's position."""
         return "m" if self.model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"

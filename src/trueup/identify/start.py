@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -63,6 +64,9 @@ def regressed_start(problem: Problem, episodes: Sequence[Episode]) -> ParameterS
     """
     parameters = off_bounds(problem.parameters)
     try:
+        # What is commanded is the motors'; what is regressed is the joints'.
+        gains = {name: problem.nominal.drive(name).torque_gain or 1.0 for name in problem.nominal.robot.joint_names}
+        episodes = [_with_torques(episode, gains) for episode in episodes]
         found = torque_start(episodes, problem.nominal.model, joints=problem.nominal.robot.joint_names)
     except TrueupError:
         return parameters
@@ -77,6 +81,17 @@ def regressed_start(problem: Problem, episodes: Sequence[Episode]) -> ParameterS
     regressed = off_bounds(parameters.at({name: values[name] for name in parameters.names if name in values}))
     costs = np.sum(problem.residuals(np.array([parameters.start, regressed.start])) ** 2, axis=1)
     return regressed if costs[1] < costs[0] or not np.isfinite(costs[0]) else parameters
+
+
+def _with_torques(episode: Episode, gains: Mapping[str, float]) -> Episode:
+    """The episode with its commanded torques times these factors, by joint."""
+    command = episode.commanded()
+    factors = np.array([gains.get(joint, 1.0) for joint in command.joints])
+    if "torque" not in command or np.all(factors == 1.0):
+        return episode
+    return replace(
+        episode, command=replace(command, signals={**command.signals, "torque": command["torque"] * factors})
+    )
 
 
 def _masses(nominal: Nominal, scales: Mapping[str, float]) -> dict[str, float]:

@@ -114,7 +114,7 @@ class CloseSteps:
         replayed = self._replay()
         forget_explanation(out, unless_of=None if self.folder.overwrite else self.dataset.hash)
         if not asked("gap"):
-            return Closed(self.dataset, self.folder.result, replayed=replayed)
+            return Closed(self.dataset, self.folder.result, replayed=replayed, notes=replayed.notes)
         rungs = {"stock": (STOCK, replayed.seconds)}
         self.watch.on_step("gap")
         with self.folder.step("gap") as step:
@@ -123,7 +123,7 @@ class CloseSteps:
         attribution = self._explain(replayed.seconds) if asked("explain") else None
         identified = self._identify(replayed) if asked("identify") else None
         trained = self._augment(identified) if asked("augment") else ()
-        notes: list[str] = []
+        notes = list(replayed.notes)
         if trained or identified is not None:
             began = time.perf_counter()
             rungs |= _corrected(trained, "stock", replayed.seconds)
@@ -132,7 +132,7 @@ class CloseSteps:
                 rungs |= {"fitted": (FITTED, seconds), **_corrected(trained, "fitted", seconds)}
             measurement, ladder = self._measure(rungs)
             if not self._holds_more(rungs):
-                notes = self._judge(trained)
+                notes += self._judge(trained)
             self.folder.measured(time.perf_counter() - began)
         if attribution is not None:
             notes += attribution.statements
