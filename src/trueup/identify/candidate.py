@@ -112,7 +112,7 @@ class Nominal:
     def __init__(self, robot: RobotSpec, path: Path, *, hard_friction: bool = True) -> None:
         self.path = path
         self.given = robot
-        self.spec = load_spec(path)
+        self.spec = load_spec(path, shapes=robot.simulation.contacts)
         name_bodies(self.spec)
         self.simulator = MujocoSimulator.from_spec(self.spec, robot, origin=path)
         changed = settle(self.spec, self.simulator.model)

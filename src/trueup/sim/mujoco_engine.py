@@ -84,7 +84,7 @@ class MujocoSimulator(CompiledRobot):
             ConfigError: the model does not load, lacks an actuator, or holds no payload.
             NameMismatch: a joint is not in the model.
         """
-        spec = load_spec(model_path)
+        spec = load_spec(model_path, shapes=robot.simulation.contacts)
         attach_payload(spec, robot, payload_kg)
         return MujocoSimulator.from_spec(spec, robot, origin=model_path, threads=threads)
 
