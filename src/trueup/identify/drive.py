@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from trueup.sim.controllers import PID_PLUGIN, Channel, torque_limit_of
+from trueup.sim.actuator_inputs import PID_PLUGIN
+from trueup.sim.controllers import Channel, torque_limit_of
 
 # As numbers: an enum of MuJoCo's is not equal to an integer of numpy's, though that integer is equal to it.
 _FIXED_GAIN = int(mujoco.mjtGain.mjGAIN_FIXED)

@@ -6,6 +6,7 @@ import contextlib
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 import mujoco
 import numpy as np
@@ -13,6 +14,8 @@ from jaxtyping import Float64
 
 from trueup.errors import ConfigError
 from trueup.robots.extent import folders_of, root_tag
+
+_Asset: TypeAlias = mujoco.MjsMesh | mujoco.MjsTexture | mujoco.MjsHField | mujoco.MjsSkin
 
 
 def load_spec(path: Path, *, shapes: bool = False) -> mujoco.MjSpec:
@@ -148,9 +151,6 @@ def state_files(spec: mujoco.MjSpec, model: mujoco.MjModel, folders: Iterable[Pa
                 texture.cubefiles[number] = str(found or name)
     spec.strippath = False
     spec.meshdir = spec.texturedir = ""
-
-
-_Asset = mujoco.MjsMesh | mujoco.MjsTexture | mujoco.MjsHField | mujoco.MjsSkin
 
 
 def _places(name: str, asset: _Asset, spec: mujoco.MjSpec, folders: Iterable[Path]) -> Iterator[Path]:

@@ -113,7 +113,9 @@ def _affine(actuator: mujoco.MjsActuator, gear: float, *, measured: bool) -> _Ki
     by_length, by_speed = (float(value) if linear else 0.0 for value in actuator.biasprm[1:3])
     if gain == 0:
         return _Kind("one whose gain is 0: it does not take an input")
-    torque = {"torque": (Input("torque", scale=1.0 / gear if measured else 1.0),)}
+    torque: dict[CommandSignal, tuple[Input, ...]] = {
+        "torque": (Input("torque", scale=1.0 / gear if measured else 1.0),)
+    }
     if actuator.dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR:
         if by_length < 0:
             servo = Input("velocity", scale=-by_length * gear / gain)
@@ -129,7 +131,7 @@ def _affine(actuator: mujoco.MjsActuator, gear: float, *, measured: bool) -> _Ki
         if gain == -by_speed:
             return _Kind("a velocity servo", {"velocity": (servo,)})
         return _Kind("a motor with a brake, or a velocity servo", {"velocity": (servo,), **torque})
-    return _Kind("a torque motor", dict(torque))
+    return _Kind("a torque motor", torque)
 
 
 def _with_inputs(actuator: mujoco.MjsActuator, gear: float) -> _Kind:
