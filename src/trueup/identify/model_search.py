@@ -99,9 +99,7 @@ class ModelSearch:
             )
         self.notes = () if nominal.robot.payload else _payload_note(self._train)
         self._signal = nominal.robot.controller.signal
-        self.seen = excitation_of(
-            self._train, nominal.robot.scored_joints, self._signal, nominal.simulator.torque_limits
-        )
+        self.seen = excitation_of(self._train, nominal.robot.scored_joints, self._signal, nominal.commanded_limits)
         self._weights = Weights(self.config.signals, self.config.joints)
         self._settings = self.config.solver.settings(seed)
         self._timestep_s = nominal.simulator.timestep_s
