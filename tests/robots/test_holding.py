@@ -298,5 +298,5 @@ def test_bases_and_rules_in_yaml():
         {"unlisted": {"pose": {"a": 1.0}}},
         {"unlisted": {"joints": {"a": "free"}}},
     ):
-        with pytest.raises(ConfigError, match="base|unlisted"):
+        with pytest.raises(ConfigError, match=r"base|unlisted"):
             build(RobotSpec, {**common, **wrong}, "r.yaml")

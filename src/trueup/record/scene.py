@@ -84,7 +84,10 @@ class Scene:
         slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
         hinges = [int(mujoco.mjtJoint.mjJNT_HINGE), slide]
         if not np.isin(self._model.jnt_type, hinges).all():
-            raise ConfigError(f"{path} has joints other than hinges and slides", hint="Balls and bodies that move freely are not planned.")
+            raise ConfigError(
+                f"{path} has joints other than hinges and slides",
+                hint="Balls and bodies that move freely are not planned.",
+            )
         self.length_units = tuple("m" if self._model.jnt_type[number] == slide else "rad" for number in numbers)
         self._addresses = self._model.jnt_qposadr[numbers]
         self._reach = np.array([_reach(self._model, number) for number in numbers])

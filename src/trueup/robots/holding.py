@@ -16,12 +16,12 @@ import numpy as np
 from jaxtyping import Float64
 
 from trueup.errors import ConfigError
+from trueup.robots.coupling import Coupling
 from trueup.robots.model import compile_spec
 from trueup.robots.spec import RobotSpec
 
 _FREE, _BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 _SLIDE, _HINGE = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
-_CONNECT, _WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
 _JOINT, _TENDON = int(mujoco.mjtEq.mjEQ_JOINT), int(mujoco.mjtEq.mjEQ_TENDON)
 _WIDTH = {_FREE: (7, 6), _BALL: (4, 3), _SLIDE: (1, 1), _HINGE: (1, 1)}
 _HOME = "home"
@@ -158,7 +158,7 @@ def driven_inputs(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path) -> dic
 
 
 class _Search:
-    """Who is coupled with whom in a compiled model, and what becomes of each joint.
+    """What becomes of each joint of a compiled model.
 
     Args:
         model: compiled.
@@ -167,26 +167,20 @@ class _Search:
 
     def __init__(self, model: mujoco.MjModel, robot: RobotSpec) -> None:
         self._model, self._robot = model, robot
-        self._names = [model.joint(row).name for row in range(model.njnt)]
-        self._named = {row for row, name in enumerate(self._names) if name in robot.joint_names}
-        self._above = [self._joints_above(body) for body in range(model.nbody)]
-        self._tendons = [self._joints_of_tendon(row) for row in range(model.ntendon)]
-        self._links = [self._joints_of_equality(row) for row in range(model.neq)]
-        self._drives = [self._joints_of_actuator(row) for row in range(len(model.actuator_trntype))]
-        self._groups = self._coupled()
+        self._tied = Coupling(model, robot.joint_names)
         self._key = self._keyframe(robot.unlisted.keyframe)
         self._refuse_strangers()
 
     def holding(self) -> Holding:
         """See `Holding.of`."""
-        bases = self._bases()
+        bases = self._tied.bases()
         if self._robot.base is None:
             for row in bases:
-                if not self._is_welded(row):
+                if not self._tied.is_welded(row):
                     raise self._floating(row)
         fates: dict[str, list[int]] = {"follow": [], "lock": [], "drive": [], "free": []}
-        for row in range(len(self._names)):
-            if row not in self._named and row not in bases:
+        for row in range(len(self._tied.names)):
+            if row not in self._tied.named and row not in bases:
                 fates[self._fate(row)].append(row)
         held = bases if self._robot.base is not None else []
         dropped = {*held, *fates["lock"]}
@@ -205,101 +199,12 @@ class _Search:
     def driving(self) -> set[int]:
         """Actuators whose inputs are held at those of the keyframe: of joints that are not named and not locked."""
         found = set()
-        for row, joints in enumerate(self._drives):
-            fates = {"named" if joint in self._named else self._fate(joint) for joint in joints}
-            rules = {self._robot.unlisted.rule_of(self._names[joint]) for joint in joints}
+        for row, joints in enumerate(self._tied.drives):
+            fates = {"named" if joint in self._tied.named else self._fate(joint) for joint in joints}
+            rules = {self._robot.unlisted.rule_of(self._tied.names[joint]) for joint in joints}
             if "drive" in rules and fates <= {"drive", "free", "follow"}:
                 found.add(row)
         return found
-
-    # Who is coupled with whom.
-
-    def _joints_above(self, body: int) -> frozenset[int]:
-        """Those that move a body."""
-        model, found = self._model, set[int]()
-        while body:
-            first = int(model.body_jntadr[body])
-            found.update(range(first, first + int(model.body_jntnum[body])))
-            body = int(model.body_parentid[body])
-        return frozenset(found)
-
-    def _between(self, one: int, other: int) -> frozenset[int]:
-        """The joints that move two bodies against each other."""
-        return self._above[one] ^ self._above[other]
-
-    def _joints_of_tendon(self, tendon: int) -> frozenset[int]:
-        model = self._model
-        first = int(model.tendon_adr[tendon])
-        wraps = range(first, first + int(model.tendon_num[tendon]))
-        joints, bodies = set[int](), []
-        for wrap in wraps:
-            kind, number = mujoco.mjtWrap(int(model.wrap_type[wrap])), int(model.wrap_objid[wrap])
-            if kind == mujoco.mjtWrap.mjWRAP_JOINT:
-                joints.add(number)
-            elif kind == mujoco.mjtWrap.mjWRAP_SITE:
-                bodies.append(int(model.site_bodyid[number]))
-            elif kind in (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER):
-                bodies.append(int(model.geom_bodyid[number]))
-        for body in bodies:
-            joints |= self._between(bodies[0], body)
-        return frozenset(joints)
-
-    def _joints_of_equality(self, row: int) -> frozenset[int]:
-        model = self._model
-        kind, ends = int(model.eq_type[row]), [int(model.eq_obj1id[row]), int(model.eq_obj2id[row])]
-        if kind == _JOINT:
-            return frozenset(end for end in ends if end >= 0)
-        if kind == _TENDON:
-            return frozenset().union(*(self._tendons[end] for end in ends if end >= 0))
-        if kind not in (_CONNECT, _WELD):
-            return frozenset()
-        if int(model.eq_objtype[row]) == int(mujoco.mjtObj.mjOBJ_SITE):
-            ends = [int(model.site_bodyid[end]) for end in ends]
-        return self._between(*ends)
-
-    def _joints_of_actuator(self, row: int) -> frozenset[int]:
-        kind, number = mujoco.mjtTrn(int(self._model.actuator_trntype[row])), int(self._model.actuator_trnid[row, 0])
-        if kind in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT):
-            return frozenset({number})
-        return self._tendons[number] if kind == mujoco.mjtTrn.mjTRN_TENDON else frozenset()
-
-    def _coupled(self) -> dict[int, frozenset[int]]:
-        """Each joint -> those that it is coupled with, itself among them."""
-        active = [own for row, own in enumerate(self._links) if self._model.eq_active0[row]]
-        active += [own for row, own in enumerate(self._tendons) if self._pulls(row)]
-        groups = {row: frozenset({row}) for row in range(len(self._names))}
-        for joints in active:
-            whole = frozenset().union(*(groups[row] for row in joints))
-            groups |= dict.fromkeys(whole, whole)
-        return groups
-
-    def _pulls(self, tendon: int) -> bool:
-        """Whether a tendon does more than measure."""
-        model = self._model
-        own = (model.tendon_stiffness, model.tendon_damping, model.tendon_frictionloss, model.tendon_armature)
-        of_tendon = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_TENDON)
-        pulled = tendon in model.actuator_trnid[of_tendon, 0]
-        return bool(pulled or model.tendon_limited[tendon] or any(values[tendon] for values in own))
-
-    # What becomes of them.
-
-    def _bases(self) -> list[int]:
-        """Free joints that carry joints of the robot."""
-        carrying = {row for name in self._named for row in self._above[int(self._model.jnt_bodyid[name])]}
-        return sorted(row for row in carrying if int(self._model.jnt_type[row]) == _FREE)
-
-    def _is_welded(self, base: int) -> bool:
-        """Whether the model itself ties this base to the world, if only by what it stands on."""
-        model = self._model
-        for row, joints in enumerate(self._links):
-            bodies = [int(model.eq_obj1id[row]), int(model.eq_obj2id[row])]
-            if int(model.eq_objtype[row]) == int(mujoco.mjtObj.mjOBJ_SITE):
-                bodies = [int(model.site_bodyid[end]) for end in bodies]
-            if not (int(model.eq_type[row]) == _WELD and model.eq_active0[row] and base in joints):
-                continue
-            if any(not self._above[body] for body in bodies):
-                return True
-        return False
 
     def _floating(self, base: int) -> ConfigError:
         body = self._model.body(int(self._model.jnt_bodyid[base])).name
@@ -312,11 +217,11 @@ class _Search:
 
     def _fate(self, row: int) -> str:
         """`lock`, `drive` or `free`; `follow` of one that is coupled to a named one."""
-        group = self._groups[row]
-        if group & self._named:
+        group = self._tied.groups[row]
+        if group & self._tied.named:
             return "follow"
-        rules = {self._robot.unlisted.rule_of(self._names[other]) for other in group}
-        moved = any(joints & group for joints in self._drives)
+        rules = {self._robot.unlisted.rule_of(self._tied.names[other]) for other in group}
+        moved = any(joints & group for joints in self._tied.drives)
         return "free" if "free" in rules else "drive" if "drive" in rules and moved else "lock"
 
     def _starts_elsewhere(self, row: int) -> bool:
@@ -326,7 +231,7 @@ class _Search:
         """
         model, position = self._model, self._position(row)
         first = int(model.jnt_qposadr[row])
-        tied = any(row in joints for joints in (*self._links, *self._tendons))
+        tied = any(row in joints for joints in (*self._tied.links, *self._tied.tendons))
         same = np.array_equal(position, model.qpos0[first : first + len(position)])
         return not (tied or same or int(model.jnt_type[row]) == _BALL)
 
@@ -346,7 +251,7 @@ class _Search:
         """Where a joint that is not named is."""
         model = self._model
         width, first = _WIDTH[int(model.jnt_type[row])][0], int(model.jnt_qposadr[row])
-        stated = self._robot.unlisted.pose.get(self._names[row])
+        stated = self._robot.unlisted.pose.get(self._tied.names[row])
         if stated is not None:
             return np.array([stated])
         whole = model.qpos0 if self._key is None else model.key_qpos[self._key]
@@ -355,18 +260,18 @@ class _Search:
     def _refuse_strangers(self) -> None:
         """Refuse rules and poses of joints that do not take them."""
         unlisted = self._robot.unlisted
-        known = {name: row for row, name in enumerate(self._names) if name and row not in self._named}
+        known = {name: row for row, name in enumerate(self._tied.names) if name and row not in self._tied.named}
         if strangers := [name for name in (*unlisted.pose, *unlisted.joints) if name not in known]:
             raise ConfigError(f"robot {self._robot.name!r}: unlisted: the model has no {strangers}", available=known)
         for name in unlisted.pose:
             row = known[name]
-            if int(self._model.jnt_type[row]) not in (_HINGE, _SLIDE) or self._groups[row] & self._named:
+            if int(self._model.jnt_type[row]) not in (_HINGE, _SLIDE) or self._tied.groups[row] & self._tied.named:
                 raise ConfigError(
                     f"robot {self._robot.name!r}: unlisted: the pose of {name!r} is not one number of its own",
                     expected="a hinge or slide that is not coupled to joints of the robot",
                 )
         base = self._robot.base
-        bases = self._bases()
+        bases = self._tied.bases()
         if base is not None and len(bases) != 1 and (base.held is not True or base.position or base.rotation):
             raise ConfigError(
                 f"robot {self._robot.name!r}: base: a pose is that of one floating base",
@@ -450,20 +355,20 @@ class _Search:
         wrapped = model.wrap_type == int(mujoco.mjtWrap.mjWRAP_JOINT)
         tendons = {
             row
-            for row, joints in enumerate(self._tendons)
+            for row, joints in enumerate(self._tied.tendons)
             if joints & dropped and (joints <= dropped or wrapped[int(model.tendon_adr[row])])
         }
         equalities = set()
-        for row, joints in enumerate(self._links):
+        for row, joints in enumerate(self._tied.links):
             kind = int(model.eq_type[row])
             ends = {int(model.eq_obj1id[row]), int(model.eq_obj2id[row])}
-            lost = kind == _JOINT and joints & dropped or kind == _TENDON and ends & tendons
-            if lost or (joints and joints <= dropped):
+            torn = (kind == _JOINT and joints & dropped) or (kind == _TENDON and ends & tendons)
+            if torn or (joints and joints <= dropped):
                 equalities.add(row)
         actuators = {
             row
-            for row, joints in enumerate(self._drives)
-            if joints and not joints & self._named and row not in self.driving
+            for row, joints in enumerate(self._tied.drives)
+            if joints and not joints & self._tied.named and row not in self.driving
         }
         lost = {
             mujoco.mjtObj.mjOBJ_JOINT: dropped,
@@ -517,10 +422,8 @@ class _Search:
             low, high = model.actuator_ctrlrange[row] if model.actuator_ctrllimited[row] else (-np.inf, np.inf)
             given = float(np.clip(model.key_ctrl[self._key, model.actuator_ctrladr[row]], low, high))
             bias = model.actuator_biasprm[row, :3] if affine else np.zeros(3)
-            found[row] = (
-                float(bias[0] + model.actuator_gainprm[row, 0] * given),
-                *(float(bias[1]), float(bias[2])),
-            )
+            constant = float(bias[0] + model.actuator_gainprm[row, 0] * given)
+            found[row] = (constant, float(bias[1]), float(bias[2]))
         return found
 
     def _keys(self, dropped: set[int], actuators: set[int]) -> tuple[tuple[np.ndarray, ...], ...]:
@@ -553,7 +456,9 @@ class _Search:
             where = f"at keyframe {base.held!r}" if isinstance(base.held, str) else "where the model has it"
             where = "in the pose of robot.yaml" if base.position and base.rotation else where
             yield f"the base floats in the model and is held {where}: {body}"
-        pose = "in the model's own pose" if self._key is None else f"at keyframe {model.key(self._key).name!r}"
+        key = "" if self._key is None else model.key(self._key).name
+        frame = f"keyframe {key!r}" if key else "the model's keyframe"
+        pose = "in the model's own pose" if self._key is None else f"at {frame}"
         if self._robot.unlisted.pose:
             pose += " or as robot.yaml says"
         loose = [row for row in locked if int(model.jnt_type[row]) == _FREE]
@@ -567,7 +472,7 @@ class _Search:
         if driven:
             yield (
                 f"{_counted(driven)} of the model that robot.yaml does not name {_are(driven)} driven by the model's "
-                f"actuators, held at the inputs of keyframe {model.key(self._key or 0).name!r}: {self._listed(driven)}"
+                f"actuators, held at the inputs of {frame}: {self._listed(driven)}"
             )
         if swinging:
             yield (
@@ -577,7 +482,7 @@ class _Search:
 
     def _label(self, row: int) -> str:
         body = self._model.body(int(self._model.jnt_bodyid[row])).name
-        return body if int(self._model.jnt_type[row]) == _FREE else self._names[row] or f"a joint of {body}"
+        return body if int(self._model.jnt_type[row]) == _FREE else self._tied.names[row] or f"a joint of {body}"
 
     def _listed(self, rows: Iterable[int]) -> str:
         return _listed(self._label(row) for row in rows)

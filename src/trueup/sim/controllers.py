@@ -33,13 +33,11 @@ class Channel:
     signal: str
 
 
-def attach_controller(
-    spec: mujoco.MjSpec, robot: RobotSpec, *, keep: Collection[int] = ()
-) -> tuple[Channel, ...]:
+def attach_controller(spec: mujoco.MjSpec, robot: RobotSpec, *, keep: Collection[int] = ()) -> tuple[Channel, ...]:
     """Put the controller into the model and say how commands reach it.
 
-    Every kind but `model` replaces all actuators of the model, except for those whose numbers are in `keep`. `torque_limit` of a joint limits the sum of its
-    actuators.
+    Every kind but `model` replaces all actuators of the model, except for those whose numbers are in `keep`.
+    `torque_limit` of a joint limits the sum of its actuators.
 
     Raises:
         NameMismatch: a joint is not in the model; both lists are printed.

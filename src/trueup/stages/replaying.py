@@ -39,6 +39,7 @@ class ReplaySummary:
         failed: episode id -> why it could not be replayed.
         seconds: wall-clock time that it took to make the run, earlier calls included [s].
         replaced: whether there was a run of this label that was made of something else.
+        notes: what of the model is held in the simulation, or swings in it.
     """
 
     label: str
@@ -47,6 +48,7 @@ class ReplaySummary:
     failed: Mapping[str, TrueupError] = field(default_factory=dict)
     seconds: float = 0.0
     replaced: bool = False
+    notes: tuple[str, ...] = ()
 
 
 def replay(
@@ -116,6 +118,8 @@ def replay(
         "settings": settings.to_dict(),
         "provenance": provenance(config={"robot": robot.to_dict(), "model": path.name}, data_hash=dataset.hash),
     }
+    if simulator.holding.notes:
+        info["notes"] = list(simulator.holding.notes)
     refuse_run(dataset.path, label, allowed=overwrite or resume)
     earlier_s = 0.0
     keeping = label in dataset.runs and resume and not overwrite
@@ -172,7 +176,8 @@ def replay(
     if failed and not done and len(missing) == len(wanted):
         name, first = next(iter(failed.items()))
         raise DataError(f"no episode could be replayed, {name!r} because: {first.summary}", hint=first.hint)
-    return ReplaySummary(label, done, len(wanted) - len(missing), failed, seconds)
+    kept = len(wanted) - len(missing)
+    return ReplaySummary(label, done, kept, failed, seconds, notes=simulator.holding.notes)
 
 
 def replay_unless_same(
