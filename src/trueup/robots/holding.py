@@ -1,7 +1,7 @@
 """What is held still in a simulated model: a base that floats, loose objects, and joints that robot.yaml does not name.
 
-A joint is held by taking it out of the compiled model, with its pose in that of its body: nothing gives way, and what is
-held costs no step. The editable model keeps all of it, so that a model that is written loads elsewhere as it came.
+A joint is held by taking it out of the compiled model, with its pose in that of its body: nothing gives way, and what
+is held costs no step. The editable model keeps all of it, so that a model that is written loads elsewhere as it came.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from jaxtyping import Float64
 from trueup.errors import ConfigError
 from trueup.robots.coupling import Coupling
 from trueup.robots.model import compile_spec
+from trueup.robots.pose import Pose, move, turn, unit
 from trueup.robots.spec import RobotSpec
 
 _FREE, _BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
@@ -26,32 +27,6 @@ _JOINT, _TENDON = int(mujoco.mjtEq.mjEQ_JOINT), int(mujoco.mjtEq.mjEQ_TENDON)
 _WIDTH = {_FREE: (7, 6), _BALL: (4, 3), _SLIDE: (1, 1), _HINGE: (1, 1)}
 _HOME = "home"
 _MOST_NAMES = 6
-
-
-@dataclass(frozen=True, eq=False)
-class _Pose:
-    """A rigid motion: of points x, to `rotation x + position`."""
-
-    position: Float64[np.ndarray, "3"] = field(default_factory=lambda: np.zeros(3))
-    rotation: Float64[np.ndarray, "4"] = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
-
-    def __matmul__(self, other: _Pose) -> _Pose:
-        turned = np.empty(4)
-        mujoco.mju_mulQuat(turned, self.rotation, other.rotation)
-        return _Pose(self.position + self.turn(other.position), turned)
-
-    @property
-    def is_none(self) -> bool:
-        return not self.position.any() and np.array_equal(self.rotation, [1.0, 0.0, 0.0, 0.0])
-
-    def inverse(self) -> _Pose:
-        back = self.rotation * [1.0, -1.0, -1.0, -1.0]
-        return _Pose(-_Pose(rotation=back).turn(self.position), back)
-
-    def turn(self, vector: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:
-        out = np.empty(3)
-        mujoco.mju_rotVecQuat(out, np.asarray(vector, np.float64), self.rotation)
-        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +40,9 @@ class _Body:
         starts: where a joint that stays is at first, its position in the model's own pose from now on [rad or m].
     """
 
-    moved: _Pose | None
+    moved: Pose | None
     dropped: tuple[int, ...]
-    turned: Mapping[int, _Pose]
+    turned: Mapping[int, Pose]
     starts: Mapping[int, float]
 
 
@@ -124,10 +99,10 @@ class Holding:
         for number, change in self.bodies.items():
             body = jointed[number]
             if change.moved is not None:
-                _move(held, body, change.moved)
+                move(held, body, change.moved)
             for row, joint in enumerate(list(body.joints)):
                 if row in change.turned:
-                    _turn(held, joint, change.turned[row])
+                    turn(held, joint, change.turned[row])
                 if row in change.starts:
                     degrees = joint.compiler.degree and joint.type == mujoco.mjtJoint.mjJNT_HINGE
                     joint.ref = np.rad2deg(change.starts[row]) if degrees else change.starts[row]
@@ -289,12 +264,12 @@ class _Search:
             rows = range(first, first + int(model.body_jntnum[body]))
             if not any(row in dropped or row in starts for row in rows):
                 continue
-            fixed: list[_Pose] = []
-            turned, begin = dict[int, _Pose](), dict[int, float]()
+            fixed: list[Pose] = []
+            turned, begin = dict[int, Pose](), dict[int, float]()
             # From the last to the first: what is fixed behind a joint that stays is put in front of it.
             for row in reversed(rows):
                 if row not in dropped and fixed and int(model.jnt_type[row]) != _FREE:
-                    behind = reduce(_Pose.__matmul__, fixed)
+                    behind = reduce(Pose.__matmul__, fixed)
                     if not behind.is_none:
                         turned[row - first] = behind
                 if row in bases:
@@ -305,49 +280,49 @@ class _Search:
                     if row not in dropped and int(model.jnt_type[row]) in (_HINGE, _SLIDE):
                         begin[row - first] = float(position[0])
             out = tuple(row - first for row in rows if row in dropped)
-            moved = reduce(_Pose.__matmul__, fixed)
+            moved = reduce(Pose.__matmul__, fixed)
             found[number] = _Body(None if moved.is_none else moved, out, turned, begin)
         return found
 
-    def _moved(self, row: int, body: int, position: Float64[np.ndarray, "W"]) -> _Pose:
+    def _moved(self, row: int, body: int, position: Float64[np.ndarray, "W"]) -> Pose:
         """What a joint adds to the pose of its body where it is."""
         model = self._model
         kind, anchor, axis = int(model.jnt_type[row]), model.jnt_pos[row], model.jnt_axis[row]
         first = int(model.jnt_qposadr[row])
         if np.array_equal(position, model.qpos0[first : first + len(position)]):
-            return _Pose()
+            return Pose()
         if kind == _FREE:
-            return self._place(body).inverse() @ _Pose(position[:3].copy(), _unit(position[3:]))
+            return self._place(body).inverse() @ Pose(position[:3].copy(), unit(position[3:]))
         if kind == _SLIDE:
-            return _Pose(position=float(position[0] - model.qpos0[first]) * axis)
+            return Pose(position=float(position[0] - model.qpos0[first]) * axis)
         if kind == _BALL:
-            turn = _unit(position)
+            turned = unit(position)
         else:
-            turn = np.empty(4)
-            mujoco.mju_axisAngle2Quat(turn, axis, float(position[0] - model.qpos0[first]))
-        about = _Pose(position=np.array(anchor))
-        return about @ _Pose(rotation=turn) @ about.inverse()
+            turned = np.empty(4)
+            mujoco.mju_axisAngle2Quat(turned, axis, float(position[0] - model.qpos0[first]))
+        about = Pose(position=np.array(anchor))
+        return about @ Pose(rotation=turned) @ about.inverse()
 
-    def _base_moved(self, row: int, body: int) -> _Pose:
+    def _base_moved(self, row: int, body: int) -> Pose:
         base, model = self._robot.base, self._model
         if base is None:
             raise AssertionError("only a base that is held has a pose")
         place = self._place(body)
         pose = place
         if base.held is True and base.position is None and base.rotation is None:
-            return _Pose()
+            return Pose()
         if isinstance(base.held, str):
             first = int(model.jnt_qposadr[row])
             stated = model.key_qpos[self._keyframe(base.held) or 0, first : first + 7]
-            pose = _Pose(stated[:3].copy(), _unit(stated[3:]))
+            pose = Pose(stated[:3].copy(), unit(stated[3:]))
         if base.position is not None:
             pose = replace(pose, position=np.array(base.position))
         if base.rotation is not None:
-            pose = replace(pose, rotation=_unit(np.array(base.rotation)))
+            pose = replace(pose, rotation=unit(np.array(base.rotation)))
         return place.inverse() @ pose
 
-    def _place(self, body: int) -> _Pose:
-        return _Pose(np.array(self._model.body_pos[body]), np.array(self._model.body_quat[body]))
+    def _place(self, body: int) -> Pose:
+        return Pose(np.array(self._model.body_pos[body]), np.array(self._model.body_quat[body]))
 
     def _gone(self, dropped: set[int]) -> dict[str, tuple[int, ...]]:
         """Elements that are about joints that are taken out, or move nothing that is named or left to them."""
@@ -488,11 +463,6 @@ class _Search:
         return _listed(self._label(row) for row in rows)
 
 
-def _unit(quaternion: Float64[np.ndarray, "4"]) -> Float64[np.ndarray, "4"]:
-    length = float(np.linalg.norm(quaternion))
-    return np.asarray(quaternion, np.float64) / length if length else np.array([1.0, 0.0, 0.0, 0.0])
-
-
 def _listed(names: Iterable[str]) -> str:
     every = list(names)
     more = f" and {len(every) - _MOST_NAMES} more" if len(every) > _MOST_NAMES else ""
@@ -505,30 +475,3 @@ def _counted(rows: Sequence[int]) -> str:
 
 def _are(rows: Sequence[int]) -> str:
     return "is" if len(rows) == 1 else "are"
-
-
-def _own_pose(spec: mujoco.MjSpec, element: mujoco.MjsBody | mujoco.MjsFrame) -> _Pose:
-    """As it is written, against what it stands in."""
-    kind = element.alt.type
-    if kind == mujoco.mjtOrientation.mjORIENTATION_QUAT:
-        return _Pose(np.array(element.pos), _unit(np.array(element.quat)))
-    compiler = element.compiler
-    turned = spec.resolve_orientation(degree=compiler.degree, sequence=compiler.eulerseq, orientation=element.alt)
-    return _Pose(np.array(element.pos), np.array(turned))
-
-
-def _move(spec: mujoco.MjSpec, body: mujoco.MjsBody, moved: _Pose) -> None:
-    pose = _own_pose(spec, body) @ moved
-    body.pos, body.quat = pose.position, pose.rotation
-    body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
-
-
-def _turn(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, turned: _Pose) -> None:
-    """Write axis and anchor in the body as it is after what was fixed behind the joint has gone before it."""
-    frame, around = joint.frame, _Pose()
-    while frame is not None:
-        around = _own_pose(spec, frame) @ around
-        frame = frame.frame
-    back = around.inverse() @ turned.inverse() @ around
-    joint.axis = back.turn(np.array(joint.axis))
-    joint.pos = back.turn(np.array(joint.pos)) + back.position
