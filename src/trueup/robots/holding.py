@@ -438,7 +438,8 @@ class _Search:
             pose += " or as robot.yaml says"
         loose = [row for row in locked if int(model.jnt_type[row]) == _FREE]
         if loose:
-            yield f"bodies with a free joint that carry no joint of the robot are held {pose}: {self._listed(loose)}"
+            bodies = _listed(model.body(int(model.jnt_bodyid[row])).name for row in loose)
+            yield f"bodies with a free joint that carry no joint of the robot are held {pose}: {bodies}"
         if joints := [row for row in locked if row not in loose]:
             yield (
                 f"{_counted(joints)} of the model that robot.yaml does not name {_are(joints)} locked {pose}: "
@@ -452,12 +453,14 @@ class _Search:
         if swinging:
             yield (
                 f"{_counted(swinging)} of the model that robot.yaml does not name {_are(swinging)} free to swing, as "
-                f"unlisted says, {pose} at every start: {self._listed(swinging)}"
+                f"unlisted says, and {'starts' if len(swinging) == 1 else 'start'} {pose}: {self._listed(swinging)}"
             )
 
     def _label(self, row: int) -> str:
         body = self._model.body(int(self._model.jnt_bodyid[row])).name
-        return body if int(self._model.jnt_type[row]) == _FREE else self._tied.names[row] or f"a joint of {body}"
+        return (
+            self._tied.names[row] or f"the {'free ' if int(self._model.jnt_type[row]) == _FREE else ''}joint of {body}"
+        )
 
     def _listed(self, rows: Iterable[int]) -> str:
         return _listed(self._label(row) for row in rows)
