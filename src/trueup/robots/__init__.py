@@ -2,6 +2,7 @@
 
 from trueup.robots.friction import JointFriction
 from trueup.robots.spec import (
+    BaseSpec,
     CommandTiming,
     ControllerSpec,
     JointGains,
@@ -11,12 +12,14 @@ from trueup.robots.spec import (
     ReplaySpec,
     RobotSpec,
     SimulationSpec,
+    UnlistedSpec,
     find_model,
     load_robot,
     shipped_robots,
 )
 
 __all__ = [
+    "BaseSpec",
     "CommandTiming",
     "ControllerSpec",
     "JointFriction",
@@ -27,6 +30,7 @@ __all__ = [
     "ReplaySpec",
     "RobotSpec",
     "SimulationSpec",
+    "UnlistedSpec",
     "find_model",
     "load_robot",
     "shipped_robots",
