@@ -2,6 +2,8 @@
 
 from trueup.robots.friction import JointFriction
 from trueup.robots.spec import (
+    ClockSpec,
+    CommandSpec,
     ControllerSpec,
     JointGains,
     JointSpec,
@@ -16,6 +18,8 @@ from trueup.robots.spec import (
 )
 
 __all__ = [
+    "ClockSpec",
+    "CommandSpec",
     "ControllerSpec",
     "JointFriction",
     "JointGains",
