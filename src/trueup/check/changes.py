@@ -1,6 +1,6 @@
 """What may be wrong with how a log is read: kinds of changes, each a function that proposes some.
 
-A proposal is a reading and what it says. Whether it is true is not judged here: `search.py` compares what readings leave.
+A proposal is a reading and what it says. Whether it is true is not judged here: `search.py` compares readings.
 A new kind is one function and one line in `KINDS`.
 """
 
@@ -28,6 +28,8 @@ _MOST_PAIRS = 120
 _NEAR_UNIT, _SOFT = 0.15, (0.7, 1.4)
 # How far the measured velocity may be from the derivative of the position.
 _SAME_RATE, _OTHER_RATE = 0.05, 1.0
+# What a factor that is none of a unit has to be better by.
+_ANY_FACTOR = 1.5
 _QUARTER = 0.5 * math.pi
 _DIRECTIONS = ((0, 0, 1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, -1))
 _CLOCKS = (1e-3, 1e3, 1e-6, 1e6, 0.5, 2.0)
@@ -47,7 +49,8 @@ class Proposal:
         units: side and joint -> unit, where a factor is a unit's.
         freedom: how much a change that is chosen among many has to be better than one of few (of the logarithm).
         value: of the change: a factor, an offset, a lag.
-        again: the same with another value, where that is free; its own is a first guess.
+        order: joint -> joint whose columns it gets, command and measurement together.
+        again: the same with a factor of so much more, where the factor is a first guess.
     """
 
     kind: str
@@ -58,6 +61,7 @@ class Proposal:
     units: dict[tuple[str, int], Unit] = field(default_factory=dict)
     freedom: float = 0.0
     value: float = 0.0
+    order: dict[int, int] = field(default_factory=dict)
     again: Callable[[float], Proposal] | None = None
 
     @property
@@ -119,7 +123,7 @@ def swaps(looked: Looked) -> Iterator[Proposal]:
     lost, puzzling = looked.lost, looked.puzzling
     if looked.servo:
         yield from _permutations(looked)
-    pairs = [pair for pair in combinations(sorted({*puzzling, *lost}), 2)]
+    pairs = list(combinations(sorted({*puzzling, *lost}), 2))
     for one, other in pairs[:_MOST_PAIRS]:
         if looked.length_units[one] != looked.length_units[other]:
             continue
@@ -149,7 +153,7 @@ def units(looked: Looked) -> Iterator[Proposal]:
 
 
 def relations(looked: Looked) -> Iterator[Proposal]:
-    """What a straight line between command and position says: a unit, a gear, a sign, an offset in one of the series."""
+    """What a straight line between command and motion says: a unit, a gear, a sign, an offset in one of the series."""
     if not looked.servo:
         return
     for joint in looked.lost:
@@ -157,9 +161,8 @@ def relations(looked: Looked) -> Iterator[Proposal]:
         if share < _RELATED or slope == 0.0:
             continue
         sign = 1.0 if slope > 0 else -1.0
-        known = list(_scaled(looked, joint, slope, offset))
-        yield from known
-        for factor in (sign,) if known or _SOFT[0] < abs(slope) < _SOFT[1] else (sign, slope):
+        yield from _scaled(looked, joint, slope)
+        for factor in (sign,) if _SOFT[0] < abs(slope) < _SOFT[1] else (sign, slope):
             if abs(factor) < 0.02 or (factor == -1.0 and abs(offset) < 0.2):
                 continue
             for rest in _offsets(offset):
@@ -237,12 +240,17 @@ def delays(looked: Looked) -> Iterator[Proposal]:
 
 def clocks(looked: Looked) -> Iterator[Proposal]:
     """Stamps in another unit, or of a motion that was played faster or slower."""
-    if looked.servo or not looked.evidence.sure or not looked.puzzling:
-        return
+    rates = looked.evidence.rates / looked.reading.clock_scale
+    known = rates[np.isfinite(rates)]
+    signal = looked.evidence.followed(looked.reading)
+    told = known.size > 1 and float(np.ptp(known)) < 0.05 * abs(float(np.median(known)))
     for scale in _CLOCKS:
+        agrees = told and abs(float(np.median(known)) / scale - 1.0) < 0.05
+        if not agrees and (signal == "position" or not looked.evidence.sure or not looked.puzzling):
+            continue
         changed = replace(looked.reading, clock_scale=looked.reading.clock_scale * scale)
         says = f"one second of the stamps is {scale:g} s"
-        yield Proposal("clock", (), changed, "", says, freedom=0.3, value=scale)
+        yield Proposal("clock", (), changed, "", says, freedom=-0.5 if agrees else 0.3, value=scale)
 
 
 def modes(looked: Looked) -> Iterator[Proposal]:
@@ -287,7 +295,8 @@ def _sign(looked: Looked, joint: int, side: Side) -> Proposal:
 def _swap(looked: Looked, order: dict[int, int], side: Side) -> Proposal:
     changed = looked.reading.with_columns(side, lambda columns: columns.permuted(order))
     says = f"have each other's columns {_in(side)}" if len(order) == 2 else f"have one another's columns {_in(side)}"
-    return Proposal("swap", tuple(sorted(order)), changed, side, says)
+    whole = order if side == "both" else {}
+    return Proposal("swap", tuple(sorted(order)), changed, side, says, order=whole)
 
 
 def _unit(looked: Looked, joints: tuple[int, ...], own: dict[int, Unit], side: Side) -> Proposal:
@@ -318,8 +327,8 @@ def _against(looked: Looked, joint: int, unit: Unit) -> float:
     return _OTHER_RATE
 
 
-def _scaled(looked: Looked, joint: int, slope: float, offset: float) -> Iterator[Proposal]:
-    """One series in a unit that nobody has said: position = slope * command + offset."""
+def _scaled(looked: Looked, joint: int, slope: float) -> Iterator[Proposal]:
+    """One series in a unit that nobody has said, of a motion that is `slope` times its command."""
     signal = looked.evidence.followed(looked.reading)
     sign = 1.0 if slope > 0 else -1.0
     for unit in _units(looked, joint):
@@ -349,39 +358,43 @@ def _scaled(looked: Looked, joint: int, slope: float, offset: float) -> Iterator
 
 
 def _gear(looked: Looked, joint: int, factor: float, offset: float) -> Iterator[Proposal]:
-    """position = factor * command + offset, of a joint, as a change of either series."""
+    """What makes `factor * command + offset` of a command, or the reverse of a measurement."""
     for side in ("command", "measured"):
+        yield _geared(looked, joint, factor, offset, side)
 
-        def change(columns: Columns, side: str = side) -> Columns:
-            if side == "command":
-                return columns.changed(joint, factor=factor, offset=offset)
-            return columns.changed(joint, factor=1.0 / factor, offset=-offset / factor)
 
-        value = offset if abs(factor) == 1.0 else (factor if side == "command" else 1.0 / factor)
-        kind = "offset" if factor == 1.0 else ("sign" if factor == -1.0 else "scale")
-        words = []
-        if factor < 0:
-            words.append("counts the other way round")
-        if abs(factor) != 1.0:
-            words.append(_times(abs(factor if side == "command" else 1.0 / factor)))
-        if offset:
-            words.append(f"has its zero {_far(abs(offset))} away")
-        freedom = (0.0 if abs(factor) == 1.0 else 1.2) + (0.0 if not offset else 0.3 if _round(offset) else 0.6)
-        yield Proposal(
-            kind,
-            (joint,),
-            looked.reading.with_columns(side, change),  # type: ignore[arg-type]
-            side,
-            f"{' and '.join(words)} {_in(side)}",
-            freedom=freedom,
-            value=value,
-        )
+def _geared(looked: Looked, joint: int, factor: float, offset: float, side: Side) -> Proposal:
+    def change(columns: Columns) -> Columns:
+        if side == "command":
+            return columns.changed(joint, factor=factor, offset=offset)
+        return columns.changed(joint, factor=1.0 / factor, offset=-offset / factor)
+
+    own = factor if side == "command" else 1.0 / factor
+    kind = "offset" if factor == 1.0 else ("sign" if factor == -1.0 else "scale")
+    words = []
+    if factor < 0:
+        words.append("counts the other way round")
+    if abs(factor) != 1.0:
+        words.append(_times(abs(own)))
+    if offset:
+        words.append(f"has its zero {_far(abs(offset))} away")
+    return Proposal(
+        kind,
+        (joint,),
+        looked.reading.with_columns(side, change),
+        side,
+        f"{' and '.join(words)} {_in(side)}",
+        freedom=(0.0 if kind != "scale" else _ANY_FACTOR) + (0.0 if not offset else 0.3 if _round(offset) else 0.6),
+        value=offset if abs(factor) == 1.0 else own,
+        again=(lambda much: _geared(looked, joint, factor * much, offset, side)) if kind == "scale" else None,
+    )
 
 
 def _effort(looked: Looked, joints: tuple[int, ...], factor: float) -> Proposal:
     for exact in (1e-3, 1e3):
         if abs(factor / exact - 1.0) < 0.3:
             factor = exact
+
     def change(columns: Columns) -> Columns:
         for joint in joints:
             columns = columns.changed(joint, factor=factor)
@@ -391,7 +404,13 @@ def _effort(looked: Looked, joints: tuple[int, ...], factor: float) -> Proposal:
     if factor < 0:
         says += ", and count the other way round"
     return Proposal(
-        "scale", joints, looked.reading.with_columns("command", change), "command", says, freedom=1.2, value=factor
+        "scale",
+        joints,
+        looked.reading.with_columns("command", change),
+        "command",
+        says,
+        freedom=_ANY_FACTOR,
+        value=factor,
     )
 
 
@@ -403,7 +422,10 @@ def _permutations(looked: Looked) -> Iterator[Proposal]:
     share = np.array([[abs(_line(looked, joint, source)[2]) for source in lost] for joint in lost])
     rows, columns = linear_sum_assignment(-share)
     order = {lost[row]: lost[column] for row, column in zip(rows, columns, strict=True) if row != column}
-    if not order or min(share[row, column] for row, column in zip(rows, columns, strict=True) if row != column) < _RELATED:
+    if (
+        not order
+        or min(share[row, column] for row, column in zip(rows, columns, strict=True) if row != column) < _RELATED
+    ):
         return
     yield _swap(looked, order, "command")
     # The measured columns in the order of the commands.
@@ -462,5 +484,3 @@ def _in(side: str) -> str:
 
 def _axis(direction: Sequence[int]) -> str:
     return next(f"{'+' if part > 0 else '-'}{name}" for name, part in zip("xyz", direction, strict=True) if part)
-
-

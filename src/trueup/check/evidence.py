@@ -22,11 +22,12 @@ from trueup.check.samples import Motion
 
 # Rows that are looked at in all, and groups of motions (or parts of one) that have to agree.
 _ROWS, _COARSE_ROWS, _CHUNKS = 1200, 300, 6
-# A servo may be this much softer than the model says, a torque be this much off; a zero may be this far off [rad].
-_SOFTER, _GAIN, _ZERO = 10.0, 3.0, 0.1
+# A servo may be this much softer than the model says, and lag by this part of what the model does at least; a torque may be
+# this much off, a zero this far [rad].
+_SOFTER, _LAGS, _GAIN, _ZERO = 6.0, 0.4, 3.0, 0.1
 # Below these a joint is not moved by its command [rad or m; rad/s or m/s].
 _LEAST_MOTION = {"position": 0.03, "velocity": 0.03, "torque": 1e-9}
-_FLOOR = 1e-7
+_FLOOR, _SMALL = 1e-7, 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +148,9 @@ class Evidence:
         """The command at all rows."""
         key = (signal, round(lag_s, 6))
         if key not in self._known:
-            parts = [motion.commanded(signal, lag_s)[rows] for motion, rows in zip(self.motions, self._rows, strict=True)]
+            parts = [
+                motion.commanded(signal, lag_s)[rows] for motion, rows in zip(self.motions, self._rows, strict=True)
+            ]
             self._known[key] = np.concatenate(parts)
         return self._known[key]
 
@@ -170,6 +173,7 @@ class Evidence:
             reading.clock_scale,
             reading.gravity,
             reading.uncompensated,
+            reading.end_mass_kg,
         )
         if key not in self._known:
             position, velocity, acceleration = self.state(reading)
@@ -184,16 +188,17 @@ class Evidence:
                     acceleration[own],
                     gravity=gravity,
                     uncompensated=reading.uncompensated,
+                    end_mass_kg=reading.end_mass_kg,
                 )
             self._known[key] = out
         return self._known[key]  # type: ignore[index]
 
-    def score(self, reading: Reading) -> Score:
-        """How well a reading agrees with the model."""
+    def score(self, reading: Reading, needed: Float64[np.ndarray, "N J"] | None = None) -> Score:
+        """How well a reading agrees with the model; with other torques of a model if they are given."""
         signal = self.followed(reading)
         position, velocity, acceleration = self.state(reading)
         command = reading.command.of(self.commanded(self.signal, reading.lag_s), moved=signal == "position")
-        needed = self.needed(reading)
+        needed = self.needed(reading) if needed is None else needed
         dynamics = self.first
         count = self.joints
         chunks = int(self._chunk.max()) + 1
@@ -207,17 +212,20 @@ class Evidence:
                 target = command[:, joint]
                 columns = [needed[:, joint], speed, slip, acceleration[:, joint], one, -one]
                 size = float(np.mean(target**2))
-                limits = (1.0 / _GAIN, _GAIN, 0.2 * np.sqrt(size))
+                limits = (1.0 / _GAIN, _GAIN, 0.0, 0.2 * np.sqrt(size))
                 moves = np.sqrt(size) > _LEAST_MOTION["torque"] and np.ptp(position[:, joint]) > 1e-6
             else:
                 actual = position[:, joint] if signal == "position" else speed
                 target = command[:, joint] - actual
                 stiffness = dynamics.stiffness[joint] if signal == self.signal else np.nan
                 softest = np.inf if np.isnan(stiffness) else _SOFTER / stiffness
+                # No acceleration beside the position: of a swinging joint it is the position itself.
                 rate = speed if signal == "position" else acceleration[:, joint]
-                columns = [needed[:, joint], rate, slip, acceleration[:, joint], one, -one]
+                columns = [needed[:, joint], rate, slip, one, -one]
                 size = float(np.var(actual))
-                limits = (0.0, softest, _ZERO if signal == "position" else 0.0)
+                lag = dynamics.damping[joint] / stiffness
+                slowest = _LAGS * lag if signal == "position" and np.isfinite(lag) else 0.0
+                limits = (0.0, softest, slowest, _ZERO if signal == "position" else 0.0)
                 moves = np.ptp(actual) > _LEAST_MOTION[signal] or np.ptp(command[:, joint]) > _LEAST_MOTION[signal]
             if not moves:
                 continue
@@ -228,12 +236,12 @@ class Evidence:
             gram = grams.sum(axis=0)
             rest, factors = _solved(gram, limits)
             # Without the model's torque; a motor whose torque is not explained at all has 1.
-            blind, _ = _solved(gram, (0.0, 0.0, limits[2]))
+            blind, _ = _solved(gram, (0.0, 0.0, *limits[2:]))
             rows = counts.sum()
             values["left"][joint] = rest / rows / size
             values["blind"][joint] = blind / rows / size
             values["gain"][joint], values["damping"][joint] = factors[0], factors[1]
-            values["zero"][joint] = factors[4] - factors[5]
+            values["zero"][joint] = factors[-2] - factors[-1]
             for chunk in range(chunks):
                 own = grams[chunk]
                 scale = own[-1, -1] / max(counts[chunk], 1) if signal == "torque" else size
@@ -258,27 +266,36 @@ class Evidence:
         return (apart > 0.02 * width + 0.02).mean(axis=0), np.percentile(apart, 98, axis=0)
 
 
-def loss(score: Score) -> Float64[np.ndarray, "J"]:
-    """Logarithm of what is left, joint by joint; 0 for joints that do not move. Being outside of a range counts, too."""
-    left = np.where(np.isnan(score.left), 1.0, np.clip(score.left, _FLOOR, 1e6))
+def loss(score: Score, than: Score) -> Float64[np.ndarray, "J"]:
+    """Logarithm of what is left, joint by joint; 0 for joints that do not move. Being outside of a range counts, too.
+
+    Args:
+        score: of a reading.
+        than: of the one that it is compared with: what is left counts no further down than to a small share of what the
+            model could explain there.
+    """
+    least = _FLOOR + _SMALL * np.nan_to_num(np.minimum(than.blind, 0.01))
+    left = np.where(np.isnan(score.left), 1.0, np.clip(score.left, least, 1e6))
     return np.asarray(np.log(left) + 4.0 * score.outside)
 
 
 def _solved(
-    gram: Float64[np.ndarray, "K K"], limits: tuple[float, float, float]
+    gram: Float64[np.ndarray, "K K"], limits: tuple[float, float, float, float]
 ) -> tuple[float, Float64[np.ndarray, "C"]]:
     """Least squares with factors that are not negative: of the first within limits, of the last two below a limit.
 
     Args:
         gram: of columns and target.
-        limits: lowest and highest factor of the first column, largest constant.
+        limits: lowest and highest factor of the first column, lowest of the second, largest constant.
     """
-    lowest, highest, largest = limits
+    lowest, highest, slowest, largest = limits
     count = len(gram) - 1
     fixed: dict[int, float] = {}
     while True:
         free = [index for index in range(count) if index not in fixed]
-        target = gram[:count, count] - sum((gram[:count, index] * value for index, value in fixed.items()), np.zeros(count))
+        target = gram[:count, count] - sum(
+            (gram[:count, index] * value for index, value in fixed.items()), np.zeros(count)
+        )
         scale = np.sqrt(np.maximum(np.diag(gram)[free], 1e-300))
         own = gram[np.ix_(free, free)] / np.outer(scale, scale) + 1e-12 * np.eye(len(free))
         factor = np.linalg.cholesky(own + 1e-10 * np.eye(len(free)))
@@ -289,6 +306,8 @@ def _solved(
             factors[index] = value
         if 0 not in fixed and not lowest <= factors[0] <= highest:
             fixed[0] = float(np.clip(factors[0], lowest, highest))
+        elif 1 not in fixed and factors[1] < slowest:
+            fixed[1] = slowest
         elif not fixed.keys() & {count - 1, count - 2} and max(factors[-2:]) > largest:
             larger = count - 2 if factors[-2] > factors[-1] else count - 1
             fixed |= {larger: largest, (2 * count - 3) - larger: 0.0}

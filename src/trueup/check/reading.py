@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -20,8 +20,6 @@ from trueup.robots import JointSpec, RobotSpec
 Side = Literal["measured", "command", "both"]
 # Units of positions that logs have, by what one is in SI.
 _ANGLES, _LENGTHS = ("deg", "mrad", "rev"), ("mm", "cm")
-
-
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +81,7 @@ class Reading:
         lag_s: commands act this much later [s]; negative where the clock of the commands is late.
         clock_scale: seconds per second of the stamps.
         gravity: in place of the model's [m/s2]; None leaves it.
+        end_mass_kg: more than the model has at its end.
         signal: what the log's commands are taken for; empty for what they are called.
         uncompensated: nothing else than the drives carries the weight, whatever the description says.
     """
@@ -93,6 +92,7 @@ class Reading:
     clock_scale: float = 1.0
     gravity: tuple[float, float, float] | None = None
     uncompensated: bool = False
+    end_mass_kg: float = 0.0
     signal: str = ""
 
     @staticmethod
@@ -153,7 +153,13 @@ def units_of(unit: str, low: float, high: float) -> tuple[Unit, ...]:
 
 
 def joint_lines(
-    robot: RobotSpec, reading: Reading, units: Mapping[tuple[str, int], Unit], *, signal: str, lengths: Sequence[str]
+    robot: RobotSpec,
+    reading: Reading,
+    units: Mapping[tuple[str, int], Unit],
+    *,
+    signal: str,
+    lengths: Sequence[str],
+    only: Collection[str],
 ) -> str:
     """The lines of robot.yaml under `joints` for a reading; empty if nothing changes.
 
@@ -163,6 +169,7 @@ def joint_lines(
         units: side and joint -> the unit that a factor is, where it is one.
         signal: that the log commands.
         lengths: SI unit of each joint's position.
+        only: names of joints whose lines are wanted.
     """
     entries = []
     for index, joint in enumerate(robot.joints):
@@ -172,7 +179,7 @@ def joint_lines(
         else:
             command = _of_rate(robot, reading.command, index, measured, signal, lengths[index])
         lines = _difference(joint, measured, command)
-        if lines:
+        if lines and joint.name in only:
             entries.append({"name": joint.name, **lines})
     return yaml_lines({"joints": entries}) if entries else ""
 
@@ -266,5 +273,3 @@ def mended(robot: RobotSpec, lines: str) -> RobotSpec:
     for key, value in tree.items():
         whole[key] = {**whole.get(key, {}), **value} if isinstance(value, dict) else value
     return replace(build(RobotSpec, whole, "mended robot.yaml"), folder=robot.folder)
-
-

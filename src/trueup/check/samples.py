@@ -67,13 +67,16 @@ class Motion:
         return np.asarray(self.known & (shifted > 0.999))
 
 
-def motion_of(episode: Episode, joints: Sequence[str], payload_kg: float) -> Motion | None:
+def motion_of(
+    episode: Episode, joints: Sequence[str], payload_kg: float, delay_s: Sequence[float] | None = None
+) -> Motion | None:
     """The motion; None where too little is there to look at.
 
     Args:
         episode: in the robot's names and units.
         joints: of the robot, in order.
         payload_kg: what the simulation carries [kg].
+        delay_s: how much later the commands of each joint act already, as robot.yaml has it [s]; not at all if None.
     """
     measured = episode.measured.select(joints)
     if "position" not in measured or len(measured) < _FEWEST:
@@ -107,7 +110,13 @@ def motion_of(episode: Episode, joints: Sequence[str], payload_kg: float) -> Mot
         known &= (grid >= command.time_s[0]) & (grid <= command.time_s[-1] + 0.5)
         for name in ("position", "velocity", "torque"):
             if name in command:
-                commands[name] = smooth(_means(command.time_s, _filled(command[name]), edges, held=True))
+                own = _filled(command[name])
+                late = np.zeros(len(joints)) if delay_s is None else np.asarray(delay_s)
+                columns = [
+                    _means(command.time_s, own[:, [joint]], edges - late[joint], held=True)
+                    for joint in range(late.size)
+                ]
+                commands[name] = smooth(np.concatenate(columns, axis=1))
     further: dict[str, Float64[np.ndarray, "N J"] | None] = {"velocity": None, "torque": None}
     for name in further:
         if name in measured and np.isfinite(measured[name]).any():
@@ -147,7 +156,9 @@ def _means(
     """Means over the cells between the edges, of values that are held, or straight between their stamps."""
     if held:
         rows = np.maximum(held_rows(time_s, edges), 0)
-        whole = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values[:-1] * np.diff(time_s)[:, None], axis=0)])
+        whole = np.concatenate(
+            [np.zeros((1, values.shape[1])), np.cumsum(values[:-1] * np.diff(time_s)[:, None], axis=0)]
+        )
         sums = whole[rows] + values[rows] * (edges - time_s[rows])[:, None]
     else:
         steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time_s)[:, None]

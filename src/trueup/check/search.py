@@ -16,14 +16,19 @@ from trueup.core.check_result import CheckSeverity
 _TOLD, _CERTAIN = 1.0 / 3.0, 1.0 / 6.0
 # What a certain change leaves of the motion of a servo, or of the torque of a motor, at most.
 _FOLLOWED, _MOVED = 0.05, 0.15
-# Of what the model could explain it has to explain this much, where it explained no more than that before.
-_EXPLAINED, _UNEXPLAINED = 0.75, 0.35
+# Of what the model could explain it has to explain this much, where it explained no more than that before, or
+# left four times as much.
+_EXPLAINED, _UNEXPLAINED, _MUCH_LESS = 0.75, 0.4, 0.25
 # Another explanation that is nearly as good, in the logarithm of what is left.
 _RIVAL = 0.7
-_AGREE = 0.9
+_AGREE = 0.8
 _ROUNDS = 6
 _LAGS = np.arange(0.0, 0.21, 0.02)
 _SAME_LOSS = 0.3
+# Steps by which a factor is looked for.
+_NEARER = (0.06, 0.03, 0.012, 0.005, 0.002)
+# Clocks that differ by less are nothing to stop for [s].
+_LATE_S = 0.1
 # Proposals that are looked at closely, after a first look at all of them.
 _CLOSELY = 14
 _LEAST = 1e-6
@@ -77,11 +82,18 @@ def _usual_lag(evidence: Evidence, reading: Reading) -> Reading:
     if not 0.0 <= reading.lag_s <= _LAGS[-1]:
         return reading
     readings = [replace(reading, lag_s=float(lag)) for lag in _LAGS]
-    losses = [float(loss(evidence.score(one)).sum()) for one in readings]
+    scores = [evidence.score(one) for one in readings]
+    losses = [float(loss(score, scores[0]).sum()) for score in scores]
     return next(one for one, own in zip(readings, losses, strict=True) if own < min(losses) + _SAME_LOSS)
 
 
 def _at_lag(evidence: Evidence, proposal: Proposal) -> Proposal:
+    """The proposal with the lag, and the factor if that is free, that explain most."""
+    for width in _NEARER if proposal.again is not None else ():
+        again = proposal.again
+        assert again is not None
+        tried = [again(1.0 + step * width) for step in (-2, -1, 0, 1, 2)]
+        proposal = min(tried, key=lambda one: float(np.nansum(np.log(evidence.score(one.reading).left))))
     return replace(proposal, reading=_usual_lag(evidence, proposal.reading))
 
 
@@ -90,33 +102,62 @@ def _best(looked: Looked) -> Accepted | None:
     if not looked.moved:
         return None
     coarse = looked.evidence.coarse
-    first = sorted(proposals(looked), key=lambda one: float(loss(coarse.score(one.reading)).sum()) + one.freedom)
-    base = loss(before)
+    rough = coarse.score(looked.reading)
+    first = sorted(proposals(looked), key=lambda one: float(loss(coarse.score(one.reading), rough).sum()) + one.freedom)
+    base = loss(before, before)
     ranked: list[tuple[float, Proposal, Score]] = []
     for proposal in first[:_CLOSELY]:
         own = proposal if proposal.kind == "delay" else _at_lag(looked.evidence, proposal)
         after = looked.evidence.score(own.reading)
-        ranked.append((float((base - loss(after)).sum()) - own.freedom, own, after))
+        ranked.append((float((base - loss(after, before)).sum()) - own.freedom, own, after))
     ranked.sort(key=lambda item: -item[0])
     for place, (gain, proposal, after) in enumerate(ranked[:3]):
         better = _better(looked, proposal, after)
         if gain < -np.log(_TOLD) or not better:
             continue
         near = [other for own, other, _ in ranked[place + 1 :] if gain - own < _RIVAL]
-        same = [other for other in near if other.alike == proposal.alike]
+        same = _different(proposal, [other for other in near if other.alike == proposal.alike])
         rivals = [other for other in near if other.alike != proposal.alike]
         severity = _severity(looked, proposal, after, better)
         if severity is None:
             continue
         if rivals and severity == "certain":
             severity = "likely"
-        return Accepted(proposal, severity, before, after, (*same, *rivals[:2]), better)
+        return Accepted(proposal, severity, _permuted(before, proposal.order), after, (*same, *rivals[:2]), better)
     return None
+
+
+def _different(proposal: Proposal, others: Sequence[Proposal]) -> list[Proposal]:
+    """The same change of another series, or another unit; not the same one with another number."""
+    seen, found = {(proposal.side, tuple(proposal.units.values()))}, []
+    for other in others:
+        key = (other.side, tuple(other.units.values()))
+        if key not in seen:
+            seen.add(key)
+            found.append(other)
+    return found[:2]
+
+
+def _permuted(score: Score, order: dict[int, int]) -> Score:
+    """The score with joints in each other's places, as a swap of both series has them."""
+    if not order:
+        return score
+    columns = np.arange(score.left.size)
+    for joint, source in order.items():
+        columns[joint] = source
+    return replace(
+        score,
+        left=score.left[columns],
+        blind=score.blind[columns],
+        chunks=score.chunks[:, columns],
+        outside=score.outside[columns],
+        beyond=score.beyond[columns],
+    )
 
 
 def _better(looked: Looked, proposal: Proposal, after: Score) -> tuple[int, ...]:
     """The joints of a proposal that are explained better by it, or in their range for the first time."""
-    before = looked.score
+    before = _permuted(looked.score, proposal.order)
     found = []
     for joint in proposal.joints or looked.moved:
         if np.isnan(before.left[joint]) or np.isnan(after.left[joint]):
@@ -127,33 +168,33 @@ def _better(looked: Looked, proposal: Proposal, after: Score) -> tuple[int, ...]
     # What a joint's position is counts for those before it, too.
     if not found and proposal.joints and proposal.side != "command":
         return tuple(
-            joint
-            for joint in looked.moved
-            if (after.left[joint] + _LEAST) / (before.left[joint] + _LEAST) < _TOLD
+            joint for joint in looked.moved if (after.left[joint] + _LEAST) / (before.left[joint] + _LEAST) < _TOLD
         )
     return tuple(found)
 
 
 def _severity(looked: Looked, proposal: Proposal, after: Score, better: tuple[int, ...]) -> CheckSeverity | None:
-    before, evidence = looked.score, looked.evidence
+    before, evidence = _permuted(looked.score, proposal.order), looked.evidence
     own = np.array(better)
     left, was = after.left[own], before.left[own]
     share, had = _share(after)[own], _share(before)[own]
     servo = evidence.followed(proposal.reading) != "torque"
+    if proposal.kind == "unit" and _far_outside(before, after, own):
+        return "certain"
     if servo and was.max() > LOST and left[was > LOST].max() < _FOLLOWED:
-        strong = bool(np.all(left[was > LOST] < _CERTAIN * was[was > LOST])) and was.max() > 2 * LOST
+        strong = bool(np.all(left[was > LOST] < _CERTAIN * was[was > LOST]))
     elif not servo and left.max() < _MOVED:
         strong = bool(np.max(was / (left + _LEAST)) > 1.0 / _CERTAIN) and share.max() > _EXPLAINED
     elif servo and evidence.sure and share.max() > _EXPLAINED:
         joint = int(np.argmax(share))
-        strong = bool(had[joint] < _UNEXPLAINED or left[joint] < _CERTAIN * was[joint])
-    elif _far_outside(before, after, own):
-        return "certain" if proposal.kind == "unit" else "likely"
+        strong = bool(had[joint] < _UNEXPLAINED or left[joint] < _MUCH_LESS * was[joint])
     elif left.max() < 0.3 or (evidence.sure and share.max() > 0.5):
         strong = False
     else:
         return None
-    if proposal.kind == "gravity-compensation" and servo:
+    if (proposal.kind == "gravity-compensation" and servo) or (
+        proposal.kind == "delay" and abs(proposal.value) < _LATE_S
+    ):
         strong = False
     return "certain" if strong and _agree(before, after, own) else "likely"
 
@@ -165,7 +206,9 @@ def _share(score: Score) -> np.ndarray:
 
 def _far_outside(before: Score, after: Score, own: np.ndarray) -> bool:
     """Whether joints were so far out of their range that no calibration explains it, and are in it now."""
-    return bool(np.all(after.outside[own] < 0.02) and np.all(before.outside[own] > 0.5) and before.beyond[own].min() > 6.3)
+    return bool(
+        np.all(after.outside[own] < 0.02) and np.all(before.outside[own] > 0.5) and before.beyond[own].min() > 6.3
+    )
 
 
 def _agree(before: Score, after: Score, own: np.ndarray) -> bool:
@@ -175,4 +218,5 @@ def _agree(before: Score, after: Score, own: np.ndarray) -> bool:
     known = np.isfinite(was) & np.isfinite(now) & (was > 0.05 * before.left[strong])
     if not known.any():
         return False
-    return bool(np.mean(now[known] < 0.6 * was[known]) >= _AGREE)
+    ratio = (now[known] + _LEAST) / (was[known] + _LEAST)
+    return bool(np.mean(ratio < 0.6) >= _AGREE and np.exp(np.mean(np.log(ratio))) < 0.4)
