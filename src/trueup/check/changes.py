@@ -23,7 +23,7 @@ LOST = 0.15
 _UNEXPLAINED = 0.8
 # A relation between two columns that explains this much is one.
 _RELATED = 0.85
-_MOST_PAIRS = 120
+_MOST_PAIRS, _MOST_SUSPECTS = 120, 12
 # A factor within this of a unit's is that unit's: a soft servo moves less than it is told. Within these it is soft.
 _NEAR_UNIT, _SOFT = 0.15, (0.7, 1.4)
 # How far the measured velocity may be from the derivative of the position.
@@ -110,10 +110,16 @@ class Looked:
         bad = (share < _UNEXPLAINED) | (self.score.left > LOST) | (self.score.outside > 0.1)
         return [joint for joint in self.moved if bad[joint]]
 
+    @property
+    def suspects(self) -> list[int]:
+        """Joints that may be read wrongly: how one is read decides about what the model says of those before it, too."""
+        found = {*self.lost, *self.puzzling}
+        return self.moved if self.puzzling and len(self.moved) <= _MOST_SUSPECTS else sorted(found)
+
 
 def signs(looked: Looked) -> Iterator[Proposal]:
     """A joint that counts the other way round, in one series or in both."""
-    for joint in sorted({*looked.lost, *looked.puzzling}):
+    for joint in looked.suspects:
         for side in _SIDES if joint in looked.lost else ("both",):
             yield _sign(looked, joint, side)
 
@@ -123,7 +129,7 @@ def swaps(looked: Looked) -> Iterator[Proposal]:
     lost, puzzling = looked.lost, looked.puzzling
     if looked.servo:
         yield from _permutations(looked)
-    pairs = list(combinations(sorted({*puzzling, *lost}), 2))
+    pairs = [pair for pair in combinations(looked.moved, 2) if {*pair} & {*puzzling, *lost}]
     for one, other in pairs[:_MOST_PAIRS]:
         if looked.length_units[one] != looked.length_units[other]:
             continue
@@ -175,7 +181,7 @@ def offsets(looked: Looked) -> Iterator[Proposal]:
     """A zero of another pose than the model's, in both series (or, of motors and velocities, in the measured one)."""
     signal = looked.evidence.followed(looked.reading)
     side: Side = "both" if signal == "position" else "measured"
-    for joint in looked.puzzling:
+    for joint in looked.suspects:
         if looked.length_units[joint] != "rad":
             continue
         for quarter in (1, -1, 2, 0.5, -0.5, 1.5, -1.5):
@@ -218,7 +224,7 @@ def gravity(looked: Looked) -> Iterator[Proposal]:
         pull = size * np.array(direction, float)
         if np.allclose(pull, now):
             continue
-        changed = replace(looked.reading, gravity=tuple(map(float, pull)))
+        changed = replace(looked.reading, gravity=(float(pull[0]), float(pull[1]), float(pull[2])))
         yield Proposal("gravity", (), changed, "", f"gravity pulls along {_axis(direction)}", freedom=0.3)
     if now.any():
         changed = replace(looked.reading, gravity=(0.0, 0.0, 0.0))

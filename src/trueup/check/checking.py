@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from trueup.check.changes import Proposal
+from trueup.check.drive_looks import AFTER, BEFORE
 from trueup.check.dynamics import Dynamics
 from trueup.check.evidence import Evidence, loss
-from trueup.check.drive_looks import AFTER, BEFORE
 from trueup.check.log_looks import LOOKS
-from trueup.check.reading import Reading, Side, joint_lines, yaml_lines
+from trueup.check.reading import Reading, Side, Unit, joint_lines, yaml_lines
 from trueup.check.samples import Motion, motion_of
 from trueup.check.search import Accepted, accepted, nominal
 from trueup.check.setting import Logs, Setting, percent
 from trueup.core.check_result import SEVERITIES, Finding, Mend
 from trueup.core.episode import Episode
 from trueup.core.units import si_factor
-from trueup.robots import ControllerSpec, RobotSpec
+from trueup.robots import RobotSpec
 
 # A mirrored joint that changes less than this of what is left (of the logarithm) cannot be told from one that is not.
 _UNSEEN = 0.7
@@ -64,7 +64,7 @@ def check_motions(
     if copied and signal != "torque":
         return _ordered(findings), ("Nothing about the drive: command and measurement are the same numbers.",)
     changes, reading = accepted(evidence, nominal(evidence), lengths)
-    units: dict[tuple[str, int], object] = {}
+    units: dict[tuple[str, int], Unit] = {}
     for change in changes:
         units |= change.proposal.units
         findings.append(_finding(robot, evidence, change, units, lengths))
@@ -78,7 +78,7 @@ def check_motions(
 
 
 def _finding(
-    robot: RobotSpec, evidence: Evidence, change: Accepted, units: dict[tuple[str, int], object], lengths: Sequence[str]
+    robot: RobotSpec, evidence: Evidence, change: Accepted, units: dict[tuple[str, int], Unit], lengths: Sequence[str]
 ) -> Finding:
     proposal = change.proposal
     names = tuple(robot.joint_names[joint] for joint in proposal.joints)
@@ -120,11 +120,13 @@ def _explained(robot: RobotSpec, evidence: Evidence, change: Accepted, joint: in
         ways.append(f"{name} is then within its range, and else out of it {percent(before.outside[joint])} of the time")
     if signal == "torque":
         ways.append(
-            f"the model explains {_share(after.left[joint])} of the torque of {name}, without {_share(before.left[joint])}"
+            f"the model explains {_share(after.left[joint])} of the torque of {name}, "
+            f"without {_share(before.left[joint])}"
         )
     elif before.left[joint] > 0.1:
         ways.append(
-            f"the command explains {_share(after.left[joint])} of the motion of {name}, without {_share(before.left[joint])}"
+            f"the command explains {_share(after.left[joint])} of the motion of {name}, "
+            f"without {_share(before.left[joint])}"
         )
     else:
         share, was = (1.0 - one.left[joint] / max(one.blind[joint], 1e-12) for one in (after, before))
@@ -139,13 +141,13 @@ def _mends(
     robot: RobotSpec,
     evidence: Evidence,
     proposal: Proposal,
-    units: dict[tuple[str, int], object],
+    units: dict[tuple[str, int], Unit],
     lengths: Sequence[str],
 ) -> tuple[Mend, ...]:
     reading = proposal.reading
     if proposal.joints:
         names = {robot.joint_names[joint] for joint in proposal.joints}
-        lines = joint_lines(robot, reading, units, signal=evidence.followed(reading), lengths=lengths, only=names)  # type: ignore[arg-type]
+        lines = joint_lines(robot, reading, units, signal=evidence.followed(reading), lengths=lengths, only=names)
         return (Mend("robot.yaml", lines, f"{' and '.join(sorted(names))} {proposal.says}"),)
     if proposal.kind == "delay":
         lag_s, shift_s = round(reading.lag_s, 3), round(robot.clock.command_shift_s + reading.lag_s, 3)
@@ -194,10 +196,7 @@ def _mode_mends(robot: RobotSpec, evidence: Evidence, proposal: Proposal) -> tup
         damping = float(np.median(score.damping[known] / score.gain[known])) if known.any() else 0.0
         gains = {"kp": stiffness, "kv": damping} if signal == "position" else {"kv": stiffness}
         tree |= {key: float(f"{value:.3g}") for key, value in gains.items()}
-    plain = ControllerSpec()
-    for key in ("kp", "kv", "ki"):
-        if key not in tree and getattr(robot.controller, key) != getattr(plain, key):
-            tree[key] = 0.0
+    tree |= {key: 0.0 for key in ("kp", "kv", "ki") if key not in tree and getattr(robot.controller, key)}
     own = evidence.signal
     mapping = Mend(
         "mapping",
@@ -215,7 +214,7 @@ def _unseen(robot: RobotSpec, evidence: Evidence, reading: Reading) -> list[str]
     if not evidence.sure:
         why = "its base is free or moves, or joints are passive or coupled"
         return [
-            f"Signs that are wrong in command and measurement alike, and gravity: the model's torques do not count, since {why}."
+            f"Gravity, and signs that are wrong in command and measurement alike: what the model needs is unsure, {why}."
         ]
     score = evidence.score(reading)
     base = loss(score, score).sum()

@@ -12,15 +12,16 @@ from scipy.ndimage import minimum_filter1d
 
 from trueup.check.evidence import loss
 from trueup.check.reading import yaml_lines
-from trueup.check.setting import Setting, percent
+from trueup.check.setting import Setting, percent, where
 from trueup.core.check_result import Finding, Mend
 from trueup.core.units import UNITS
 
 # At rest the model sags by more than this [rad], and the robot by less than this share of it.
 _SAGS, _STANDS = 0.005, 0.2
 _COMPENSATED = "simulation: {gravity_compensation: true}"
-# A joint that is slower than this rests [rad/s]; rows that are looked at of each motion, and needed of all.
-_REST_SPEED, _MOST_AT_REST, _LEAST_AT_REST = 5e-3, 60, 20
+# A joint that is slower than this rests [rad/s], or than this share of its speed; rows that are looked at of each
+# motion, and needed of all.
+_REST_SPEED, _SLOW, _MOST_AT_REST, _LEAST_AT_REST = 5e-3, 0.01, 60, 20
 _PAYLOADS_KG = np.geomspace(0.02, 30.0, 23)
 # Of the joints that move, for it to be the log of another robot.
 _HALF_WAY = 0.5
@@ -52,18 +53,18 @@ def velocity_channel(setting: Setting) -> Iterator[Finding]:
     """Measured velocities that are not the derivative of the positions."""
     slopes = setting.evidence.rates * setting.reading.measured.factor / setting.reading.clock_scale
     own = setting.reading.measured.column == np.arange(slopes.size)
-    odd = np.flatnonzero(np.isfinite(slopes) & own & ((slopes < 0.6) | (slopes > 1.7)))
-    if not odd.size:
+    odd = where(np.isfinite(slopes) & own & ((slopes < 0.6) | (slopes > 1.7)))
+    if not odd:
         return
     middle = float(np.median(slopes[odd]))
     known = slopes[np.isfinite(slopes)]
     exact = next((one for one in (0.5, 2.0, 1e3, 1e-3) if abs(middle / one - 1.0) < 0.04), None)
-    if exact is not None and odd.size == known.size > 1 and float(np.ptp(known)) < 0.05 * abs(middle):
+    if exact is not None and len(odd) == known.size > 1 and float(np.ptp(known)) < 0.05 * abs(middle):
         yield Finding(
             "clock",
             "likely",
-            f"All positions change {middle:.3g} times as fast as the measured velocities say: the stamps or the velocities "
-            f"are {1 / exact:g} of what they should be.",
+            f"All positions change {middle:.3g} times as fast as the measured velocities say: the stamps or the "
+            f"velocities are {1 / exact:g} of what they should be.",
             mends=(
                 Mend("robot.yaml", yaml_lines({"clock": {"scale": exact}}), "if the stamps are wrong"),
                 Mend("mapping", "", "if the velocities are wrong: give them in rad/s, or leave them out"),
@@ -118,7 +119,7 @@ def payload(setting: Setting) -> Iterator[Finding]:
     after = evidence.score(reading, bare + mass * (loaded - bare))
     share = 1.0 - after.left / np.maximum(after.blind, 1e-12)
     had = 1.0 - score.left / np.maximum(score.blind, 1e-12)
-    moved = np.flatnonzero(np.isfinite(score.left))
+    moved = where(np.isfinite(score.left))
     own = [joint for joint in moved if after.left[joint] < score.left[joint] / 3.0]
     if gains[best] < math.log(4.0) or not own or max(share[own]) < 0.6 or best in (0, len(_PAYLOADS_KG) - 1):
         return
@@ -138,8 +139,8 @@ def payload(setting: Setting) -> Iterator[Finding]:
     yield Finding(
         "payload",
         "likely",
-        f"With about {mass:.2g} kg more at {evidence.first.end_body!r} the model explains {percent(share[joint])} of what "
-        f"{setting.names([joint])[0]} takes, without {percent(had[joint])}.",
+        f"With about {mass:.2g} kg more at {evidence.first.end_body!r} the model explains {percent(share[joint])} of "
+        f"what {setting.names([joint])[0]} takes, without {percent(had[joint])}.",
         setting.names(own),
         tuple(mends),
         {"mass_kg": mass, "explained": float(share[joint]), "before": float(had[joint])},
@@ -154,13 +155,13 @@ def integral(setting: Setting) -> Iterator[Finding]:
         return
     errors, sags = _at_rest(setting)
     found = []
-    for joint in np.flatnonzero(np.isfinite(stiffness)):
+    for joint in where(np.isfinite(stiffness)):
         known = np.isfinite(errors[:, joint])
         if known.sum() < _LEAST_AT_REST:
             continue
         stands, falls = _rms(errors[known, joint]), _rms(sags[known, joint])
         if falls > _SAGS and stands < _STANDS * falls:
-            found.append((int(joint), stands, falls))
+            found.append((joint, stands, falls))
     if not found:
         return
     joint, stands, falls = max(found, key=lambda item: item[2])
@@ -170,7 +171,7 @@ def integral(setting: Setting) -> Iterator[Finding]:
         "integral",
         "likely",
         f"At rest {setting.names([joint])[0]} stands {1e3 * stands:.2g} mrad from its command, where the model sags by "
-        f"{1e3 * falls:.2g} mrad: the drive has an integral term, is stiffer than the model, or something carries the weight.",
+        f"{1e3 * falls:.2g} mrad: the drive has an integral term, or is stiffer, or something carries the weight.",
         setting.names([item[0] for item in found]),
         (
             Mend("robot.yaml", yaml_lines({"controller": tree}), "give the controller an integral term"),
@@ -187,7 +188,8 @@ def _at_rest(setting: Setting) -> tuple[np.ndarray, np.ndarray]:
     for motion in evidence.motions:
         speed = np.abs(reading.measured.of(motion.velocity, moved=False))
         # The filter brings what is before and after into a rest.
-        calm = minimum_filter1d((speed < _REST_SPEED).astype(float), max(3, round(0.4 / motion.step_s)), axis=0) > 0
+        slow = speed < np.maximum(_REST_SPEED, _SLOW * np.percentile(speed, 98, axis=0))
+        calm = minimum_filter1d(slow.astype(float), max(3, round(0.4 / motion.step_s)), axis=0) > 0
         rows = np.flatnonzero(motion.usable(reading.lag_s) & calm.any(axis=1))
         if not rows.size:
             continue
@@ -214,7 +216,7 @@ def speed_limits(setting: Setting) -> Iterator[Finding]:
         far = np.abs(behind[:, joint])
         towards = velocity[:, joint] * behind[:, joint] > 0
         fast = towards & (speed > 0.9 * top)
-        if top < 0.05 or fast.sum() < 0.06 * max(np.count_nonzero(speed > 0.1 * top), 1) or fast.sum() < 15:
+        if top < 0.05 or fast.sum() < 0.06 * max(int(np.count_nonzero(speed > 0.1 * top)), 1) or fast.sum() < 15:
             continue
         low, high = np.percentile(far[fast], (10, 90))
         furthest = towards & (far > np.percentile(far[towards], 80))
@@ -267,11 +269,11 @@ def another_robot(setting: Setting) -> Iterator[Finding]:
     """Nothing explains what the joints do."""
     evidence, reading = setting.evidence, setting.reading
     score = evidence.score(reading)
-    moved = np.flatnonzero(np.isfinite(score.left))
+    moved = where(np.isfinite(score.left))
     servo = setting.signal != "torque"
     lost = [joint for joint in moved if score.left[joint] > (0.5 if servo else 0.9)] if servo or evidence.sure else []
     out = [joint for joint in moved if score.outside[joint] > 0.3 and score.beyond[joint] > 0.2]
-    if moved.size and (len(lost) >= max(1, _HALF_WAY * moved.size) or len(out) >= max(1, _HALF_WAY * moved.size)):
+    if moved and (len(lost) >= max(1, _HALF_WAY * len(moved)) or len(out) >= max(1, _HALF_WAY * len(moved))):
         words = []
         if lost:
             what = "motion" if servo else "torque"

@@ -117,7 +117,7 @@ def _depth(model: mujoco.MjModel, body: int) -> int:
 
 
 def _gains(simulator: MujocoSimulator) -> tuple[Float64[np.ndarray, "J"], Float64[np.ndarray, "J"]]:
-    """Torque per command [Nm/rad, Nm s/rad or 1] and per velocity [Nm s/rad] of each joint; NaN where it cannot be told."""
+    """Torque per command [Nm/rad, Nm s/rad or 1] and per velocity [Nm s/rad] of each joint; NaN where unknown."""
     model = simulator.model
     data = mujoco.MjData(model)
     _, dofs = simulator.places

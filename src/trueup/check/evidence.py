@@ -1,9 +1,9 @@
 """How well one way of reading the logs agrees with the model: the equation of the drive, joint by joint.
 
-Where torques are commanded, they are what the motion takes: `command = g T + b v + c sign(v) + e a + d`, with T the model's
-inverse dynamics without losses. A servo's error is that torque over its stiffness: `command - x = T / k + ...`, with x the
-position, or the velocity of a velocity servo. All factors are free within bounds and none is negative, so that friction,
-armature and gains that a model has wrong are not held against it; signs, zeros, units and names are.
+Where torques are commanded, they are what the motion takes: `command = g T + b v + c sign(v) + e a + d`, with T the
+model's inverse dynamics without losses. A servo's error is that torque over its stiffness: `command - x = T / k + ...`,
+with x the position, or the velocity of a velocity servo. All factors are free within bounds and none is negative, so
+that friction, armature and gains that a model has wrong are not held against it; signs, zeros, units and names are.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from trueup.check.samples import Motion
 
 # Rows that are looked at in all, and groups of motions (or parts of one) that have to agree.
 _ROWS, _COARSE_ROWS, _CHUNKS = 1200, 300, 6
-# A servo may be this much softer than the model says, and lag by this part of what the model does at least; a torque may be
-# this much off, a zero this far [rad].
+# A servo may be this much softer than the model says, and lag by this part of what the model does at least; a torque
+# may be this much off, a zero this far [rad].
 _SOFTER, _LAGS, _GAIN, _ZERO = 6.0, 0.4, 3.0, 0.1
 # Below these a joint is not moved by its command [rad or m; rad/s or m/s].
 _LEAST_MOTION = {"position": 0.03, "velocity": 0.03, "torque": 1e-9}
@@ -35,13 +35,14 @@ class Score:
     """How well a reading explains the motions; (J,) each, NaN for joints that do not move.
 
     Attributes:
-        left: mean square of what the equation leaves, over that of what it is to explain: the motion around its mean for
-            a servo, the torque for a motor.
+        left: mean square of what the equation leaves, over that of what it is to explain: the motion around its mean
+            for a servo, the torque for a motor.
         blind: the same without the model's torque; what the model explains is what `left` is below it.
         chunks: `left` by group of motions, (C, J).
         outside: share of the samples outside of the joint's range.
         beyond: how far the 98th percentile of them is outside [rad or m].
         gain: factor of the model's torque: 1 over the stiffness of a servo; of a motor, commanded per needed torque.
+        damping: factor of the velocity of a position servo or a motor, of the acceleration of a velocity servo.
         zero: constant that was left over, of a servo [rad or m].
     """
 
@@ -116,7 +117,7 @@ class Evidence:
     @property
     def joints(self) -> int:
         """J."""
-        return self.motions[0].position.shape[1]
+        return int(self.motions[0].position.shape[1])
 
     @property
     def first(self) -> Dynamics:
@@ -191,7 +192,7 @@ class Evidence:
                     end_mass_kg=reading.end_mass_kg,
                 )
             self._known[key] = out
-        return self._known[key]  # type: ignore[index]
+        return self._known[key]
 
     def score(self, reading: Reading, needed: Float64[np.ndarray, "N J"] | None = None) -> Score:
         """How well a reading agrees with the model; with other torques of a model if they are given."""
@@ -232,6 +233,8 @@ class Evidence:
             size = max(size, 1e-12)
             table = np.column_stack([*columns, target])
             grams = np.stack([table[self._chunk == chunk].T @ table[self._chunk == chunk] for chunk in range(chunks)])
+            if not np.isfinite(grams).all():  # numbers that no robot moves by
+                continue
             counts = np.bincount(self._chunk, minlength=chunks)
             gram = grams.sum(axis=0)
             rest, factors = _solved(gram, limits)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from trueup.check.reading import yaml_lines
-from trueup.check.setting import Logs
+from trueup.check.setting import Logs, where
 from trueup.core.check_result import CheckSeverity, Finding, Mend
 from trueup.core.hold import held_rows
 
@@ -36,7 +36,7 @@ def stamps(logs: Logs) -> Iterator[Finding]:
     yield Finding(
         "clock",
         "certain",
-        f"The samples come at {rate_hz:.3g} Hz, which is no robot's rate; with stamps {says} it is {rate_hz / scale:.4g} Hz.",
+        f"Samples at {rate_hz:.3g} Hz are no robot's; with stamps {says} they come at {rate_hz / scale:.4g} Hz.",
         mends=tuple(mends),
         numbers={"scale": scale, "rate_hz": rate_hz},
     )
@@ -93,8 +93,8 @@ def idle_joints(logs: Logs) -> Iterator[Finding]:
             if episode.command is not None and signal in episode.command
         ]
     )
-    idle = np.flatnonzero(spans < _LEAST_MOTION)
-    if idle.size == spans.size:
+    idle = where(spans < _LEAST_MOTION)
+    if len(idle) == spans.size:
         text = f"No joint moves by more than {_LEAST_MOTION:g} rad or m in any motion."
         yield Finding("small-motion", "likely", text, mends=(Mend("recording", "", "record motions"),))
         return
@@ -118,7 +118,7 @@ def idle_joints(logs: Logs) -> Iterator[Finding]:
             logs.names(quiet),
             (Mend("recording", "", "move it, or leave it out of what is fitted"),),
         )
-    small = [joint for joint in np.flatnonzero(spans < _COMMANDED) if joint not in idle]
+    small = [joint for joint in where(spans < _COMMANDED) if joint not in idle]
     if small:
         text = f"{logs.listed(small)}: moved by less than 0.05 rad or m, where friction and encoders hide much."
         yield Finding(
@@ -150,8 +150,8 @@ def same_twice(logs: Logs) -> Iterator[Finding]:
         yield Finding(
             "command-is-measurement",
             severity,
-            f"Command and measured {controller.signal} of {logs.listed(found)} are the same numbers, in all motions: one of "
-            "them was logged twice, and nothing can be learned about the drive.",
+            f"Command and measured {controller.signal} of {logs.listed(found)} are the same numbers, in all motions: "
+            "one of them was logged twice, and nothing can be learned about the drive.",
             logs.names(found),
             (
                 Mend(

@@ -62,7 +62,7 @@ class Columns:
     def of(self, values: Float64[np.ndarray, "N J"], *, moved: bool) -> Float64[np.ndarray, "N J"]:
         """The joints; `moved` adds the offsets, which rates have not."""
         found = values[:, self.column] * self.factor
-        return found + self.offset if moved else found
+        return np.asarray(found + self.offset if moved else found)
 
     @property
     def plain(self) -> bool:
@@ -236,7 +236,7 @@ def _base_rule(joint: JointSpec, side: str) -> dict[str, Any]:
 
 
 def _difference(joint: JointSpec, measured: Mapping[str, Any], command: Mapping[str, Any]) -> dict[str, Any]:
-    """What is written for a joint: what robot.yaml has otherwise, and of the command what the measurement has otherwise."""
+    """What is written for a joint: what robot.yaml has otherwise, of the command what the measurement has otherwise."""
     old = _base_rule(joint, "measured")
     lines: dict[str, Any] = {key: value for key, value in measured.items() if value != old[key]}
     given = {} if joint.command is None else joint.command.given

@@ -16,6 +16,7 @@ from trueup.core.hold import held_rows
 _LONGEST_S, _MOST_SAMPLES = 60.0, 12_000
 _HIGHEST_HZ, _CUTOFF_HZ, _CUTOFF_SHARE = 200.0, 10.0, 0.12
 _FEWEST = 40
+_LARGEST = 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +142,7 @@ def motion_of(
 
 def _filled(values: np.ndarray) -> Float64[np.ndarray, "T J"]:
     """Missing samples bridged; a column without any value is zero."""
-    known = values.astype(np.float64)
+    known = np.clip(values.astype(np.float64), -_LARGEST, _LARGEST)
     rows = np.arange(len(known))
     for column in known.T:
         finite = np.isfinite(column)

@@ -12,7 +12,8 @@ from trueup.check.evidence import Evidence, Score, loss
 from trueup.check.reading import Reading
 from trueup.core.check_result import CheckSeverity
 
-# A change is told if what is left falls to this share, of the joints that it is about; and counts as certain below that.
+# A change is told if what is left falls to the first share, of the joints that it is about; below the second it may be
+# certain.
 _TOLD, _CERTAIN = 1.0 / 3.0, 1.0 / 6.0
 # What a certain change leaves of the motion of a servo, or of the torque of a motor, at most.
 _FOLLOWED, _MOVED = 0.05, 0.15
@@ -196,7 +197,10 @@ def _severity(looked: Looked, proposal: Proposal, after: Score, better: tuple[in
         proposal.kind == "delay" and abs(proposal.value) < _LATE_S
     ):
         strong = False
-    return "certain" if strong and _agree(before, after, own) else "likely"
+    if strong and _agree(before, after, own):
+        return "certain"
+    # Friction and damping make many a torque look like a velocity.
+    return None if proposal.kind == "control-mode" else "likely"
 
 
 def _share(score: Score) -> np.ndarray:

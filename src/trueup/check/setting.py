@@ -59,6 +59,11 @@ class Setting(Logs):
         return self.reading.command.of(values, moved=self.signal == "position")
 
 
+def where(mask: np.ndarray) -> list[int]:
+    """Numbers of the joints for which something holds."""
+    return [int(joint) for joint in np.flatnonzero(mask)]
+
+
 def percent(share: float) -> str:
     """A share from 0 to 1, for people."""
     return f"{100.0 * max(float(share), -9.99):.0f} %"

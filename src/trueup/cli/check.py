@@ -36,7 +36,7 @@ def check(
     """
     from trueup.dataset import Dataset
     from trueup.robots import load_robot
-    from trueup.stages import check as run
+    from trueup.stages import check_setup as run
 
     if out_file is not None and out_file.exists() and not overwrite:
         raise OutputExists(f"{out_file} exists", hint="Give --overwrite, or choose another --out.")

@@ -52,7 +52,8 @@ def identify(
 
     Writes a fitted model, a robot.yaml and a report.
 
-    Exit code 3 if the set-up is certainly wrong, the search did not converge, or the fitted model is no better on motions that it was not fitted to.
+    Exit code 3 if the set-up is certainly wrong, the search did not converge, or the fitted model is no better on
+    motions that it was not fitted to.
     """
     from dataclasses import replace
 
@@ -61,7 +62,7 @@ def identify(
     from trueup.identify import IdentifyConfig
     from trueup.identify.config import SolverChoice
     from trueup.robots import load_robot
-    from trueup.stages import check, refuse_wrong
+    from trueup.stages import check_setup, refuse_wrong
     from trueup.stages import fit as run
 
     chosen = IdentifyConfig.load(config) if config else IdentifyConfig()
@@ -70,7 +71,7 @@ def identify(
         chosen = replace(chosen, solver=replace(chosen.solver, name=name))
     data, description = Dataset(dataset), load_robot(robot)
     if not force:
-        checked = check(data, description, model=model)
+        checked = check_setup(data, description, model=model)
         show_findings(checked, only=("certain", "likely"))
         refuse_wrong(checked)
     with iterations() as (begin, on_progress):

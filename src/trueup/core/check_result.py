@@ -24,8 +24,8 @@ class Mend:
 
     Attributes:
         where: which file is changed; `recording` if the log cannot be mended and has to be made again.
-        lines: what stands there afterwards, YAML or MJCF, line breaks included. Of robot.yaml only the joints and keys that
-            change: `mended_tree` merges them. Empty where there is nothing to copy.
+        lines: what stands there afterwards, YAML or MJCF, line breaks included. Of robot.yaml only the joints and keys
+            that change: `check.mended` merges them. Empty where there is nothing to copy.
         words: what to do, in a sentence without a full stop.
     """
 

@@ -24,7 +24,7 @@ _MOST = 40
 GO_ON = "Mend what is said above and begin again, or go on as it is with --force."
 
 
-def check(
+def check_setup(
     dataset: Dataset, robot: RobotSpec, *, model: Path | None = None, ids: Sequence[str] | None = None
 ) -> CheckResult:
     """What is wrong with a set-up: signs, names, units, zeros, clocks, gravity, control mode.

@@ -19,7 +19,7 @@ from trueup.dataset import Dataset
 from trueup.errors import TrueupError
 from trueup.robots import RobotSpec
 from trueup.stages import close_words as words
-from trueup.stages.checking import check, check_inputs
+from trueup.stages.checking import check_inputs, check_setup
 from trueup.stages.close_asked import asked_of_data
 from trueup.stages.close_budget import Budget, fitted_motion
 from trueup.stages.close_folder import EXPLAIN_CONFIG, EXPLAIN_NAME, LADDER_NAME, CloseFolder
@@ -215,7 +215,7 @@ class CloseSteps:
         self.watch.on_step("check")
         with self.folder.step("check", may_fail=True) as step:
             step.inputs, step.kept = inputs, kept
-            found = CheckResult.load(path) if kept else check(self.dataset, self.robot, model=self.model)
+            found = CheckResult.load(path) if kept else check_setup(self.dataset, self.robot, model=self.model)
             if not kept:
                 found.save(path)
             step.what = words.of_findings(found)
