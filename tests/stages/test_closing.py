@@ -110,7 +110,13 @@ def test_a_second_call_keeps_what_is_there(closed, tmp_path):
 
 @pytest.mark.parametrize(
     ("until", "last", "rungs"),
-    [("replay", "replay", 0), ("gap", "gap", 2), ("explain", "explain", 2), ("identify", "identify", 3)],
+    [
+        ("replay", "replay", 0),
+        ("gap", "gap", 2),
+        ("check", "check", 2),
+        ("explain", "explain", 2),
+        ("identify", "identify", 3),
+    ],
 )
 def test_it_ends_where_it_was_asked_to_end(data, tmp_path, until, last, rungs):
     done = quick(data, tmp_path / "out", until=until)
@@ -122,7 +128,7 @@ def test_it_ends_where_it_was_asked_to_end(data, tmp_path, until, last, rungs):
     # And goes on from there.
     if until == "explain":
         whole = quick(data, tmp_path / "out", resume=True)
-        assert [step.status for step in whole.result.steps] == ["kept", "done", "kept", "done", "done"]
+        assert [step.status for step in whole.result.steps] == ["kept", "done", "kept", "kept", "done", "done"]
 
 
 def test_logs_are_imported_first(recorded, tmp_path):
@@ -263,13 +269,13 @@ def test_beginning_anew_leaves_nothing_of_another_configuration(closed, tmp_path
     (out / "checkpoints").mkdir()
     first = quick(data, out, config=OTHER, until="gap", overwrite=True)
     assert {step.name: step.status for step in first.result.steps} == {"replay": "done", "gap": "done"}
-    gone = {"fit.json", "identify.yaml", "explain.yaml", "networks", "checkpoints"}
+    gone = {"fit.json", "check.json", "identify.yaml", "explain.yaml", "networks", "checkpoints"}
     assert not gone & {path.name for path in out.iterdir()}
     done = quick(data, out, config=OTHER, resume=True)  # the old networks are not in its way
     assert {step.name: step.status for step in done.result.steps} == {
         "replay": "kept",
         "gap": "done",
-        **dict.fromkeys(("explain", "identify", "augment"), "done"),
+        **dict.fromkeys(("check", "explain", "identify", "augment"), "done"),
     }
     assert IdentifyConfig.load(out / "identify.yaml") == OTHER
 

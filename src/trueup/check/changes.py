@@ -112,7 +112,7 @@ class Looked:
 
     @property
     def suspects(self) -> list[int]:
-        """Joints that may be read wrongly: how one is read decides about what the model says of those before it, too."""
+        """Joints that may be read wrongly: what the model says of one depends on those behind it, too."""
         found = {*self.lost, *self.puzzling}
         return self.moved if self.puzzling and len(self.moved) <= _MOST_SUSPECTS else sorted(found)
 

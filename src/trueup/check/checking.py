@@ -214,7 +214,7 @@ def _unseen(robot: RobotSpec, evidence: Evidence, reading: Reading) -> list[str]
     if not evidence.sure:
         why = "its base is free or moves, or joints are passive or coupled"
         return [
-            f"Gravity, and signs that are wrong in command and measurement alike: what the model needs is unsure, {why}."
+            f"Gravity, and signs that are wrong in both series alike: what the model says of torques is unsure, {why}."
         ]
     score = evidence.score(reading)
     base = loss(score, score).sum()

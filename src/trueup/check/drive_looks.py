@@ -51,7 +51,10 @@ def floating_base(setting: Setting) -> Iterator[Finding]:
 
 def velocity_channel(setting: Setting) -> Iterator[Finding]:
     """Measured velocities that are not the derivative of the positions."""
-    slopes = setting.evidence.rates * setting.reading.measured.factor / setting.reading.clock_scale
+    # A sign and a scale are those of the velocity, too; a unit is the position's alone.
+    alone = setting.evidence.rates / setting.reading.clock_scale
+    converted = alone * np.abs(setting.reading.measured.factor)
+    slopes = np.where(np.abs(alone - 1.0) < np.abs(converted - 1.0), alone, converted)
     own = setting.reading.measured.column == np.arange(slopes.size)
     odd = where(np.isfinite(slopes) & own & ((slopes < 0.6) | (slopes > 1.7)))
     if not odd:

@@ -20,6 +20,8 @@ _FOLLOWED, _MOVED = 0.05, 0.15
 # Of what the model could explain it has to explain this much, where it explained no more than that before, or
 # left four times as much.
 _EXPLAINED, _UNEXPLAINED, _MUCH_LESS = 0.75, 0.4, 0.25
+# What a motor's torque may leave where positions were far out of range.
+_SENSIBLE = 0.5
 # Another explanation that is nearly as good, in the logarithm of what is left.
 _RIVAL = 0.7
 _AGREE = 0.8
@@ -180,8 +182,9 @@ def _severity(looked: Looked, proposal: Proposal, after: Score, better: tuple[in
     left, was = after.left[own], before.left[own]
     share, had = _share(after)[own], _share(before)[own]
     servo = evidence.followed(proposal.reading) != "torque"
+    sensible = left.max() < (LOST if servo else _SENSIBLE) or (servo and not evidence.sure)
     if proposal.kind == "unit" and _far_outside(before, after, own):
-        return "certain"
+        return "certain" if sensible else "likely"
     if servo and was.max() > LOST and left[was > LOST].max() < _FOLLOWED:
         strong = bool(np.all(left[was > LOST] < _CERTAIN * was[was > LOST]))
     elif not servo and left.max() < _MOVED:

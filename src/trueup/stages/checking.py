@@ -16,6 +16,7 @@ from trueup.dataset import Dataset
 from trueup.errors import DataError, SetupWrong, TrueupError
 from trueup.robots import RobotSpec
 from trueup.stages.close_asked import asked_of_data
+from trueup.stages.close_words import of_certain
 from trueup.stages.replay_parts import readable
 from trueup.stages.robot_model import model_file
 
@@ -83,6 +84,6 @@ def refuse_wrong(result: CheckResult) -> None:
     if result.certain:
         raise SetupWrong(
             "the set-up is wrong, and a fit would bend numbers until that is hidden",
-            got="; ".join(f"{finding.kind} {', '.join(finding.joints)}".strip() for finding in result.certain),
+            got=of_certain(result),
             hint=GO_ON,
         )

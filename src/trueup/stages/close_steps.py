@@ -129,9 +129,8 @@ class CloseSteps:
             step.what = words.main_number(measurement, STOCK)
         checked = self._check() if asked("check") else None
         if checked is not None and checked.certain and not self.force:
-            return self._stopped(
-                Closed(self.dataset, self.folder.result, ladder, replayed, measurement, checked=checked)
-            )
+            closed = Closed(self.dataset, self.folder.result, ladder, replayed, measurement, checked=checked)
+            return self._stopped(closed, checked)
         attribution = self._explain(replayed.seconds) if asked("explain") else None
         identified = self._identify(replayed) if asked("identify") else None
         trained = self._augment(identified) if asked("augment") else ()
@@ -221,12 +220,13 @@ class CloseSteps:
             step.what = words.of_findings(found)
         return found
 
-    def _stopped(self, closed: Closed) -> Closed:
+    def _stopped(self, closed: Closed, checked: CheckResult) -> Closed:
         """What there is where a fit would only hide what is wrong."""
+        why = f"the set-up is wrong ({words.of_certain(checked)}); --force goes on as it is"
         for name in STEPS[STEPS.index("check") + 1 :]:
             done = self.folder.result.step(name)
             if self.folder.result.is_asked(name) and (done is None or not done.finished):
-                self.folder.leave_out(name, "the set-up is wrong; --force goes on as it is")
+                self.folder.leave_out(name, why)
         return replace(closed, result=self.folder.result, stopped=True)
 
     def _explain(self, replay_s: float) -> Attribution | None:

@@ -28,13 +28,18 @@ def of_findings(checked: CheckResult) -> str:
     """How many findings there are of which kind, the certain ones by name."""
     if not checked.findings:
         return f"nothing wrong seen in {checked.motions} motions"
-    certain = [f"{finding.kind} {', '.join(finding.joints)}".strip() for finding in checked.certain]
+    certain = of_certain(checked)
     counts = [
         f"{sum(finding.severity == severity for finding in checked.findings)} {severity}"
         for severity in SEVERITIES
         if any(finding.severity == severity for finding in checked.findings)
     ]
-    return ", ".join(counts) + (f": {'; '.join(certain)}" if certain else "")
+    return ", ".join(counts) + (f": {certain}" if certain else "")
+
+
+def of_certain(checked: CheckResult) -> str:
+    """What is certainly wrong, in a few words; empty if nothing is."""
+    return "; ".join(f"{finding.kind} {', '.join(finding.joints)}".strip() for finding in checked.certain)
 
 
 def shares(attribution: Attribution) -> str:
