@@ -3,6 +3,8 @@
 from trueup.robots.friction import JointFriction
 from trueup.robots.spec import (
     BaseSpec,
+    ClockSpec,
+    CommandSpec,
     CommandTiming,
     ControllerSpec,
     JointGains,
@@ -20,6 +22,8 @@ from trueup.robots.spec import (
 
 __all__ = [
     "BaseSpec",
+    "ClockSpec",
+    "CommandSpec",
     "CommandTiming",
     "ControllerSpec",
     "JointFriction",

@@ -33,6 +33,53 @@ COMMAND_SIGNAL: Mapping[str, CommandSignal] = {
 
 
 @dataclass(frozen=True)
+class CommandSpec:
+    """How logs speak of the commands of a joint, where they speak of its measurement otherwise.
+
+    What is not given is as it is for the measurement.
+
+    Attributes:
+        log: name of the joint in the commands.
+        sign: as in `JointSpec`, of the commands alone; likewise the others.
+        scale: see `sign`.
+        offset: see `sign`.
+        log_unit: see `sign`.
+    """
+
+    log: str | None = None
+    sign: Literal[1, -1] | None = None
+    scale: float | None = None
+    offset: float | None = None
+    log_unit: str | None = None
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """What differs from the measurement."""
+        return {key: value for key, value in asdict(self).items() if value is not None}
+
+
+@dataclass(frozen=True)
+class ClockSpec:
+    """What is wrong with the stamps of logs.
+
+    Attributes:
+        scale: seconds per second of the stamps, e.g. 0.001 where milliseconds were taken for seconds.
+        command_shift_s: added to the stamps of the commands [s]; for two computers whose clocks differ by a constant.
+
+    Raises:
+        ConfigError: a clock that does not run forwards.
+    """
+
+    scale: float = 1.0
+    command_shift_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a clock that stands or runs backwards."""
+        if not (0 < self.scale < float("inf") and abs(self.command_shift_s) < float("inf")):
+            raise ConfigError("clock", got=asdict(self), expected="scale > 0, and a finite shift")
+
+
+@dataclass(frozen=True)
 class JointSpec:
     """One joint: its name in the model, and how logs speak of it.
 
@@ -46,6 +93,7 @@ class JointSpec:
             gripper in 0..1 of its range.
         position_limits: range [rad or m] that the quality checks hold the log against; not checked if absent.
         torque_limit: largest torque [Nm or N]; limits the controller and the quality checks.
+        command: what differs in the logs' commands of this joint.
     """
 
     name: str
@@ -56,6 +104,7 @@ class JointSpec:
     log_unit: str | None = None
     position_limits: tuple[float, float] | None = None
     torque_limit: float | None = None
+    command: CommandSpec | None = None
 
 
 @dataclass(frozen=True)
@@ -368,6 +417,7 @@ class RobotSpec:
         payload: where the payload of a log hangs; if not given, simulations leave it out.
         base: where a base is held that floats in the model; such a model is refused if not given.
         unlisted: what becomes of the model's joints that are not among `joints`.
+        clock: what is wrong with the stamps of the logs.
         description: for people.
         folder: where the YAML was read from.
     """
@@ -386,6 +436,7 @@ class RobotSpec:
     payload: PayloadSpec | None = None
     base: BaseSpec | None = None
     unlisted: UnlistedSpec = field(default_factory=UnlistedSpec)
+    clock: ClockSpec = field(default_factory=ClockSpec)
     description: str = ""
     folder: Path | None = None
 
@@ -462,8 +513,11 @@ class RobotSpec:
             }
             if joint.log_unit is not None:
                 rules[joint.name]["log_unit"] = joint.log_unit
+            if joint.command is not None and joint.command.given:
+                rules[joint.name]["command"] = joint.command.given
+        clock = {} if self.clock == ClockSpec() else {"clock": asdict(self.clock)}
         measured = {"measured_command": self.controller.signal} if self.controller.source == "measured" else {}
-        return {"joints": rules, "ignore": list(self.ignore), **measured}
+        return {"joints": rules, "ignore": list(self.ignore), **measured, **clock}
 
     def to_dict(self) -> dict[str, Any]:
         """The resolved configuration, JSON types only."""
@@ -483,6 +537,13 @@ class RobotSpec:
             tree[name] = None if own is None else own.to_plain()
             if own in (None, UnlistedSpec()):
                 del tree[name]
+        if self.clock == ClockSpec():
+            del tree["clock"]
+        for joint in tree["joints"]:
+            if joint["command"] is None:
+                del joint["command"]
+            else:
+                joint["command"] = {key: value for key, value in joint["command"].items() if value is not None}
         return tree
 
 
