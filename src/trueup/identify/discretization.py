@@ -19,6 +19,8 @@ DECIDED = 10.0
 _MATTERS = 0.5
 # Of a change that is extrapolated to a time step of zero, this share is unknown.
 _UNSURE = 0.25
+# Steps towards the minimum of another way.
+_CHORDS = 3
 # Linearized changes further than this, in z, are only known to be large.
 _LINEAR = 1.0
 
@@ -103,11 +105,12 @@ def alternative(
     other: Problem,
     way: Discretization,
 ) -> Alternative | None:
-    """Compare the present way with another one by one simulation.
+    """Compare the present way with another one by a few simulations.
 
-    With r and r' the residuals of the two ways at z, J the derivatives and L the precision of the prior, the minimum of
-    |r' + J^T d|^2 + w |z + d - mean|_L^2 is at d = -(J J^T + w L)^-1 (J r' + w L (z - mean)); the same with r says
-    how far the present fit is from its own minimum.
+    With r the residual at z, J the derivatives of the present way and L the precision of the prior, the minimum of
+    |r + J^T d|^2 + w |z + d - mean|_L^2 is at d = -(J J^T + w L)^-1 (J r + w L (z - mean)). One such step says how far
+    the present fit is from its own minimum; several, each from the residual of the other way where the last has led,
+    go to that of the other, since both have nearly the same derivatives (a chord method).
 
     Args:
         problem: the fit as it is simulated now.
@@ -120,25 +123,34 @@ def alternative(
     Returns:
         None where the other simulation fails or has other samples.
     """
+    mean, _ = problem.parameters.prior
+    low, high = problem.parameters.bounds
+    precision = precision_of(problem.parameters)
+    weight = noise_of(problem, residual).weight
+    inverse = np.linalg.pinv(jacobian @ jacobian.T + weight * precision, hermitian=True)
+
+    def step(place: Float64[np.ndarray, "P"], own: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "P"]:
+        move = -inverse @ (jacobian @ own + weight * precision @ (place - mean))
+        return np.asarray(np.clip(place + np.clip(move, -_LINEAR, _LINEAR), low, high) - place)
+
+    def cost(place: Float64[np.ndarray, "P"], own: Float64[np.ndarray, "N"]) -> float:
+        return float(own @ own + weight * (place - mean) @ precision @ (place - mean))
+
     found = other.residuals(z[None])[0]
     if found.shape != residual.shape or not np.isfinite(found).all():
         return None
-    mean, _ = problem.parameters.prior
-    precision = precision_of(problem.parameters)
-    weight = noise_of(problem, residual).weight
-    curvature = jacobian @ jacobian.T + weight * precision
-    steps, costs, left = [], [], []
-    for own in (residual, found):
-        step = -np.linalg.pinv(curvature, hermitian=True) @ (jacobian @ own + weight * precision @ (z - mean))
-        step = np.clip(step, -_LINEAR, _LINEAR)
-        after = own + step @ jacobian
-        away = z + step - mean
-        steps.append(step)
-        left.append(after)
-        costs.append(float(after @ after + weight * away @ precision @ away))
-    better = int(np.argmin(costs))
-    gain = (costs[0] - costs[1]) / max(noise_of(problem, left[better]).weight, 1e-300)
-    return Alternative(way, steps[1] - steps[0], float(gain))
+    first = step(z, residual)
+    best, left = z, found
+    for _ in range(_CHORDS):
+        place = best + step(best, left)
+        tried = other.residuals(place[None])[0]
+        if not np.isfinite(tried).all() or cost(place, tried) >= cost(best, left):
+            break
+        best, left = place, tried
+    present = cost(z + first, residual + first @ jacobian)
+    there = cost(best, left)
+    least = noise_of(problem, left if there < present else residual).weight
+    return Alternative(way, best - z - first, float((present - there) / max(least, 1e-300)))
 
 
 def finer(now: Discretization) -> Discretization:
