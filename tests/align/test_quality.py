@@ -53,7 +53,48 @@ def test_gap_note_and_warning():
     many = np.delete(np.arange(1000), np.arange(500, 515))  # 0.15 s, but only 1.5 % of the recording
     assert the(make_episode(measured.rows(many), command), "gap").severity == "warning"
     often = np.array([row for row in range(1000) if row % 100 not in (50, 51, 52)])
-    assert the(make_episode(measured.rows(often), command), "gap").severity == "warning"
+    assert the(make_episode(measured.rows(often), command), "gap").severity == "note"  # nothing turns in 40 ms
+    broken = the(make_episode(measured.rows(many), command), "gap")
+    assert "a can have moved by" in broken.detail
+    assert (broken.broken, flag.broken) == (True, False)
+
+
+@pytest.mark.parametrize("size", [0.1, 0.5, 5.0])
+def test_a_gap_is_as_bad_as_the_motion_in_it_is_unknown(size):
+    # One second is lost while the joint rests, while it turns round, and while it goes on at one speed.
+    time_s = np.arange(0.0, 14.0, 0.01)
+    path = size * np.interp(time_s, [0.0, 2.5, 4.0, 5.5, 9.5, 14.0], [0.0, 0.0, 1.0, 0.0, 1.0, 1.0])
+    for first_s, severity in ((0.5, "note"), (3.5, "warning"), (7.0, "note"), (11.5, "note")):
+        kept = (time_s < first_s) | (time_s >= first_s + 1.0)
+        flag = the(make_episode(make_series(time_s[kept], position=path[kept])), "gap")
+        assert flag.severity == severity, (size, first_s)
+
+
+@pytest.mark.parametrize("step", [0.0, 0.0015])
+@pytest.mark.parametrize(("rate", "speed"), [(1000.0, 12.0), (500.0, 6.0), (100.0, 3.0)])
+def test_late_stamps_of_fast_motion_are_no_gaps(rate, speed, step):
+    # Read when the operating system got round to it, up to 6 ms late, and stamped then.
+    rng = np.random.default_rng(3)
+    time_s = np.arange(0.0, 10.0, 1.0 / rate)
+    time_s = np.sort(time_s + np.where(rng.uniform(size=time_s.size) < 0.1, rng.uniform(0.0, 0.006, time_s.size), 0.0))
+    time_s = np.unique(np.round(time_s, 6))
+    position = np.sin(speed * time_s)
+    position = np.round(position / step) * step if step else position
+    flags = check_quality(make_episode(make_series(time_s, position=position, velocity=speed * np.cos(speed * time_s))))
+    assert {(flag.kind, flag.severity) for flag in flags} == {("jittering_stamps", "note")}
+
+
+def test_samples_that_come_in_bursts_are_no_broken_measurement():
+    time_s = np.sort(np.concatenate([0.02 * np.arange(500) + late for late in (0.0, 1e-4, 2e-4, 3e-4)]))
+    flags = check_quality(make_episode(make_series(time_s, position=np.sin(5 * time_s))))
+    assert not any(flag.severity == "warning" for flag in flags)
+    quick = np.sort(np.concatenate([0.01 * np.arange(500) + late for late in (0.0, 1e-4, 2e-4, 3e-4)]))
+    assert "gap" not in kinds(make_episode(make_series(quick, position=np.sin(5 * quick))))
+
+
+def test_without_positions_a_long_gap_is_a_warning():
+    time_s = np.delete(np.arange(0.0, 10.0, 0.01), slice(500, 520))
+    assert the(make_episode(make_series(time_s, torque=np.sin(time_s))), "gap").severity == "warning"
 
 
 def test_jitter_is_a_note_and_not_a_gap():

@@ -18,6 +18,7 @@ from typer.main import get_command
 
 from trueup.align.quality import KINDS
 from trueup.cli.main import app, main
+from trueup.core.episode import BROKEN_MEASUREMENT
 from trueup.dataset.importers import stated
 from trueup.dataset.importers.mapping import ClockColumn, CsvMapping, SeriesColumns, SignalColumns
 from trueup.robots import ControllerSpec, JointSpec, MotorSpec, ReplaySpec, RobotSpec, SimulationSpec, shipped_robots
@@ -160,6 +161,12 @@ def test_every_quality_flag_is_explained():
 def test_no_quality_flag_is_explained_that_does_not_exist():
     table = TEXT["logs"].split("| kind | what it means")[1].split("\n\n")[0]
     assert set(re.findall(r"^\| `(\w+)` \|", table, re.M)) == quality_kinds()
+
+
+def test_the_kinds_that_keep_a_motion_from_a_fit_are_marked():
+    table = TEXT["logs"].split("| kind | what it means")[1].split("\n\n")[0]
+    marked = set(re.findall(r"^\| `(\w+)` \|.*\| yes[^|]*\|$", table, re.M))
+    assert marked == BROKEN_MEASUREMENT - {"silent"}  # that one is in docs/recording.md
 
 
 def test_every_key_of_a_mapping_is_explained():

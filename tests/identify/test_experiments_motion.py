@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from identify.experiment_robots import Friction, SlidingRobot, log, recordings
+from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
 from trueup.errors import ConfigError, DataError, MissingSignal, NotIdentifiable
 from trueup.identify.experiments import (
@@ -399,3 +400,96 @@ def test_a_mujoco_joint_gives_what_its_model_says(spring_joint):
     assert value(result, "position_slope").value == pytest.approx(-0.3, abs=0.03)
     assert covers(value(result, "gravity_offset_from_breakaway"), 0.15)
     assert value(estimate_coast(episodes), "coulomb_friction").value == pytest.approx(0.4, abs=0.01)
+
+
+# --- motions that do not isolate anything ---
+
+
+def driven(torque, *, rate_hz=500.0, friction=FRICTION, name="joint1_path"):
+    """One joint that is driven along a path of torques."""
+    position, velocity = recordings(friction, torque, rate_hz, (0,))
+    return log(name, rate_hz, torque, position[0], velocity[0])
+
+
+def test_a_torque_that_passes_through_zero_is_no_end_of_it():
+    time_s = np.arange(5000) / 500.0
+    free = Friction(inertia=0.1, static=(0.05, 0.05), kinetic=(0.04, 0.04), viscous=(0.1, 0.1))
+    waves = [
+        driven(1.5 * np.sin(2 * np.pi * hz * time_s), friction=free, name=f"joint1_{hz}") for hz in (0.2, 0.3, 0.5)
+    ]
+    with pytest.raises(NotIdentifiable, match="passes through zero and does not stay there") as caught:
+        estimate_coast(waves)
+    assert "Record this joint alone" in str(caught.value)
+    assert caught.value.exit_code == 3
+    # One that is over before anything can be seen of it says as much.
+    quick = driven(1.5 * np.sin(2 * np.pi * 2.0 * time_s), friction=free)
+    assert estimate_coast([quick]).finding("joint1", "coulomb_rate").status == "no_motion"
+    # Among motions that do coast, they are left out with the reason.
+    (good,) = pulses()
+    mixed = estimate_coast([*good, *waves])
+    assert [item.episode for item in mixed.rejected] == [wave.id for wave in waves]
+    assert value(mixed, "coulomb_rate") == value(estimate_coast(good), "coulomb_rate")
+
+
+def test_a_torque_that_keeps_changing_is_not_constant():
+    time_s = np.arange(5000) / 500.0
+    wave = driven(1.5 * np.sin(2 * np.pi * 0.5 * time_s))
+    with pytest.raises(NotIdentifiable, match="keeps changing") as caught:
+        estimate_constant_torque([wave])
+    assert "several constant torques" in str(caught.value)
+    # A command at 20 Hz changes with each of its own rows, however fast the log is.
+    slow = replace(wave, command=wave.command.rows(slice(None, None, 25)))
+    with pytest.raises(NotIdentifiable, match="keeps changing"):
+        estimate_constant_torque([slow])
+    with pytest.raises(NotIdentifiable, match="no ramp"):
+        estimate_breakaway([wave])
+    (good,) = pulses()
+    stairs = driven(np.concatenate([np.full(400, size) for size in (0.0, 1.0, 1.5, 0.0, -1.0, -1.5, 0.0)]))
+    assert estimate_constant_torque([*good, stairs]).rejected == ()
+
+
+@pytest.mark.parametrize("estimate", [estimate_coast, estimate_constant_torque])
+def test_motions_of_several_joints_isolate_none(estimate):
+    (episodes,) = pulses()
+
+    def beside(episode, size):
+        measured = episode.measured
+        position = np.hstack([measured["position"], size * np.sin(4 * measured.time_s)[:, None]])
+        two = TimeSeries(measured.time_s, ("joint1", "joint2"), {"position": position}, {"position": ("rad", "rad")})
+        return replace(episode, measured=two)
+
+    with pytest.raises(NotIdentifiable, match=r"joint2 moved by .* while joint1 slid"):
+        estimate([beside(episode, 0.5) for episode in episodes])
+    assert estimate([beside(episode, 0.01) for episode in episodes]).rejected == ()
+
+
+def test_what_is_pushed_while_it_coasts_has_no_friction():
+    # 0.8 Nm that nobody commanded push in the direction of the motion, more than friction takes.
+    def pushed(size):
+        time_s = np.arange(500) / 500.0
+        torque = np.where(time_s < 0.5, size, 0.0)
+        position, velocity = recordings(
+            FRICTION, torque + np.where(time_s < 0.5, 0.0, 0.8 * np.sign(size)), 500.0, (0,)
+        )
+        return log(f"joint1_torque{size}", 500.0, torque, position[0], velocity[0])
+
+    found = estimate_coast([pushed(size) for size in TORQUES])
+    assert list(found.joints["joint1"]) == ["coulomb_rate"]
+    rate = found.finding("joint1", "coulomb_rate")
+    assert rate.status == "implausible"
+    assert np.isnan(rate.estimate.value)
+    assert rate.estimate.low is rate.estimate.high is None
+    assert "Not found in these motions" in rate.sentence
+    assert "Record this joint alone" in rate.sentence
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_no_friction_is_reported_below_zero(seed):
+    # Hardly any friction: what is fitted is as often negative as not.
+    smooth = Friction(inertia=0.1, static=(0.002, 0.002), kinetic=(0.001, 0.001), viscous=(0.0, 0.0))
+    (episodes,) = pulses(smooth, torques=(0.05, -0.05), seeds=(seed,), position_noise=3e-3)
+    found = estimate_coast(episodes).joints["joint1"]
+    for name in ("viscous_rate_positive", "viscous_rate_negative", "viscous_rate", "coulomb_rate"):
+        estimate = found[name].estimate if name in found else None
+        if estimate is not None and not np.isnan(estimate.value):
+            assert 0.0 <= estimate.low <= estimate.value <= estimate.high

@@ -12,9 +12,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 
 from stages.closes import METHODS, OTHER, QUICK, ROBOT, files_in, quick
-from trueup.cli.close import lacking
+from trueup.cli.close import exit_code, lacking
 from trueup.cli.main import main
 from trueup.core.atomic import as_read_back
 from trueup.core.close_result import STEPS, CloseResult, Step
@@ -41,6 +43,7 @@ from trueup.stages import (
     Watch,
     close,
     close_networks,
+    close_steps,
     export_dataset,
     import_logs,
 )
@@ -347,14 +350,55 @@ def test_a_step_has_its_part_of_what_is_left(monkeypatch):
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     budget = Budget(100.0, STEPS)
-    assert budget.of("explain").left_s == pytest.approx(15.0)
-    now[0] += 60.0  # replays took long, and the explanation longer than it was given
-    assert budget.of("identify").left_s == pytest.approx(40.0 * 0.5 / 0.85)
+    now[0] += 20.0  # import, replay and gap took long
+    assert budget.of("identify").left_s == pytest.approx(80.0 * 0.5)
+    now[0] += 50.0  # and the fit longer than it was given
+    assert budget.of("augment").left_s == pytest.approx(30.0 * 0.3 / 0.5)
     now[0] += 10.0
-    assert budget.of("augment").left_s == pytest.approx(30.0 * 0.3 / 0.35)
+    assert budget.of("explain").left_s == pytest.approx(20.0 * 0.15 / 0.2)
     assert Budget(None, STEPS).of("explain") is None
     # Who asks for less gives the rest more.
-    assert Budget(100.0, STEPS[:5]).of("explain").left_s == pytest.approx(100.0 * 0.15 / 0.7)
+    assert Budget(100.0, STEPS[:5]).of("identify").left_s == pytest.approx(100.0 * 0.5 / 0.7)
+    assert Budget(100.0, STEPS[:4]).of("explain").left_s == pytest.approx(100.0 * 0.15 / 0.2)
+
+
+@given(
+    budget_s=st.floats(20.0, 1000.0),
+    replay_s=st.floats(0.1, 100.0),
+    measure_s=st.floats(0.1, 50.0),
+    until=st.sampled_from(["explain", "identify", "augment"]),
+)
+def test_a_budget_holds_whatever_cannot_be_cut(budget_s, replay_s, measure_s, until):
+    """Steps that use their time to the end, and then do what cannot be cut; the first have theirs before `explain`."""
+    now = [0.0]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(time, "monotonic", lambda: now[0])
+        asked = STEPS[: STEPS.index(until) + 1]
+        budget = Budget(budget_s, asked)
+        now[0] += replay_s + measure_s
+        budget.took(replay_s=replay_s, measure_s=measure_s)
+        for step in (name for name in ("identify", "augment", "explain") if name in asked):
+            limit = budget.of(step)
+            if limit.left_s < 2.0:
+                continue  # it is left out
+            now[0] = limit.ends_at
+            if step == "identify":
+                now[0] += 1.5 * replay_s + 1.5 * measure_s
+            if step == "augment":
+                now[0] += 4.0 * measure_s
+    assert now[0] <= max(1.15 * budget_s, replay_s + measure_s) + 1e-6
+
+
+def test_what_was_asked_for_is_not_left_out_so_as_to_end_early(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    for replay_s, part_s in ((10.0, 25.0 * 0.5 / 0.7), (19.0, 6.0), (20.0, 6.0), (30.0, 0.0)):
+        now[0] = 0.0
+        budget = Budget(60.0, STEPS[:5])
+        budget.took(replay_s=replay_s, measure_s=4.0)
+        now[0] += replay_s + 4.0
+        assert budget.of("identify").left_s == pytest.approx(part_s, abs=1e-6), replay_s
+        assert budget.of("explain").left_s <= max(0.0, 60.0 - now[0])
 
 
 def test_a_time_limit_counts_down_and_stays_at_zero(monkeypatch):
@@ -366,6 +410,8 @@ def test_a_time_limit_counts_down_and_stays_at_zero(monkeypatch):
     assert (limit.left_s, limit.spent) == pytest.approx((6.0, 0.4))
     assert limit.share(0.5).left_s == pytest.approx(3.0)
     assert limit.until(0.7).left_s == pytest.approx(3.0)
+    assert limit.sooner(2.0).left_s == pytest.approx(4.0)
+    assert limit.sooner(20.0).over
     now[0] = 11.0
     assert (limit.left_s, limit.spent, limit.over) == (0.0, 1.0, True)
     assert TimeLimit.after(0.0).over
@@ -391,6 +437,45 @@ def test_with_no_time_it_ends_all_the_same(data, tmp_path):
     assert [step.status for step in done.result.steps] == ["done", "done", "left out", "left out", "left out"]
     assert [rung.name for rung in done.ladder.rungs] == ["command", "stock"]
     assert "no time was left" in build_report(tmp_path / "out")
+    assert lacking(done) == [f"no time was left for {step}" for step in ("explain", "identify", "augment")]
+    assert exit_code(done) == 3
+    # What was not asked for is not missed.
+    fewer = quick(data, tmp_path / "fewer", config=None, budget_s=0.001, until="gap")
+    assert lacking(fewer) == []
+
+
+def test_what_was_asked_for_comes_before_its_explanation(data, tmp_path, monkeypatch):
+    begun = []
+    watch = Watch(on_step=begun.append)
+    done = quick(data, tmp_path / "out", until="identify", watch=watch)
+    assert begun == ["replay", "gap", "identify", "explain"]
+    assert [step.name for step in done.result.steps] == ["replay", "gap", "explain", "identify"]
+    assert [step.status for step in done.result.steps] == ["done"] * 4
+    # Without time for the fit there is none to explain, however much is left.
+    left = {"identify": 0.0, "explain": 1000.0}
+    monkeypatch.setattr(Budget, "of", lambda _, step: TimeLimit.after(left[step]))
+    none = quick(data, tmp_path / "none", until="identify", budget_s=1000.0)
+    assert [(step.name, step.status) for step in none.result.steps[2:]] == [
+        ("explain", "left out"),
+        ("identify", "left out"),
+    ]
+
+
+def test_an_explanation_for_which_the_time_did_not_suffice_is_left_out(data, tmp_path, monkeypatch):
+    monkeypatch.setattr(Budget, "of", lambda *_: TimeLimit.after(1000.0))
+    monkeypatch.setattr(close_steps, "explain", without_time(close_steps.explain))
+    done = quick(data, tmp_path / "out", until="explain", budget_s=1000.0)
+    assert done.result.step("explain").status == "left out"
+    assert done.attribution is None
+    assert not (tmp_path / "out" / "explain.json").exists()
+    assert exit_code(done) == 3
+
+
+def without_time(explain):
+    def explained(*args, limit, **options):
+        return explain(*args, limit=TimeLimit.after(0.0), **options)
+
+    return explained
 
 
 def test_with_little_time_it_ends_with_what_it_has(data, tmp_path, monkeypatch):

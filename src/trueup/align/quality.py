@@ -37,9 +37,9 @@ def check_quality(
 ) -> tuple[Flag, ...]:
     """Everything suspicious in an episode: the flags that its importer set, and those of `KINDS` found here.
 
-    Looks at one episode alone and reads the log's own units. A `warning` says that the data are wrong or that the
-    robot did something that a model without contacts and limits cannot do; all else is a `note`. Joints that are
-    driven by torques are not expected to follow anything.
+    Looks at one episode alone and reads the log's own units. A `warning` says that the data are wrong
+    (`Flag.broken`), or that the robot did something that a model without contacts and limits cannot do; all else is a
+    `note`. Joints that are driven by torques are not expected to follow anything.
 
     Args:
         episode: measured series, and the command if there is one.
@@ -54,14 +54,15 @@ def check_quality(
     config = config or QualityConfig()
     measured, command = episode.measured, episode.command
     flags = [flag for flag in episode.meta.flags if flag.kind not in KINDS]
-    flags += clock_flags(measured, config)
+    seen = tracks(episode)
+    flags += clock_flags(measured, seen, config)
     flags += clock_mismatch_flags(episode, config)
     flags += repeated_sample_flags(measured, config)
     flags += nan_flags(measured, config)
     if command is not None:
         flags += nan_flags(command, config, name="command")
     followed = False
-    for track in tracks(episode):
+    for track in seen:
         followed = followed or track.command is not None
         blocked = blocked_flags(track, config)
         flags += blocked

@@ -20,12 +20,18 @@ class QualityConfig:
 
     jitter_share: float = 0.25
     """A step of the clock that differs from the median by more than this share is jitter (a note)."""
+    jitter_s: float = 0.01
+    """A step that is longer than the period by no more than this is jitter, too: operating systems that do not run in
+    real time wake a logger late by some milliseconds, and no robot turns unseen in them."""
     gap_steps: float = 3.0
-    """A step of more than this many medians is a gap: at least two samples are missing."""
-    gap_warning_s: float = 0.1
-    """A gap of this length is a warning: a robot's motion has a bandwidth of some Hz and can turn unseen in it."""
-    gap_warning_share: float = 0.02
-    """Gaps that add up to this share of the recording are a warning, too."""
+    """A longer step is a gap if it lasts more than this many periods: at least two samples are missing."""
+    gap_share: float = 0.1
+    """A gap in which a joint can have left the straight line between its ends by this share of its travel in the
+    recording is a warning: motion that nobody saw."""
+    gap_rad: float = 0.03
+    """So is one in which it can have done so by this much, however far it travels."""
+    gap_least_rad: float = 0.01
+    """Less than this does no harm: a joint that hardly moves has a small travel."""
     clock_share: float = 0.02
     """Command and measurement of equal row count whose durations differ by more than this have wrong stamps."""
 

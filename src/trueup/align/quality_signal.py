@@ -26,13 +26,17 @@ def nan_flags(series: TimeSeries, config: QualityConfig, *, name: str = "measure
             longest = max(_seconds(series, start, end) for start, end in runs(mask))
             share = float(mask.mean())
             severe = share > config.nan_warning_share or longest > config.nan_warning_s
+            detail = f"{mask.sum()} of {mask.size} samples are not finite, up to {longest:.3g} s in a row"
+            if mask.all() and signal != "position":
+                # Many drivers have a place for what this joint has no sensor for.
+                severe, detail = False, "no sample has a value: it was not measured"
             flags.append(
                 Flag(
                     kind="nan",
                     series=name,
                     signal=signal,
                     joint=names[column],
-                    detail=f"{mask.sum()} of {mask.size} samples are not finite, up to {longest:.3g} s in a row",
+                    detail=detail,
                     severity="warning" if severe else "note",
                     start_s=float(series.time_s[np.argmax(mask)]),
                     end_s=float(series.time_s[mask.size - 1 - np.argmax(mask[::-1])]),

@@ -48,7 +48,7 @@ def sweep(
     epochs: trained.Epochs = None,
     robot: trained.Robot = None,
     device: trained.Device = "cpu",
-    drop_flagged: options.DropFlagged = False,
+    drop_flagged: options.TrainFlagged = None,
     train_motions: trained.TrainMotions = None,
     seed: options.Seed = 0,
     jobs: Annotated[

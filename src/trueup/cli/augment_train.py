@@ -48,7 +48,7 @@ def train(
     tensorboard: Annotated[
         Path | None, typer.Option("--tensorboard", help="Folder for curves that TensorBoard shows.")
     ] = None,
-    drop_flagged: options.DropFlagged = False,
+    drop_flagged: options.TrainFlagged = None,
     train_motions: trained.TrainMotions = None,
     seed: options.Seed = 0,
     jobs: options.Jobs = None,

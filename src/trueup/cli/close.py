@@ -72,7 +72,7 @@ def close(
     command_topic: options.CommandTopic = None,
     measured_topic: options.MeasuredTopic = None,
     splits: options.Splits = None,
-    drop_flagged: options.DropFlagged = False,
+    drop_flagged: options.TrainFlagged = None,
     fail_above: options.FailAbove = None,
     seed: options.Seed = 0,
     jobs: options.Jobs = None,
@@ -192,6 +192,7 @@ def _not_replayed(closed: Closed) -> list[tuple[str, TrueupError]]:
 def lacking(closed: Closed) -> list[str]:
     """What was asked for and is not there, or of no use; a fit that the time has ended is what there was time for."""
     found = [f"{step.name} failed" for step in closed.result.failed]
+    found += [f"no time was left for {step.name}" for step in closed.result.untimely]
     fit = None if closed.identified is None else closed.identified.fit
     if fit is not None and fit.status in UNUSABLE and not fit.ended_by_time:
         found.append(f"the fit is of no use ({fit.status})")

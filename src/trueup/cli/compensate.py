@@ -68,7 +68,7 @@ def train(
     run: Annotated[str, typer.Option("--run", help="Label of the runs of this robot's simulator.")] = "mujoco/stock",
     name: Annotated[str, typer.Option("--name", help="Name of the model; the method if not given.")] = "",
     model: options.Model = None,
-    drop_flagged: options.DropFlagged = False,
+    drop_flagged: options.TrainFlagged = None,
     seed: options.Seed = 0,
     jobs: options.Jobs = None,
     overwrite: options.Overwrite = False,

@@ -24,6 +24,13 @@ Seed = Annotated[int, typer.Option("--seed", min=0, help="Seed of all draws.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on where an earlier call was interrupted.")]
 DropFlagged = Annotated[bool, typer.Option("--drop-flagged", help="Leave out episodes with quality warnings.")]
+TrainFlagged = Annotated[
+    bool | None,
+    typer.Option(
+        "--drop-flagged/--keep-flagged",
+        help="Leave out all episodes with quality warnings, or none; those whose measurement is broken if not given.",
+    ),
+]
 Format = Annotated[
     str | None, typer.Option("--format", help=f"Log format, detected if not given: {', '.join(FORMATS)}.")
 ]

@@ -16,6 +16,8 @@ CLOSE_SCHEMA = "trueup.close/1"
 # In the order in which they are done.
 StepName = Literal["import", "replay", "gap", "explain", "identify", "augment"]
 STEPS: tuple[StepName, ...] = ("import", "replay", "gap", "explain", "identify", "augment")
+# What a step says that was left out for want of time.
+NO_TIME = "no time was left"
 StepStatus = Literal["done", "kept", "cut short", "left out", "failed"]
 
 
@@ -90,6 +92,15 @@ class CloseResult:
     def failed(self) -> tuple[Step, ...]:
         """Steps that the last call was to do, and that failed."""
         return tuple(step for step in self.steps if step.status == "failed" and self.is_asked(step.name))
+
+    @property
+    def untimely(self) -> tuple[Step, ...]:
+        """Steps that the last call was to do, and for which there was no time."""
+        return tuple(
+            step
+            for step in self.steps
+            if step.status == "left out" and step.what == NO_TIME and self.is_asked(step.name)
+        )
 
     def save(self, path: Path) -> None:
         """Write close.json atomically."""

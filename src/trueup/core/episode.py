@@ -10,10 +10,14 @@ from typing import Any
 from trueup.core.timeseries import TimeSeries
 from trueup.errors import MissingSignal
 
+# Kinds of which a warning says that what was recorded is not what happened. Every other kind describes the motion: a
+# robot that lags, saturates or runs into something does what a fit is to explain.
+BROKEN_MEASUREMENT = frozenset({"gap", "clock_mismatch", "nan", "spike", "frozen", "unit", "silent"})
+
 
 @dataclass(frozen=True)
 class Flag:
-    """One thing that is suspicious in an episode.
+    """One thing that is suspicious in an episode, or worth knowing of it.
 
     Attributes:
         kind: short stable word, e.g. `saturation`, `gap`, `nan`, `frozen`, `repeated_stamps`.
@@ -35,6 +39,16 @@ class Flag:
     start_s: float | None = None
     end_s: float | None = None
 
+    @property
+    def broken(self) -> bool:
+        """Whether it says that the measurement is broken: nothing is fitted to such an episode.
+
+        Missing values do so in positions and commands; where a velocity or a torque is missing, the rest is as good.
+        """
+        if self.severity != "warning" or self.kind not in BROKEN_MEASUREMENT:
+            return False
+        return self.kind != "nan" or self.series == "command" or self.signal == "position"
+
     def to_json(self) -> dict[str, Any]:
         """A dictionary that `Flag(**d)` reads back."""
         return asdict(self)
@@ -43,6 +57,11 @@ class Flag:
 def warning_kinds(flags: Iterable[Flag]) -> tuple[str, ...]:
     """The kinds of the flags of severity `warning`, each once."""
     return tuple(dict.fromkeys(flag.kind for flag in flags if flag.severity == "warning"))
+
+
+def broken_kinds(flags: Iterable[Flag]) -> tuple[str, ...]:
+    """The kinds of the flags that say that the measurement is broken, each once."""
+    return tuple(dict.fromkeys(flag.kind for flag in flags if flag.broken))
 
 
 @dataclass(frozen=True)
@@ -80,6 +99,17 @@ class EpisodeMeta:
     def warned(self) -> bool:
         """Whether a quality flag of severity `warning` is set (what `--drop-flagged` drops)."""
         return bool(warning_kinds(self.flags))
+
+    def why_dropped(self, *, drop_flagged: bool | None) -> tuple[str, ...]:
+        """The kinds of flags because of which it is left out; none if it is used.
+
+        Args:
+            drop_flagged: whether motions with any warning are left out; None leaves out those only whose measurement
+                is broken.
+        """
+        if drop_flagged is None:
+            return broken_kinds(self.flags)
+        return warning_kinds(self.flags) if drop_flagged else ()
 
 
 @dataclass(frozen=True, eq=False)

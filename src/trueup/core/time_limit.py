@@ -6,6 +6,10 @@ import time
 from dataclasses import dataclass
 
 
+class OutOfTime(Exception):
+    """Work was broken off in the middle, for its time is over; what was finished before stands."""
+
+
 @dataclass(frozen=True)
 class TimeLimit:
     """An end that work looks at between its steps: it ends with what it has then, a step late at most.
@@ -46,6 +50,10 @@ class TimeLimit:
     def share(self, fraction: float) -> TimeLimit:
         """The end of so much of what is left."""
         return TimeLimit.after(fraction * self.left_s)
+
+    def sooner(self, seconds: float) -> TimeLimit:
+        """The end so much earlier, for what has to be done after it."""
+        return TimeLimit(self.began_at, self.ends_at - max(0.0, seconds))
 
     def until(self, spent: float) -> TimeLimit:
         """The time at which this share of the whole will have passed."""

@@ -148,8 +148,12 @@ class Dataset:
         for id in self.ids if ids is None else ids:
             yield self.episode(id, runs=runs)
 
-    def select(self, *, split: str | None = None, drop_flagged: bool = False) -> tuple[str, ...]:
-        """Ids of the episodes of a split (or of all), without those that carry a warning if wished.
+    def select(self, *, split: str | None = None, drop_flagged: bool | None = False) -> tuple[str, ...]:
+        """Ids of the episodes of a split (or of all).
+
+        Args:
+            split: None for all.
+            drop_flagged: without those that carry a warning; None: without those whose measurement is broken.
 
         Raises:
             MissingSignal: no episode has this split.
@@ -164,7 +168,7 @@ class Dataset:
         return tuple(
             meta.id
             for meta in self.metas
-            if (split is None or meta.split == split) and not (drop_flagged and meta.warned)
+            if (split is None or meta.split == split) and not meta.why_dropped(drop_flagged=drop_flagged)
         )
 
     @property

@@ -11,6 +11,7 @@ from trueup.core.attribution import SHORT_OF_TIME, Attribution, AttributionStep
 from trueup.core.episode import Episode
 from trueup.core.parameters import ParameterSet
 from trueup.core.provenance import provenance
+from trueup.core.quality import left_out
 from trueup.core.time_limit import TimeLimit
 from trueup.errors import NotIdentifiable
 from trueup.identify.candidate import Nominal
@@ -19,12 +20,14 @@ from trueup.identify.excitation import excitation_of, freeze_still
 from trueup.identify.problem import Problem, Weights
 from trueup.identify.quantities import Cause, quantity
 from trueup.identify.scoring import Scorer, judged
-from trueup.identify.segments import left_out, make_segments, usable
+from trueup.identify.segments import make_segments, usable
 from trueup.identify.solution import OnModel, OnProgress
 from trueup.identify.solve import solve
 from trueup.identify.start import off_bounds, swept_start
 from trueup.robots import RobotSpec
 
+# Share of the time of a cause at which looking for a start ends.
+_SWEEP = 0.4
 _LABELS: Mapping[Cause, str] = {
     "delay": "delay",
     "gains": "gains of the drive",
@@ -76,8 +79,8 @@ def explain(
     fit = dict(settled.fit)
     if not given.fit:
         fit.setdefault("mass", "all")
-    sorted_out = {split: usable(own, keep_flagged=settled.data.keep_flagged) for split, own in episodes.items()}
-    nested = _NestedFits(soft, hard, {split: own for split, (own, _) in sorted_out.items()}, settled, jobs, seed)
+    logs, broken = usable(episodes, drop_flagged=settled.data.drop)
+    nested = _NestedFits(soft, hard, logs, settled, jobs, seed)
     steps = [nested.nominal_step()]
     causes = {
         cause: own
@@ -86,10 +89,13 @@ def explain(
     }
     for number, (cause, own) in enumerate(causes.items()):
         report = None if on_progress is None else _named(on_progress, _LABELS[cause])
-        share = None if limit is None else limit.share(1.0 / (len(causes) - number))
+        if limit is not None and limit.left_s <= nested.least_s(own):
+            nested.unfinished += [_LABELS[name] for name in list(causes)[number:]]
+            break
+        share = None if limit is None else limit.share(1.0 / (len(causes) - number)).sooner(nested.scoring_s)
         steps.append(nested.step(cause, _LABELS[cause], own, report, share))
     statements = [
-        *left_out(nested.unused({split: why for split, (_, why) in sorted_out.items()})),
+        *left_out(nested.unused(broken)),
         *nested.seen.statements,
         "each cause is taken away after those to its left; another order would share the gap differently",
     ]
@@ -135,16 +141,27 @@ class _NestedFits:
         )
         rule = replace(config.data, budget_s=config.data.budget_s / 2).rule(robot, seed)
         self._segments, self._refused = make_segments(logs["train"], soft.simulator, rule)
+        self._motions = [segment.episode_id for segment in self._segments]
         self._weights = Weights(config.signals, config.joints)
         self._settings = replace(config.solver.settings(seed), solver="gauss-newton", starts=1)
         self._chosen: dict[str, object] = {}
         self._values: dict[str, float] = {}
+        self._scored_s = sum(log.measured.duration_s for log in logs[split])
         self.unfinished: list[str] = []
+        self.scoring_s = self._candidate_s = 0.0
 
     def nominal_step(self) -> AttributionStep:
         """The model as it came."""
+        began = time.perf_counter()
         scores = self._scorers[id(self._soft)].score(ParameterSet(()), {}, self.split)
+        self.scoring_s = time.perf_counter() - began
+        self._candidate_s = self.scoring_s * sum(item.seconds for item in self._segments) / self._scored_s
         return AttributionStep("", "the model as it came", (), 0, scores.pooled, scores.estimate(self.unit))
+
+    def least_s(self, own: Mapping[str, object]) -> float:
+        """What one more cause takes at least: where it begins, derivatives there, and a step; then its score [s]."""
+        parameters = freeze_still(make_parameters({**self._chosen, **own}, self._hard, self._motions), self.seen)
+        return self.scoring_s + self._candidate_s * (2 * len(parameters.free) + 2)
 
     def step(
         self,
@@ -158,15 +175,14 @@ class _NestedFits:
         began = time.perf_counter()
         self._chosen |= own
         nominal = self._soft if cause in ("delay", "gains") else self._hard
-        motions = [segment.episode_id for segment in self._segments]
         parameters = off_bounds(
-            freeze_still(make_parameters(self._chosen, nominal, motions), self.seen).at(self._values)
+            freeze_still(make_parameters(self._chosen, nominal, self._motions), self.seen).at(self._values)
         )
         problem = Problem(nominal, parameters, self._segments, weights=self._weights, jobs=self._jobs)
         # Only what is new is looked for from afar.
         new = parameters.hold(item.name for item in parameters if item.quantity not in own)
         if new.free:
-            swept = swept_start(problem.with_parameters(new))
+            swept = swept_start(problem.with_parameters(new), None if limit is None else limit.until(_SWEEP))
             problem = problem.with_parameters(
                 parameters.at({item.name: item.value for item in swept if not item.frozen})
             )
@@ -175,6 +191,7 @@ class _NestedFits:
             self._values = found.values
             if found.solver["stop"] == "time":
                 self.unfinished.append(label)
+            self._candidate_s = problem.seconds / max(1, problem.evaluations)
         scores = self._scorers[id(nominal)].score(problem.parameters, self._values, self.split)
         seconds = time.perf_counter() - began
         count = len(parameters.free)
@@ -183,9 +200,9 @@ class _NestedFits:
     def unused(self, flagged: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, str]]:
         """Split -> motion -> why it was neither fitted nor scored."""
         found = {name: dict(why) for name, why in flagged.items()}
-        found["train"] |= {name: error.summary for name, error in self._refused.items()}
+        found.setdefault("train", {}).update({name: error.summary for name, error in self._refused.items()})
         for name, own in self._unscored.items():
-            found[name] |= own
+            found.setdefault(name, {}).update(own)
         return found
 
 

@@ -57,7 +57,8 @@ class DataChoice:
         cut_s: piece taken from each motion [s]; as long as the budget allows if not given.
         budget_s: motion that is simulated per candidate [s]; more is slower and more certain.
         burn_in_s: left out at the beginning of a piece [s].
-        keep_flagged: fit motions with quality warnings too (blocked, at a limit, saturated, …).
+        keep_flagged: fit motions whose measurement is broken, too (frozen, missing or jumping positions, gaps, …).
+        drop_flagged: leave out all motions with quality warnings, also those that describe the motion (blocked, …).
     """
 
     window_s: float | None = None
@@ -65,6 +66,17 @@ class DataChoice:
     budget_s: float = 200.0
     burn_in_s: float = 1.0
     keep_flagged: bool = False
+    drop_flagged: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse to keep and to drop the same motions."""
+        if self.keep_flagged and self.drop_flagged:
+            raise ConfigError("data: keep_flagged and drop_flagged exclude each other", expected="one of them")
+
+    @property
+    def drop(self) -> bool | None:
+        """Which motions are left out, as `EpisodeMeta.why_dropped` takes it."""
+        return self.drop_flagged or (False if self.keep_flagged else None)
 
     def rule(self, robot: RobotSpec, seed: int) -> SegmentRule:
         """How to cut logs accordingly."""

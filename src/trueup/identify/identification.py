@@ -107,7 +107,7 @@ def identify(
     rows = tuple(search.scored_row(item, chosen=item is best) for item in tried)
     soft = Scorer(Nominal(robot, model, hard_friction=False), search.usable, jobs=jobs, seed=seed)
     errors = {
-        "nominal": {split: soft.score(ParameterSet(()), {}, split).estimate(soft.unit) for split in soft.splits},
+        "nominal": {split: soft.score(ParameterSet(()), {}, split).estimate(soft.unit) for split in search.judged},
         "fitted": dict(next(row for row in rows if row.chosen).splits),
     }
     status, statements = verdict(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -66,17 +67,13 @@ class ModelSearch:
         self.chosen_by_user = config is not None and bool(config.fit)
         self.config = (config or IdentifyConfig()).resolved(nominal)
         self._checkpoints, self._on_progress = checkpoints, on_progress
-        keep = self.config.data.keep_flagged
-        sorted_out = {split: usable(logs, keep_flagged=keep) for split, logs in episodes.items()}
-        self.usable = {split: own for split, (own, _) in sorted_out.items() if own}
-        self._flagged = {split: why for split, (_, why) in sorted_out.items() if why}
+        self.usable, self._flagged = usable(episodes, drop_flagged=self.config.data.drop)
         self._train = self.usable.get("train", [])
         if not self._train:
-            flagged = self._flagged.get("train")
             raise NotIdentifiable(
                 "there is no motion to fit",
-                got=f"{len(flagged)} flagged ones" if flagged else "an empty train split",
-                hint="Give --splits at import, or data: {keep_flagged: true} in the configuration.",
+                got="nothing in train but flagged motions" if self._flagged.get("train") else "an empty train split",
+                hint="Give --splits at import, and leave `data: {drop_flagged: true}` out.",
             )
         self.notes = () if nominal.robot.payload else _payload_note(self._train)
         self._signal = nominal.robot.controller.signal
@@ -116,7 +113,8 @@ class ModelSearch:
         known = self.posterior_of(best).of_model()
         absent = absent_names(known)
         surplus = [] if self.chosen_by_user else open_names(known)
-        if surplus and len(surplus) + len(absent) < len(known.parameters.free):
+        timely = self._limit is None or not self._limit.over
+        if timely and surplus and len(surplus) + len(absent) < len(known.parameters.free):
             leaner = self._try(
                 f"{best.row.name}, known only",
                 fit,
@@ -148,13 +146,14 @@ class ModelSearch:
         return posterior_of(self.problem_of(item), found.z, found.residual, found.jacobian)
 
     def scored_row(self, item: TriedModel, *, chosen: bool) -> ModelRow:
-        """The row of the table of models, with errors on every split."""
+        """The row of the table of models, with its errors; where the time is over, on val alone if it is not chosen."""
         values = item.solution.values
+        brief = not chosen and self._late and item.val is not None
         scores = {
             split: item.val
             if split == "val" and item.val
             else self._scorer.score(item.solution.parameters, values, split)
-            for split in self._scorer.splits
+            for split in (("val",) if brief else self.judged)
         }
         return replace(
             item.row,
@@ -162,6 +161,19 @@ class ModelSearch:
             per_joint={split: own.per_joint for split, own in scores.items()},
             chosen=chosen,
         )
+
+    @cached_property
+    def judged(self) -> tuple[str, ...]:
+        """The splits on which models are scored in the end: all, or without train where the time is over.
+
+        Val says which is best, and the ladder has the errors of all splits.
+        """
+        splits = self._scorer.splits
+        return tuple(split for split in splits if split != "train") if self._late and "val" in splits else splits
+
+    @property
+    def _late(self) -> bool:
+        return self._limit is not None and self._limit.spent >= _BEST
 
     @property
     def torque_seen(self) -> bool:
@@ -225,7 +237,7 @@ class ModelSearch:
             newton = replace(newton, tolerance=max(newton.tolerance, _ROUGH))
             settings = replace(settings, gauss_newton=newton)
         if start is None:
-            problem = self._started(self._problem(parameters))
+            problem = self._started(self._problem(parameters), limit)
         else:
             problem = self._problem(off_bounds(parameters.at(start.values)))
             # From a good place there may be nothing left to gain, which is no reason to search everywhere.
@@ -267,9 +279,9 @@ class ModelSearch:
     def _until(self, spent: float) -> TimeLimit | None:
         return None if self._limit is None else self._limit.until(spent)
 
-    def _started(self, problem: Problem) -> Problem:
+    def _started(self, problem: Problem, limit: TimeLimit | None) -> Problem:
         """The problem with a start from afar."""
-        begin = regressed_start(problem, self._train) if self._signal == "torque" else swept_start(problem)
+        begin = regressed_start(problem, self._train) if self._signal == "torque" else swept_start(problem, limit)
         return problem.with_parameters(begin)
 
     def _to_the_end(self, rough: TriedModel, fit: Mapping[str, Any], left_out: Sequence[str]) -> TriedModel:

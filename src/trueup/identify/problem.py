@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from queue import SimpleQueue
 
@@ -13,6 +15,7 @@ from jaxtyping import Bool, Float64, Int
 
 from trueup.core.parameters import ParameterSet
 from trueup.core.protocols import RolloutRequest
+from trueup.core.time_limit import OutOfTime, TimeLimit
 from trueup.errors import ConfigError
 from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.quantities import motion_target, quantity
@@ -55,6 +58,7 @@ class Problem:
         size: length N of the residual.
         scale: the factor 1 / sqrt(N) in it.
         evaluations: candidates that were simulated.
+        seconds: what that took [s].
     """
 
     def __init__(
@@ -93,7 +97,30 @@ class Problem:
         self.size = int(sum(count for _, count in counts)) * self.columns.size
         positions = sum(count for signal, count in counts if signal == "position")
         self.scale = float(1.0 / np.sqrt(max(1, positions) * self.columns.size))
-        self.evaluations = 0
+        self.evaluations, self.seconds = 0, 0.0
+        self._limit: TimeLimit | None = None
+        self._kept_for = 0
+
+    @contextmanager
+    def ending(self, limit: TimeLimit | None, *, keep: int = 0) -> Iterator[None]:
+        """Simulations within end with `OutOfTime`, in the middle of a batch if need be.
+
+        Args:
+            limit: when; None lets all of them end.
+            keep: so many candidates earlier, by how long the others took: the time for them is left.
+        """
+        before = self._limit, self._kept_for
+        self._limit, self._kept_for = limit, keep
+        try:
+            yield
+        finally:
+            self._limit, self._kept_for = before
+
+    def _refuse_late(self) -> None:
+        if self._limit is not None:
+            kept_s = self._kept_for * self.seconds / max(1, self.evaluations)
+            if self._limit.left_s <= kept_s:
+                raise OutOfTime
 
     def _counted(self, segment: Segment) -> dict[str, Bool[np.ndarray, "T"]]:
         """The signals of a segment that enter the residual, in order, and the stamps at which they do."""
@@ -104,7 +131,7 @@ class Problem:
     def with_parameters(self, parameters: ParameterSet) -> Problem:
         """The same logs and weights for other parameters; the count of evaluations goes on."""
         other = Problem(self.nominal, parameters, self.segments, weights=self.weights, jobs=self.jobs)
-        other.evaluations = self.evaluations
+        other.evaluations, other.seconds = self.evaluations, self.seconds
         return other
 
     def candidate(self, values: Mapping[str, float]) -> Candidate:
@@ -115,8 +142,13 @@ class Problem:
         return candidate
 
     def residuals(self, z: Float64[np.ndarray, "C P"]) -> Float64[np.ndarray, "C N"]:
-        """Residuals of C candidates, NaN for those that fail."""
-        self.evaluations += z.shape[0]
+        """Residuals of C candidates, NaN for those that fail.
+
+        Raises:
+            OutOfTime: the time of `ending` is over.
+        """
+        self._refuse_late()
+        began = time.perf_counter()
         candidates = [self.candidate(self.parameters.values(row)) for row in z]
         models = {
             payload_kg: [_compile(candidate, payload_kg) for candidate in candidates] for payload_kg in self._simulators
@@ -128,8 +160,15 @@ class Problem:
                 self._run(task, candidates, models, out)
         else:
             with ThreadPoolExecutor(self.jobs) as pool:
-                for done in [pool.submit(self._run, task, candidates, models, out) for task in tasks]:
-                    done.result()
+                running = [pool.submit(self._run, task, candidates, models, out) for task in tasks]
+                try:
+                    for done in running:
+                        done.result()
+                except OutOfTime:
+                    pool.shutdown(cancel_futures=True)
+                    raise
+        self.evaluations += z.shape[0]
+        self.seconds += time.perf_counter() - began
         return out
 
     def by_segment(self, residual: Float64[np.ndarray, "N"]) -> Iterator[tuple[Segment, str, np.ndarray]]:
@@ -202,6 +241,7 @@ class Problem:
         models: _Models,
         out: Float64[np.ndarray, "C N"],
     ) -> None:
+        self._refuse_late()
         payload_kg = task.segment.payload_kg
         simulator = self._simulators[payload_kg].get()
         try:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from trueup.core.config import build
-from trueup.core.time_limit import TimeLimit
+from trueup.core.time_limit import OutOfTime, TimeLimit
 from trueup.errors import DataError
 from trueup.identify.costs import PenalizedSquares, joint_errors, roles_of
 from trueup.identify.problem import Problem
@@ -125,8 +125,14 @@ class Search:
             with store.reading():
                 state = GaussNewtonState.from_json(kept["solver"], space_of(self.problem), self.settings.gauss_newton)
         search = self._derivatives(state)
+        if not search.done:
+            search.begin()  # in any case: a search without time ends where it began
         while not search.done:
-            search.step()
+            try:
+                with self.problem.ending(self._limit, keep=state.z.size):  # derivatives at its end
+                    search.step()
+            except OutOfTime:
+                state.reason, state.square = "time", search.square
             if self._left_s() <= 0 and not search.done:
                 state.reason = "time"
             store.save({"solver": state.to_json(), **self._spent()})

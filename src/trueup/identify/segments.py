@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Int
 
-from trueup.core.episode import Episode, warning_kinds
+from trueup.core.episode import Episode
 from trueup.core.hold import held_rows
+from trueup.core.quality import dropped, refuse_majority
 from trueup.errors import DataError, TrueupError
 from trueup.sim import MujocoSimulator, ReplayPlan, ReplaySettings
 
@@ -121,28 +122,29 @@ def make_segments(
     return segments, refused
 
 
-def usable(logs: Sequence[Episode], *, keep_flagged: bool) -> tuple[list[Episode], dict[str, str]]:
-    """The motions without quality warnings, and why the others are left out."""
-    flagged = (
-        {} if keep_flagged else {log.id: ", ".join(warning_kinds(log.meta.flags)) for log in logs if log.meta.warned}
-    )
-    return [log for log in logs if log.id not in flagged], flagged
-
-
-def left_out(reasons: Mapping[str, Mapping[str, str]], *, most: int = 4) -> list[str]:
-    """One sentence for each split about motions that are left out.
+def usable(
+    episodes: Mapping[str, Sequence[Episode]], *, drop_flagged: bool | None
+) -> tuple[dict[str, list[Episode]], dict[str, dict[str, str]]]:
+    """The motions that are used, and why the others are left out.
 
     Args:
-        reasons: split -> motion -> why.
-        most: as many are named.
+        episodes: split -> motions.
+        drop_flagged: as of `EpisodeMeta.why_dropped`; None leaves out those whose measurement is broken.
+
+    Returns:
+        Split -> motions, and split -> motion -> why; without splits of none.
+
+    Raises:
+        DataError: the measurement of more than half of the train motions is broken, and nobody said what to do.
     """
-    sentences = []
-    for split, own in reasons.items():
-        named = "; ".join(f"{name} ({why})" for name, why in list(own.items())[:most])
-        more = f"; … ({len(own) - most} more)" if len(own) > most else ""
-        count = "1 motion" if len(own) == 1 else f"{len(own)} motions"
-        sentences += [f"{count} of {split} left out: {named}{more}"] if own else []
-    return sentences
+    reasons = {
+        split: dropped((log.meta for log in logs), drop_flagged=drop_flagged) for split, logs in episodes.items()
+    }
+    if drop_flagged is None:
+        keep = "`data: {keep_flagged: true}` in --config"
+        refuse_majority(reasons.get("train", {}), len(episodes.get("train", ())), keep=keep)
+    kept = {split: [log for log in logs if log.id not in reasons[split]] for split, logs in episodes.items()}
+    return {split: own for split, own in kept.items() if own}, {split: why for split, why in reasons.items() if why}
 
 
 def _cut_length(durations: Sequence[float], rule: SegmentRule) -> float | None:

@@ -9,6 +9,7 @@ from jaxtyping import Float64
 
 from trueup.core.episode import Episode
 from trueup.core.parameters import ParameterSet
+from trueup.core.time_limit import OutOfTime, TimeLimit
 from trueup.errors import TrueupError
 from trueup.identify.problem import Problem
 from trueup.identify.quantities import QUANTITIES, quantity
@@ -23,11 +24,15 @@ _DELAYS_S = np.array([0.0, 0.005, 0.01, 0.02, 0.03, 0.05, 0.08])
 _OFF_BOUND = 0.01
 
 
-def swept_start(problem: Problem) -> ParameterSet:
+def swept_start(problem: Problem, limit: TimeLimit | None = None) -> ParameterSet:
     """Better start values, one kind of parameter after the other.
 
     All joints move through the same factors at once and each keeps the one at which its own residual is smallest:
     joints of an arm influence each other little enough for a first guess, and the cost is that of one Jacobian.
+
+    Args:
+        problem: logs, model and parameters.
+        limit: when to end with the kinds that were looked at until then.
     """
     parameters = problem.parameters
     for name in _SWEPT:
@@ -41,7 +46,11 @@ def swept_start(problem: Problem) -> ParameterSet:
                 for step in grid
             ]
         )
-        costs = joint_costs(problem, problem.residuals(rows))
+        try:
+            with problem.ending(limit):
+                costs = joint_costs(problem, problem.residuals(rows))
+        except OutOfTime:
+            break
         for p in swept:
             own = costs[:, problem.nominal.robot.joint_names.index(p.target)] if p.target else costs.sum(axis=1)
             if np.isfinite(own).any():

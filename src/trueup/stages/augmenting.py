@@ -14,6 +14,7 @@ from trueup.augment.config import FEWEST_FOR_CHANCE, SIGNALS, AugmentConfig
 from trueup.core.atomic import json_hash
 from trueup.core.episode import Episode
 from trueup.core.model_card import ANY_JOINT, CARD_NAME, Channel
+from trueup.core.quality import left_out
 from trueup.core.sole_writer import sole_writer
 from trueup.core.time_limit import TimeLimit
 from trueup.dataset import Dataset
@@ -59,7 +60,7 @@ def augment(
     robot: RobotSpec | None = None,
     name: str = "",
     description: str = "",
-    drop_flagged: bool = False,
+    drop_flagged: bool | None = None,
     train_motions: int | None = None,
     seed: int = 0,
     jobs: int | None = None,
@@ -83,7 +84,8 @@ def augment(
         robot: its description, for limits of positions and velocities; what the run says of it if None.
         name: of the model; the method if empty.
         description: for people, kept in the card.
-        drop_flagged: leave out motions with quality warnings.
+        drop_flagged: leave out motions with quality warnings; False leaves out none, None those whose measurement is
+            broken.
         train_motions: train on no more than so many motions, drawn from the train split; to see what more data bring.
         seed: of all draws.
         jobs: threads; torch's own choice if None.
@@ -97,7 +99,8 @@ def augment(
     Raises:
         OutputExists: `out` holds a model, or the training of another one.
         MissingSignal: there is no such run, or no motion in train or val.
-        DataError: a sample is not finite, val overlaps train, or motions have different rates.
+        DataError: a sample is not finite, val overlaps train, motions have different rates, or most train motions would
+            be left out.
         ConfigError: the name makes no label, a dataset comes twice, there is nothing to choose from or no epoch to
             train, or training diverges in its first epoch.
         NameMismatch: the robot has other joints than the run.
@@ -137,6 +140,7 @@ def augment(
             finished = Augmentation.load(out)
             return Augmented(finished, out, ("was finished already", *_notes(finished)))
         ids = {split: source.ids(split, drop_flagged=drop_flagged) for split in ("train", "val")}
+        unused = {split: source.dropped(split, drop_flagged=drop_flagged) for split in ids}
         if train_motions is not None:
             ids["train"] = _drawn(ids["train"], train_motions, seed)
         first = next(source.episodes(ids["train"][:1]))
@@ -206,6 +210,7 @@ def augment(
         # Only here is nothing left that an interruption could cost.
         folder.clean()
         notes = (
+            *left_out(unused),
             *_unmeasured(first, run, config),
             *_unreached(augmentation, max(motion.rows for motion in pairs["train"].motions)),
             *_unknown_limits(limits, inputs, config),

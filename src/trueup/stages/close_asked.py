@@ -37,7 +37,7 @@ def asked_beforehand(
     config: IdentifyConfig | None,
     *,
     seed: int,
-    drop_flagged: bool,
+    drop_flagged: bool | None,
     metrics: Sequence[str] | None,
     splits: Path | Mapping[str, float] | None,
 ) -> dict[str, Any]:

@@ -17,6 +17,14 @@ if TYPE_CHECKING:
 # Parts of what is left once the simulator as it came is measured; the rest is for the last measurement.
 _PARTS: dict[StepName, float] = {"explain": 0.15, "identify": 0.5, "augment": 0.3}
 _REST = 0.05
+# What a fit does after its searches, counted by replays of all motions (one, and held-out motions of two models) and by
+# measurements of one run.
+_REPLAYS_OF_FIT, _MEASUREMENTS_OF_FIT = 1.5, 1.5
+# Runs of a close with networks, which are measured at its end.
+_RUNS_OF_AUGMENT = 4.0
+# A step that is built on has at least the first share of the whole, if what cannot be cut does not exceed the whole by
+# more than the second: a close that leaves out what was asked for so as to end early is of no use.
+_LEAST_PART, _EXCESS = 0.1, 0.05
 # Derivatives that all searches of a fit together take, counted by what a replay of the motion takes; by how many
 # parameters of a joint; and motion below which they are worth nothing [s].
 _DERIVATIVES, _PARAMETERS_OF_JOINT, _LEAST_MOTION_S = 20, 7, 20.0
@@ -24,6 +32,9 @@ _DERIVATIVES, _PARAMETERS_OF_JOINT, _LEAST_MOTION_S = 20, 7, 20.0
 
 class Budget:
     """Time for a call, and who has which part of it.
+
+    What cannot be cut comes first: the first replay and the first measurement tell how long it takes. Each step has its
+    part of what that leaves. `explain` is done last, in what the others have left.
 
     Args:
         seconds: for all steps together; None without a limit.
@@ -33,14 +44,33 @@ class Budget:
     def __init__(self, seconds: float | None, steps: Sequence[StepName]) -> None:
         self._limit = None if seconds is None else TimeLimit.after(seconds)
         self._steps = [step for step in steps if step in _PARTS]
+        self._replay_s = self._measure_s = 0.0
+
+    def took(self, *, replay_s: float = 0.0, measure_s: float = 0.0) -> None:
+        """Note what a replay of all motions and a measurement of one run took [s]."""
+        self._replay_s, self._measure_s = max(self._replay_s, replay_s), max(self._measure_s, measure_s)
 
     def of(self, step: StepName) -> TimeLimit | None:
-        """The end of a step: its part of what is left, for those after it have theirs."""
+        """The end of what a step searches or trains: its part of what is left for such things."""
         if self._limit is None:
             return None
+        left_s = self._limit.ends_at - TimeLimit.after(0.0).began_at - self._fixed_s
         whole = sum(_PARTS[item] for item in self._steps) + _REST
         self._steps.remove(step)
-        return self._limit.share(_PARTS[step] / whole)
+        part_s, whole_s = left_s * _PARTS[step] / whole, self._limit.ends_at - self._limit.began_at
+        if step != "explain" and left_s > -_EXCESS * whole_s:
+            part_s = max(part_s, _LEAST_PART * whole_s)
+        return TimeLimit.after(max(0.0, part_s))
+
+    @property
+    def _fixed_s(self) -> float:
+        """What will be done in any case, after the searches and trainings of the steps that are still to come [s]."""
+        seconds = 0.0
+        if "identify" in self._steps:
+            seconds += _REPLAYS_OF_FIT * self._replay_s + _MEASUREMENTS_OF_FIT * self._measure_s
+        if "augment" in self._steps:
+            seconds += _RUNS_OF_AUGMENT * self._measure_s
+        return seconds
 
 
 def fitted_motion(

@@ -108,7 +108,7 @@ def train_each(
     robot: RobotSpec,
     folder: Path,
     *,
-    drop_flagged: bool,
+    drop_flagged: bool | None,
     seed: int,
     jobs: int | None,
     overwrite: bool,
@@ -126,7 +126,7 @@ def train_each(
         dataset: with the runs.
         robot: for its limits.
         folder: gets `BASE/METHOD` for each.
-        drop_flagged: leave out motions with warnings.
+        drop_flagged: as of `augment`.
         seed: of all draws.
         jobs: threads of torch.
         overwrite: train anew.

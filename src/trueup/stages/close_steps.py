@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from trueup.core.attribution import Attribution
 from trueup.core.augment_result import AUGMENT_NAME
-from trueup.core.close_result import CloseResult, StepName
+from trueup.core.close_result import NO_TIME, CloseResult, StepName
 from trueup.core.fit_result import FitResult
 from trueup.core.results import Ladder
 from trueup.core.time_limit import TimeLimit
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from trueup.identify import IdentifyConfig, OnModel
 
 FIT_NAME = "fit.json"
-NO_TIME = "no time was left"
 # Less than this is no time for a step that searches or trains [s].
 _LEAST_S = 2.0
 
@@ -97,7 +96,7 @@ class CloseSteps:
     config: IdentifyConfig | None
     methods: Sequence[str]
     metrics: Sequence[str] | None
-    drop_flagged: bool
+    drop_flagged: bool | None
     seed: int
     jobs: int | None
     folder: CloseFolder
@@ -115,12 +114,14 @@ class CloseSteps:
         forget_explanation(out, unless_of=None if self.folder.overwrite else self.dataset.hash)
         if not asked("gap"):
             return Closed(self.dataset, self.folder.result, replayed=replayed)
+        self.budget.took(replay_s=replayed.seconds)
         rungs = {"stock": (STOCK, replayed.seconds)}
         self.watch.on_step("gap")
         with self.folder.step("gap") as step:
+            began = time.perf_counter()
             measurement, ladder = self._measure(rungs)
+            self.budget.took(measure_s=time.perf_counter() - began)
             step.what = words.main_number(measurement, STOCK)
-        attribution = self._explain(replayed.seconds) if asked("explain") else None
         identified = self._identify(replayed) if asked("identify") else None
         trained = self._augment(identified) if asked("augment") else ()
         notes: list[str] = []
@@ -130,10 +131,12 @@ class CloseSteps:
             if identified is not None:
                 seconds = sum(row.seconds for row in identified.fit.models) + identified.replayed[1].seconds
                 rungs |= {"fitted": (FITTED, seconds), **_corrected(trained, "fitted", seconds)}
-            measurement, ladder = self._measure(rungs)
+            measurement, ladder = self._measured_again(rungs, identified)
             if not self._holds_more(rungs):
                 notes = self._judge(trained)
             self.folder.measured(time.perf_counter() - began)
+        # Last, so that the steps that were asked for have their time first.
+        attribution = self._explain(replayed) if asked("explain") else None
         if attribution is not None:
             notes += attribution.statements
         if identified is not None:
@@ -174,12 +177,25 @@ class CloseSteps:
                 folder.begin_anew()
         return done
 
+    def _measured_again(
+        self, rungs: Mapping[str, tuple[str, float]], identified: Identified | None
+    ) -> tuple[Measurement, Ladder]:
+        """All runs together; what the fit has measured need not be measured again."""
+        plain = self.metrics is None and not self.drop_flagged
+        if identified is None or set(rungs) != {"stock", "fitted"} or not plain:
+            return self._measure(rungs)
+        measurement, ladder = identified.measurement, ladder_of(identified.measurement, rungs)
+        if not self._holds_more(rungs):
+            measurement.save(self.folder.path)
+            ladder.save(self.folder.path / LADDER_NAME)
+        return measurement, ladder
+
     def _measure(self, rungs: Mapping[str, tuple[str, float]]) -> tuple[Measurement, Ladder]:
         """Measure these runs; what the folder has of them and of others stays."""
         measurement = gap(
             self.dataset,
             runs=[label for label, _ in rungs.values()],
-            drop_flagged=self.drop_flagged,
+            drop_flagged=bool(self.drop_flagged),
             metrics=self.metrics,
             seed=self.seed,
             blocks=len(rungs) == 1,
@@ -194,12 +210,13 @@ class CloseSteps:
     def _holds_more(self, rungs: Collection[str]) -> bool:
         return self.folder.holds_more(rungs, self.dataset.hash)
 
-    def _explain(self, replay_s: float) -> Attribution | None:
+    def _explain(self, replayed: ReplaySummary) -> Attribution | None:
         path, limit = self.folder.path / EXPLAIN_NAME, self.budget.of("explain")
         inputs = explain_inputs(self.dataset, self.robot, model=self.model, config=self.config, seed=self.seed)
         earlier = self.folder.earlier("explain")
         kept = earlier is not None and earlier.inputs == inputs and path.is_file()
-        if _no_time(limit) and not kept:
+        # What was asked for is not left out so that there is time to explain.
+        if not kept and (_no_time(limit) or self.folder.result.untimely):
             self.folder.leave_out("explain", NO_TIME)
             return None
         found: Attribution | None = None
@@ -213,15 +230,19 @@ class CloseSteps:
                     self.dataset,
                     self.robot,
                     model=self.model,
-                    config=self.folder.keep_config(EXPLAIN_CONFIG, self._fitted_motion(replay_s, limit)),
+                    config=self.folder.keep_config(EXPLAIN_CONFIG, self._fitted_motion(replayed.seconds, limit)),
                     seed=self.seed,
                     jobs=self.jobs,
                     on_progress=self.watch.on_fit,
                     limit=limit,
                 )
-                found.save(path)
-            step.status = "cut short" if found.short_of_time else "done"
-            step.what = words.shares(found)
+            if not found.causes:  # there was time to look at the model as it came, and no more
+                step.status, step.what, found = "left out", NO_TIME, None
+            else:
+                if not kept:
+                    found.save(path)
+                step.status = "cut short" if found.short_of_time else "done"
+                step.what = words.shares(found)
         return found
 
     def _fitted_motion(self, replay_s: float, limit: TimeLimit | None) -> IdentifyConfig:
@@ -258,6 +279,8 @@ class CloseSteps:
         return found
 
     def _augment(self, identified: Identified | None) -> tuple[Trained, ...]:
+        from trueup.identify import IdentifyConfig
+
         limit = self.budget.of("augment")
         # A fit that is no better than the model as it came is nothing to build on.
         fitted = identified is not None and identified.fit.status != "no-better"
@@ -277,7 +300,7 @@ class CloseSteps:
                 self.dataset,
                 self.robot,
                 self.folder.networks,
-                drop_flagged=self.drop_flagged,
+                drop_flagged=(self.config or IdentifyConfig()).data.drop,
                 seed=self.seed,
                 jobs=self.jobs,
                 overwrite=self.folder.overwrite,
@@ -309,7 +332,7 @@ class CloseSteps:
                 [network.folder for network in own],
                 run=own[0].run,
                 split=splits[0],
-                drop_flagged=self.drop_flagged,
+                drop_flagged=bool(self.drop_flagged),
                 seed=self.seed,
                 track=self.track,
             )

@@ -36,7 +36,7 @@ def close(
     format: str | None = None,
     options: ImportOptions | None = None,
     splits: Path | Mapping[str, float] | None = None,
-    drop_flagged: bool = False,
+    drop_flagged: bool | None = None,
     metrics: Sequence[str] | None = None,
     until: StepName = STEPS[-1],
     budget_s: float | None = None,
@@ -64,7 +64,8 @@ def close(
         format: of the logs; detected if None.
         options: for the import.
         splits: split.json or fractions, for the import.
-        drop_flagged: leave out episodes with warnings.
+        drop_flagged: leave out episodes with warnings, from all that is measured, fitted and trained. None leaves those
+            whose measurement is broken out of what is fitted and trained (`config` may say otherwise), False none.
         metrics: names; a sensible set per signal if None.
         until: the last step; `import` for logs only.
         budget_s: time for this call [s]. Steps that search and train end with the best so far; with little time, less
@@ -86,6 +87,8 @@ def close(
             time that is not positive.
         TrueupError: what import, replay and gap raise.
     """
+    from trueup.identify import IdentifyConfig
+
     if until not in STEPS:
         raise ConfigError("there is no such step", got=until, available=STEPS)
     if budget_s is not None and not budget_s > 0:
@@ -110,6 +113,10 @@ def close(
         )
     if model is not None:
         find_model(robot, given=Path(model))
+    if drop_flagged is not None:
+        given = config or IdentifyConfig()
+        data = replace(given.data, keep_flagged=not drop_flagged, drop_flagged=drop_flagged)
+        config = replace(given, data=data)
     asked_for = asked_beforehand(robot, config, seed=seed, drop_flagged=drop_flagged, metrics=metrics, splits=splits)
     with sole_writer(out):
         may_begin(out, overwrite=overwrite, resume=resume)

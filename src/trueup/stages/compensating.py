@@ -13,6 +13,7 @@ from jaxtyping import Float64
 
 from trueup.align import JointMap
 from trueup.core.atomic import as_read_back, json_hash, make_folder
+from trueup.core.quality import dropped, left_out, refuse_majority
 from trueup.core.sole_writer import writes_alone
 from trueup.core.units import joint_unit
 from trueup.dataset import Dataset
@@ -87,7 +88,7 @@ def prepare(
     *,
     model: Path | None = None,
     control_hz: float | None = None,
-    drop_flagged: bool = False,
+    drop_flagged: bool | None = None,
     jobs: int | None = None,
     track: Track = silent,
 ) -> Prepared:
@@ -98,19 +99,26 @@ def prepare(
         robot: its description; that of an identified robot where there is one.
         model: MJCF or URDF; looked for beside the data and in the package if None.
         control_hz: rate of the commands; that of the first train motion if None.
-        drop_flagged: leave out motions with quality warnings.
+        drop_flagged: leave out motions with quality warnings; False leaves out none, None those whose measurement is
+            broken.
         jobs: threads; the number of cores if None.
         track: shows progress.
 
     Raises:
         MissingSignal: no motion in train or val, or no commands.
         ConfigError: the controller or its rate is not one that can be compensated.
-        DataError: no motion can be used.
+        DataError: no motion can be used, or the measurement of most of the train motions is broken.
     """
     from trueup.compensate.linear import linear_of
     from trueup.compensate.plants import Plants
 
     ids = {split: dataset.select(split=split, drop_flagged=drop_flagged) for split in ("train", "val")}
+    unused = {
+        split: dropped((meta for meta in dataset.metas if meta.split == split), drop_flagged=drop_flagged)
+        for split in ids
+    }
+    if drop_flagged is None:
+        refuse_majority(unused["train"], len(ids["train"]) + len(unused["train"]), keep="--keep-flagged")
     empty = [split for split, own in ids.items() if not own]
     if empty:
         raise MissingSignal(f"{dataset.path} has no motions in {empty[0]}", hint="Leave --drop-flagged out, or import.")
@@ -133,7 +141,7 @@ def prepare(
             name, first = next(iter(refused.items()))
             raise DataError(f"no motion of {split} can be used, {name!r} because: {first.summary}", hint=first.hint)
     notes = [f"{len(refused)} motions were left out, {name} because {error.summary}" for name, error in refused.items()]
-    return Prepared(parts["train"], parts["val"], plants, control_s, dataset.hash, tuple(notes[:1]))
+    return Prepared(parts["train"], parts["val"], plants, control_s, dataset.hash, (*left_out(unused), *notes[:1]))
 
 
 @writes_alone()
@@ -150,7 +158,7 @@ def compensate(
     empty_handed: bool = False,
     run: str = "",
     name: str = "",
-    drop_flagged: bool = False,
+    drop_flagged: bool | None = None,
     seed: int = 0,
     jobs: int | None = None,
     overwrite: bool = False,
@@ -177,7 +185,8 @@ def compensate(
         empty_handed: the simulator that the robot is to move like carries nothing, whatever the robot carries.
         run: label of the runs of that simulator; `mujoco/stock` if empty.
         name: of the model; the method if empty.
-        drop_flagged: leave out motions with quality warnings.
+        drop_flagged: leave out motions with quality warnings; False leaves out none, None those whose measurement is
+            broken.
         seed: of all draws.
         jobs: threads; the number of cores if None.
         overwrite: replace the model that is in `out`.

@@ -15,6 +15,7 @@ from trueup.core.atomic import json_hash, remove
 from trueup.core.attribution import Attribution
 from trueup.core.fit_result import FitResult
 from trueup.core.provenance import other_versions
+from trueup.core.quality import left_out
 from trueup.core.ray_workers import Cluster, connected
 from trueup.core.results import Ladder
 from trueup.core.sole_writer import sole_writer
@@ -106,7 +107,7 @@ def fit(
         ConfigError: no cluster answers, or there is one and a single start.
         TrueupError: what any step raises.
     """
-    from trueup.identify import identify, judged, refuse_one_start, save_identification
+    from trueup.identify import IdentifyConfig, identify, judged, refuse_one_start, save_identification
 
     out = Path(out)
     cluster = None if ray is None else Cluster(ray, jobs)
@@ -122,6 +123,7 @@ def fit(
         jobs = jobs or os.cpu_count() or 1
         given, robot = robot, judged(robot, config)
         inputs = _digest(dataset, robot, path, config, seed)
+        drop = (config or IdentifyConfig()).data.drop
         result = _finished(out, inputs) if resume and not overwrite else None
         motions = motions_of(dataset, robot)
         # Before the fit, since what keeps a replay from working must not come to light after an hour of it.
@@ -150,7 +152,7 @@ def fit(
             save_identification(found, out, seed=seed)
             result = found.result
         keep_given(out, given, path, config)
-        graybox = _save_graybox(motions, robot, path, out)
+        graybox = _save_graybox(motions, robot, path, out, drop_flagged=drop)
         fitted_robot = load_robot(out / "robot.fitted.yaml")
         fitted = replay_unless_same(dataset, fitted_robot, model=None, label=FITTED, jobs=jobs, track=track)
         measurement = gap(dataset, runs=[STOCK, FITTED], seed=seed, blocks=False, track=track)
@@ -186,7 +188,7 @@ def _digest(dataset: Dataset, robot: RobotSpec, model: Path, config: IdentifyCon
     inputs = {
         "data": dataset.hash,
         "splits": dataset.splits,
-        "clean": dataset.select(drop_flagged=True),
+        "clean": dataset.select(drop_flagged=(config or IdentifyConfig()).data.drop),
         "robot": robot.to_dict(),
         "model": MujocoSimulator.from_robot(robot, model).fingerprint,
         "config": (config or IdentifyConfig()).to_json(),
@@ -223,8 +225,6 @@ def _joined(*reasons: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, st
 
 
 def _left_out_notes(result: FitResult) -> list[str]:
-    from trueup.identify.segments import left_out
-
     return left_out(_joined(result.data["flagged"], result.data["refused"]))
 
 
@@ -244,7 +244,9 @@ def _version_note(result: FitResult) -> list[str]:
     return [f"fit.json was made by {then}; --overwrite fits anew, with what is installed now"] if then else []
 
 
-def _save_graybox(motions: Motions, robot: RobotSpec, model: Path, out: Path) -> tuple[str, ...]:
+def _save_graybox(
+    motions: Motions, robot: RobotSpec, model: Path, out: Path, *, drop_flagged: bool | None
+) -> tuple[str, ...]:
     """Write graybox.json where the logs have a torque and a commanded position that a regression can use.
 
     Returns:
@@ -252,10 +254,12 @@ def _save_graybox(motions: Motions, robot: RobotSpec, model: Path, out: Path) ->
     """
     from trueup.identify import Nominal
     from trueup.identify.regression import GrayboxSettings, fit_graybox
+    from trueup.identify.segments import usable
 
     remove(out / "graybox.json")
     nominal = Nominal(robot, model)
-    episodes = [episode for logs in motions.by_split.values() for episode in logs]
+    logs, _ = usable(motions.by_split, drop_flagged=drop_flagged)
+    episodes = [episode for own in logs.values() for episode in own]
     settings = GrayboxSettings(
         delay_s=float(np.median(nominal.given.delay_s)), torque_limits=nominal.simulator.torque_limits
     )
@@ -290,7 +294,6 @@ def explain(
         TrueupError: what any step raises.
     """
     from trueup.identify import explain as attribute
-    from trueup.identify.segments import left_out
 
     path = model_file(robot, dataset, given=model)
     motions = motions_of(dataset, robot)

@@ -14,8 +14,9 @@ import numpy as np
 
 from trueup.align import JointMap, check_quality, limits_in_log
 from trueup.core.atomic import as_read_back
-from trueup.core.episode import Episode, warning_kinds
+from trueup.core.episode import Episode, Flag, warning_kinds
 from trueup.core.provenance import provenance
+from trueup.core.timeseries import TimeSeries
 from trueup.dataset import (
     Dataset,
     DatasetInfo,
@@ -226,6 +227,7 @@ def checked(episode: Episode, robot: RobotSpec | None = None) -> Episode:
             hint="Are its stamps really in seconds? A mapping file states their unit.",
         )
     _refuse_nonsense(episode)
+    episode = _without_empty(episode)
     if robot is None:
         return episode.with_flags(check_quality(episode))
     joint_map = JointMap.from_dict(robot.joint_rules())
@@ -238,6 +240,26 @@ def checked(episode: Episode, robot: RobotSpec | None = None) -> Episode:
         torques={joint.name: joint.torque_limit for joint in robot.joints if joint.torque_limit},
     )
     return episode.with_flags(check_quality(episode, limits=positions, torque_limits=torques))
+
+
+def _without_empty(episode: Episode) -> Episode:
+    """Without signals that have a place in the log, and not a single value; positions stay, since a robot has them."""
+    measured, flags = _with_values(episode.measured, "measured")
+    command, more = (None, []) if episode.command is None else _with_values(episode.command, "command")
+    if not flags and not more:
+        return episode
+    return replace(episode, measured=measured, command=command).with_flags((*episode.meta.flags, *flags, *more))
+
+
+def _with_values(series: TimeSeries, name: str) -> tuple[TimeSeries, list[Flag]]:
+    empty = [key for key, values in series.signals.items() if key != "position" and not np.isfinite(values).any()]
+    if not empty or len(empty) == len(series.signals):
+        return series, []
+    signals = {key: values for key, values in series.signals.items() if key not in empty}
+    units = {key: unit for key, unit in series.units.items() if key not in empty}
+    detail = "no sample of any joint has a value: the signal is left out"
+    flags = [Flag(kind="empty_signal", series=name, signal=key, detail=detail, severity="note") for key in empty]
+    return replace(series, signals=signals, units=units), flags
 
 
 def _refuse_nonsense(episode: Episode) -> None:

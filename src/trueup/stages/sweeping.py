@@ -42,7 +42,7 @@ class _Task:
     run: str
     config: AugmentConfig
     robot: RobotSpec | None
-    drop_flagged: bool
+    drop_flagged: bool | None
     train_motions: int | None
     device: str
 
@@ -56,7 +56,7 @@ def sweep(
     seeds: Sequence[int],
     by: str | None = None,
     robot: RobotSpec | None = None,
-    drop_flagged: bool = False,
+    drop_flagged: bool | None = None,
     train_motions: int | None = None,
     jobs: int | None = None,
     ray: str | None = None,
@@ -95,7 +95,7 @@ def sweep(
         ConfigError: no candidate, a name that makes no folder, no seed or one that comes twice, no signal that all
             candidates correct, no such cluster, or a worker was killed again and again.
         MissingSignal: there is no such run, or no motion in train or val.
-        DataError: no training could be completed, or a dataset is broken.
+        DataError: no training could be completed, a dataset is broken, or most of the train motions would be left out.
         MissingDependency: torch or Ray is not installed, or there is no GPU.
     """
     out = Path(out).absolute()
@@ -164,7 +164,7 @@ def _refuse(candidates: Mapping[str, AugmentConfig], seeds: Sequence[int], by: s
     _refuse_other_signals(candidates, by)
 
 
-def _refuse_data(source: TrainingData, by: str | None, *, drop_flagged: bool) -> None:
+def _refuse_data(source: TrainingData, by: str | None, *, drop_flagged: bool | None) -> None:
     """What every training would refuse, and a signal that none of them can correct.
 
     Raises:

@@ -9,7 +9,8 @@ from typing import Any
 
 from trueup.align import JointMap
 from trueup.core.atomic import json_hash
-from trueup.core.episode import Episode
+from trueup.core.episode import Episode, EpisodeMeta
+from trueup.core.quality import dropped, refuse_majority
 from trueup.dataset import Dataset
 from trueup.deploy.agreement import RATE_TOLERANCE
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch
@@ -100,18 +101,37 @@ class TrainingData:
             ]
         )
 
-    def ids(self, split: str, *, drop_flagged: bool) -> list[MotionId]:
+    def dropped(self, split: str, *, drop_flagged: bool | None) -> dict[str, str]:
+        """Motion of a split -> why it is left out, of those that the run has; as `EpisodeMeta.why_dropped` says."""
+        return {
+            name if len(self.datasets) == 1 else f"{number}/{name}": why
+            for number, dataset in enumerate(self.datasets)
+            for name, why in dropped(self._metas(dataset, split), drop_flagged=drop_flagged).items()
+        }
+
+    def _metas(self, dataset: Dataset, split: str) -> list[EpisodeMeta]:
+        there = set(dataset.run_ids(self.run))  # without those that could not be replayed
+        return [meta for meta in dataset.metas if meta.split == split and meta.id in there]
+
+    def ids(self, split: str, *, drop_flagged: bool | None) -> list[MotionId]:
         """The motions of a split that the run has too.
+
+        Args:
+            split: of the datasets.
+            drop_flagged: as of `EpisodeMeta.why_dropped`.
 
         Raises:
             MissingSignal: there is none.
+            DataError: the measurement is broken in most of the train motions, and nobody said what to do with them.
         """
         found: list[MotionId] = []
+        count = 0
         for number, dataset in enumerate(self.datasets):
-            if split in dataset.splits.values():
-                there = set(dataset.run_ids(self.run))  # without those that could not be replayed
-                chosen = dataset.select(split=split, drop_flagged=drop_flagged)
-                found += [(number, name) for name in chosen if name in there]
+            metas = self._metas(dataset, split)
+            count += len(metas)
+            found += [(number, meta.id) for meta in metas if not meta.why_dropped(drop_flagged=drop_flagged)]
+        if split == "train" and drop_flagged is None:
+            refuse_majority(self.dropped(split, drop_flagged=None), count, keep="--keep-flagged")
         if not found:
             raise MissingSignal(
                 f"no motion of the run {self.run!r} is in the split {split!r}",
@@ -157,7 +177,7 @@ def rate_of(episode: Episode, run: str) -> float:
     return _whole(episode.run(run).rate_hz)
 
 
-def lowest_rate(dataset: Dataset, run: str, *, drop_flagged: bool) -> float | None:
+def lowest_rate(dataset: Dataset, run: str, *, drop_flagged: bool | None) -> float | None:
     """Samples per second of the slowest motion of train and val [Hz]; None where all of them have the same rate.
 
     Test motions have no say, and neither has a motion of one sample, which has no rate.
@@ -166,7 +186,10 @@ def lowest_rate(dataset: Dataset, run: str, *, drop_flagged: bool) -> float | No
     rates = [
         rate
         for meta, rate in zip(dataset.metas, dataset.index["rate_hz"].to_pylist(), strict=True)
-        if meta.split in ("train", "val") and meta.id in there and not (drop_flagged and meta.warned) and rate > 0.0
+        if meta.split in ("train", "val")
+        and meta.id in there
+        and not meta.why_dropped(drop_flagged=drop_flagged)
+        and rate > 0.0
     ]
     if not rates:
         return None

@@ -24,15 +24,28 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import itemgetter
 
+import numpy as np
+
 from trueup.core.episode import Episode
+from trueup.core.hold import held_rows
 from trueup.core.results import Estimate
 from trueup.errors import NotIdentifiable
-from trueup.identify.experiments.findings import ExperimentResult, Finding, in_words, of_friction, said
+from trueup.identify.experiments.findings import ExperimentResult, Finding, in_words, of_friction, refuted, said
+from trueup.identify.experiments.joint_log import in_si
 from trueup.identify.experiments.motion_fit import MotionFit, fit_motion
 from trueup.identify.experiments.recorded import JointMotions, read_motions
-from trueup.identify.experiments.slides import SlideSettings
+from trueup.identify.experiments.slides import Motion, SlideSettings
 
 Coefficients = Mapping[str, float]
+
+# A torque that is not constant: it changes by this share of the largest within so many seconds, in this share of the
+# time in which there is one.
+_CHANGE, _WITHIN_S, _CHANGING = 0.02, 0.05, 0.5
+_ACTIVE = 0.05  # of the largest torque
+_RECORD = (
+    "Record this joint alone, the others held: several constant torques, each in both directions, and the coasting "
+    "after them (trueup.identify.experiments.run_constant_torque does)."
+)
 
 
 def estimate_constant_torque(
@@ -68,7 +81,7 @@ def estimate_constant_torque(
         NotIdentifiable: no episode could be used; the message says why.
     """
     settings, known = settings or SlideSettings(), dict(inertia_kgm2 or {})
-    return read_motions(tuple(episodes), joints, settings).result(
+    return read_motions(tuple(episodes), joints, settings, isolates=_isolates, record=_RECORD).result(
         "constant_torque",
         lambda motions: _joint(motions, known.get(motions.joint), breakaway, position_slope=position_slope),
         {**settings.to_json(), "position_slope": position_slope, "inertia_kgm2": known},
@@ -113,9 +126,9 @@ def _joint(
         "reference_position": Finding(
             Estimate(fit.reference, motions.length), "The pose at which offsets are stated: the mean of the starts."
         ),
-        "coulomb_friction": of_friction(coulomb, f"Coulomb friction, the mean of both directions, is {said(coulomb)}."),
+        "coulomb_friction": of_friction(coulomb, "Coulomb friction, the mean of both directions, is {}."),
         **{
-            name: of_friction(value, f"Viscous friction in {name.removeprefix('viscous_')} direction is {said(value)}.")
+            name: of_friction(value, f"Viscous friction in {name.removeprefix('viscous_')} direction is {{}}.")
             for name, value in viscous.items()
         },
         "viscous_asymmetry": Finding(
@@ -135,7 +148,20 @@ def _joint(
     notes = motions.misfit(fit)
     if asymmetry.low is not None and asymmetry.high is not None and asymmetry.low * asymmetry.high > 0:
         notes += ("viscous friction differs between the directions: no constant offset mirrors them at every speed",)
-    return findings, notes
+    return refuted(findings, "mirror_offset", _RECORD), notes
+
+
+def _isolates(episode: Episode, joint: str, motion: Motion) -> str:
+    """Why a motion is not one under constant torques."""
+    del motion
+    command = episode.commanded().select([joint])
+    torque = np.nan_to_num(in_si(command, "torque"))
+    largest = float(np.abs(torque).max())
+    later = torque[held_rows(command.time_s, command.time_s + _WITHIN_S)]
+    active = np.abs(torque) > _ACTIVE * largest
+    if np.mean(np.abs(later - torque)[active] > _CHANGE * largest) <= _CHANGING:
+        return ""
+    return f"the commanded torque of {joint} keeps changing: it is not constant"
 
 
 def _split(

@@ -28,8 +28,8 @@ class Finding:
             of the interval may be there all the same (a threshold above the largest torque that was tried).
         sentence: what it means, for people, with its assumptions.
         status: `ok`; `censored` (some repetitions did not reach it, so the value is biased); `no_motion` up to the
-            largest torque; `moves_without_torque`; `not_identifiable`; `implausible` (a friction that is negative
-            beyond doubt: something else happened in these motions).
+            largest torque; `moves_without_torque`; `not_identifiable`; `implausible` (a friction would be negative
+            beyond doubt: something else happened in these motions, and nothing is found in them).
     """
 
     estimate: Estimate
@@ -173,14 +173,41 @@ def said(estimate: Estimate) -> str:
 
 
 def of_friction(estimate: Estimate, sentence: str) -> Finding:
-    """A finding about a friction, which cannot be negative."""
-    if estimate.high is not None and estimate.high < 0.0:
-        return Finding(
-            estimate, f"{sentence} A negative friction is none: these motions are not of this kind.", "implausible"
-        )
-    if estimate.low is not None and estimate.low <= 0.0:
-        sentence = f"{sentence} The data do not tell it from zero."
-    return Finding(estimate, sentence)
+    """A finding about a friction, which cannot be negative.
+
+    Args:
+        estimate: as it was fitted.
+        sentence: what it means, with `{}` where the number stands.
+
+    Returns:
+        One whose value and interval end at zero; one without a value where all of the interval is negative.
+    """
+    low, high = estimate.low, estimate.high
+    if (estimate.value < 0.0 and high is None) or (high is not None and high < 0.0):
+        told = f"Not found in these motions: {sentence.format(said(estimate))} A negative friction is none."
+        return Finding(Estimate(math.nan, estimate.unit), told, "implausible")
+    if (low is not None and low <= 0.0) or estimate.value < 0.0:
+        kept = Estimate(max(0.0, estimate.value), estimate.unit, None if low is None else max(0.0, low), high)
+        return Finding(kept, f"{sentence.format(said(kept))} The data do not tell it from zero.")
+    return Finding(estimate, sentence.format(said(estimate)))
+
+
+def refuted(findings: Mapping[str, Finding], what: str, record: str) -> dict[str, Finding]:
+    """What is left of a fit: nothing where it says something impossible, for its other numbers are of the same motions.
+
+    Args:
+        findings: of one joint.
+        what: the quantity that is then said not to be found.
+        record: what to record in place of these motions.
+
+    Returns:
+        The findings as they are, or a single one.
+    """
+    bad = next((item for item in findings.values() if item.status == "implausible"), None)
+    if bad is None:
+        return dict(findings)
+    cause = "Something besides friction acts in them: gravity, other joints, or a torque that is not in the log."
+    return {what: Finding(Estimate(math.nan, bad.estimate.unit), f"{bad.sentence} {cause} {record}", "implausible")}
 
 
 def in_words(error: object) -> str:

@@ -74,7 +74,7 @@ def joint_log(
         UnitError: a unit that is not known.
     """
     measured = episode.measured.select([joint])
-    channels = {name: _si(measured, name) for name in ("position", "velocity") if name in measured}
+    channels = {name: in_si(measured, name) for name in ("position", "velocity") if name in measured}
     channels = {name: values for name, values in channels.items() if np.isfinite(values).mean() > 0.5}
     if not channels:
         raise MissingSignal(
@@ -137,7 +137,7 @@ def disturbances(episodes: Iterable[Episode], joint: str) -> list[str]:
         measured = episode.measured
         if "position" in measured and len(measured) >= _LEAST_ROWS:
             for other in measured.joints:
-                values = _si(measured.select([other]), "position")
+                values = in_si(measured.select([other]), "position")
                 if other != joint and np.isfinite(values).any():
                     others[other] = max(others.get(other, 0.0), float(np.nanmax(values) - np.nanmin(values)))
         if joint in measured.joints and episode.command is not None and joint in episode.command.joints:
@@ -160,14 +160,14 @@ def reason_of(what: object, episode: Episode) -> str:
 
 def _torque(episode: Episode, joint: str, delay_s: float, source: TorqueSource) -> Float64[np.ndarray, "T"]:
     if source == "measured":
-        return _si(episode.measured.select([joint]), "torque")
+        return in_si(episode.measured.select([joint]), "torque")
     command = episode.commanded().select([joint])
     rows = np.maximum(held_rows(command.time_s, episode.measured.time_s - delay_s), 0)
-    return np.asarray(_si(command, "torque")[rows])
+    return np.asarray(in_si(command, "torque")[rows])
 
 
-def _si(series: TimeSeries, signal: str) -> Float64[np.ndarray, "T"]:
-    """The only column of a signal, in SI units."""
+def in_si(series: TimeSeries, signal: str) -> Float64[np.ndarray, "T"]:
+    """The only column of a signal, in SI units, (T,)."""
     values = np.asarray(series[signal][:, 0], dtype=np.float64)
     return np.asarray(values * si_factor(series.units[signal][0])[1])
 

@@ -7,6 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from trueup.core.episode import Episode
 from trueup.core.results import Estimate
 from trueup.errors import DataError, NotIdentifiable, TrueupError
@@ -18,10 +20,13 @@ from trueup.identify.experiments.findings import (
     reasons_in_short,
     said,
 )
-from trueup.identify.experiments.joint_log import disturbances, excited_joints, joint_log, reason_of
+from trueup.identify.experiments.joint_log import disturbances, excited_joints, in_si, joint_log, reason_of
 from trueup.identify.experiments.motion_fit import MotionFit
 from trueup.identify.experiments.slides import Motion, Slide, SlideSettings, motion
 
+# Another joint that moves by this much, or by this share of the joint's own travel, while that one slides, changes its
+# inertia and gravity.
+_OTHERS_RAD, _OTHERS_SHARE = 0.1, 0.2
 _MISFIT = 3.0  # residual over the noise of the sensor, above which the model does not describe the motion
 _FAR_RAD = 0.5
 _APART_RAD = 0.2
@@ -168,8 +173,22 @@ class Recorded:
         )
 
 
-def read_motions(episodes: Sequence[Episode], joints: Sequence[str] | None, settings: SlideSettings) -> Recorded:
+def read_motions(
+    episodes: Sequence[Episode],
+    joints: Sequence[str] | None,
+    settings: SlideSettings,
+    *,
+    isolates: Callable[[Episode, str, Motion], str],
+    record: str,
+) -> Recorded:
     """Cut recordings into the motions of each joint.
+
+    Args:
+        episodes: the recordings.
+        joints: which joints; None finds them.
+        settings: how motions are cut and read.
+        isolates: episode, joint and motion -> why the motion does not show the one thing; empty if it does.
+        record: what to record for this experiment.
 
     Raises:
         DataError: no episodes.
@@ -189,12 +208,30 @@ def read_motions(episodes: Sequence[Episode], joints: Sequence[str] | None, sett
                 continue
             if own.direction == 0:
                 rejected.append(Rejection(episode.id, joint, reason_of("the torque is zero throughout", episode)))
+            elif why := _others_moved(episode, joint, own) or isolates(episode, joint, own):
+                rejected.append(Rejection(episode.id, joint, reason_of(why, episode)))
             else:
                 found.setdefault(joint, []).append((episode, own, log.length, log.effort))
     if not found:
-        raise NotIdentifiable("no recording could be used", got=reasons_in_short(rejected))
+        raise NotIdentifiable("no recording could be used", got=reasons_in_short(rejected), hint=record)
     grouped = {
         joint: JointMotions(joint, tuple(row[0] for row in rows), tuple(row[1] for row in rows), rows[0][2], rows[0][3])
         for joint, rows in found.items()
     }
     return Recorded(grouped, tuple(rejected))
+
+
+def _others_moved(episode: Episode, joint: str, own: Motion) -> str:
+    """Why the motion is not that of one joint: others that moved while it slid; empty if they hardly did."""
+    measured = episode.measured
+    if "position" not in measured:
+        return ""
+    for slide in own.slides:
+        rows = (measured.time_s >= slide.time_s[0]) & (measured.time_s <= slide.time_s[-1])
+        most = max(_OTHERS_RAD, _OTHERS_SHARE * float(np.ptp(slide.position)))
+        for other in measured.joints:
+            values = in_si(measured.select([other]), "position")[rows]
+            values = values[np.isfinite(values)]
+            if other != joint and values.size and np.ptp(values) > most:
+                return f"{other} moved by {np.ptp(values):.2g} while {joint} slid"
+    return ""

@@ -189,6 +189,19 @@ class GaussNewton:
         """Whether the search has ended."""
         return bool(self.state.reason)
 
+    @property
+    def square(self) -> float:
+        """Sum of squares at the best parameters so far."""
+        return float("inf") if self.residual is None else float(self.residual @ self.residual)
+
+    def begin(self) -> Float64[np.ndarray, "N"]:
+        """The residual at the best parameters so far; at the start, it is simulated once.
+
+        Raises:
+            DataError: the start itself cannot be simulated.
+        """
+        return self._start() if self.residual is None else self.residual
+
     def step(self) -> None:
         """One iteration: a Jacobian, and the steps that it is good for.
 
@@ -196,7 +209,7 @@ class GaussNewton:
             DataError: the start itself cannot be simulated.
         """
         state = self.state
-        r = self._start() if self.residual is None else self.residual
+        r = self.begin()
         # What counts as an outlier shrinks with the residual; within an iteration it is fixed.
         self._loss = self.loss_of(r)
         if state.iteration == 0:
@@ -223,9 +236,8 @@ class GaussNewton:
             finished = gain < self.settings.tolerance and (reused == 0 or early)
             if finished or not trusted:
                 break
-        assert self.residual is not None
         state.iteration += 1
-        state.square = float(self.residual @ self.residual)
+        state.square = self.square
         state.history.append(state.cost)
         self._advance(finished=finished)
 
