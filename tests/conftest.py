@@ -45,6 +45,15 @@ def _recording(name: str) -> Path:
 
 
 @pytest.fixture(scope="session")
+def model_cases() -> Path:
+    """Small models of other people's kinds, with logs."""
+    shared = shared_folder()
+    if shared is None or not (shared / "cases" / "models").is_dir():
+        pytest.skip("models of cases/models not found: set TRUEUP_SHARED, or put `shared` beside the project")
+    return shared / "cases" / "models"
+
+
+@pytest.fixture(scope="session")
 def so101_logs() -> Path:
     """43 motions of a real SO-101 in SAGE's layout."""
     return _recording("so101_sage")

@@ -86,3 +86,19 @@ def test_what_is_written_into_a_model_is_what_it_compiles_to(seed, theta):
     assert found.mass == body.mass
     np.testing.assert_allclose(found.com, body.com)
     np.testing.assert_allclose(found.inertia, body.inertia, rtol=1e-6, atol=1e-9)
+
+
+@given(st.integers(0, 1000), st.sampled_from([1, 2]))
+def test_points_and_rods_are_bodies_for_mujoco_too(seed, points):
+    rng = np.random.default_rng(seed)
+    places = rng.standard_normal((points, 3)) * 0.1
+    body = Inertial.point(0.3, places[0])
+    for place in places[1:]:
+        body = body.plus(Inertial.point(0.3, place))
+    spec = mujoco.MjSpec.from_string(ARM)
+    spec.body("lower").add_body(name="tip")
+    apply_inertial(spec, "tip", body)
+    found = inertial_of(spec.compile(), "tip")
+    assert found.mass == body.mass
+    np.testing.assert_allclose(found.com, body.com, atol=1e-12)
+    np.testing.assert_allclose(found.inertia, body.inertia, atol=1e-12)

@@ -161,20 +161,21 @@ def test_models_that_cannot_be_tried_are_refused_before_the_search(tmp_path):
 def test_only_the_joints_that_have_it_are_fitted_and_shared(tmp_path):
     _, path = arm(tmp_path)
     actuators = (
-        '<actuator><position name="s" joint="shoulder" kp="30"/><velocity name="e" joint="elbow" kv="5"/></actuator>'
+        '<actuator><general name="s" joint="shoulder" gainprm="1" biastype="affine" biasprm="0 -30 0"/>'
+        '<general name="e" joint="elbow" gainprm="1" biastype="affine" biasprm="0 0 -5"/></actuator>'
     )
     path.write_text(ARM.replace("</mujoco>", f"{actuators}</mujoco>"))
     robot = RobotSpec(
         "arm",
         tuple(map(JointSpec, JOINTS)),
         path.name,
-        controller=ControllerSpec(kind="model", command="position"),
+        controller=ControllerSpec(kind="model", command="torque"),
     )
     nominal = Nominal(robot, path)
     assert make_parameters({"kp": "all"}, nominal).names == ("kp[shoulder]",)
     model = written(nominal, {"kp": {"shared": True, "start": 50.0}})
     np.testing.assert_array_equal(model.actuator_biasprm[:, :3], [[0, -50, 0], [0, 0, -5]])
-    assert model.actuator_gainprm[0, 0] == 50.0
+    assert model.actuator_gainprm[0, 0] == pytest.approx(50.0 / 30.0), "the command keeps its scale"
 
 
 def test_a_joint_that_stands_still_keeps_every_number_of_its_model(tmp_path):
@@ -284,7 +285,7 @@ def test_the_zero_of_a_joint_is_in_radians_whatever_the_file_says(tmp_path, comp
     joint = 'range="-1 1.5" ref="0.1" springref="0.3" stiffness="2"'
     if compiler != 'angle="radian"':
         joint = 'range="-57.29577951308232 85.94366926962348" ref="5.729577951308232" springref="17.188733853924695" stiffness="2"'
-    nominal = one_joint(tmp_path, '<motor name="m" joint="a"/>', joint=joint, compiler=compiler)
+    nominal = one_joint(tmp_path, '<motor name="m" joint="a"/>', joint=joint, compiler=compiler, command="torque")
     assert make_parameters({"joint_offset": "all"}, nominal)["joint_offset[a]"].value == pytest.approx(-0.1)
     model = written(nominal, {"joint_offset": {"start": -0.2}})
     assert model.qpos0[0] == pytest.approx(0.2)
@@ -294,7 +295,11 @@ def test_the_zero_of_a_joint_is_in_radians_whatever_the_file_says(tmp_path, comp
 
 def test_the_zero_of_a_slide_is_in_metres(tmp_path):
     nominal = one_joint(
-        tmp_path, '<motor name="m" joint="a"/>', joint='type="slide" ref="0.1" range="-1 1"', compiler=""
+        tmp_path,
+        '<motor name="m" joint="a"/>',
+        joint='type="slide" ref="0.1" range="-1 1"',
+        compiler="",
+        command="torque",
     )
     model = written(nominal, {"joint_offset": {"start": -0.2}})
     assert model.qpos0[0] == pytest.approx(0.2)
@@ -313,7 +318,7 @@ def test_numbers_of_a_geared_drive_are_those_of_the_joint(tmp_path):
     assert torque_at(model) == pytest.approx(-0.7)
     assert torque_at(model, position=0.1) == pytest.approx(-0.7 - 6.0)
     assert torque_at(model, velocity=0.1) == pytest.approx(-0.7 - 0.3)
-    # The command stays what it was: in the actuator's own unit, 5 of them to a radian.
+    # What goes into the actuator stays in its own unit, 5 of them to a radian.
     assert torque_at(model, position=0.1, command=0.5) == pytest.approx(-0.7)
 
 
@@ -325,7 +330,8 @@ def test_the_torque_of_a_geared_motor_is_that_of_the_joint(tmp_path):
 
 
 def test_a_degree_joint_travels_in_the_file(tmp_path):
-    nominal = one_joint(tmp_path, '<motor name="m" joint="a"/>', joint='range="-60 60" ref="10"', compiler="")
+    joint, motor = 'range="-60 60" ref="10"', '<motor name="m" joint="a"/>'
+    nominal = one_joint(tmp_path, motor, joint=joint, compiler="", command="torque")
     parameters = make_parameters({"joint_offset": {"start": -0.2}}, nominal)
     save_model(Problem(nominal, parameters, ()).candidate({}), tmp_path / "fitted.xml")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "fitted.xml"))

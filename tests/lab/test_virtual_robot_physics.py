@@ -10,7 +10,7 @@ from trueup.errors import ConfigError
 from trueup.lab import LabSpec, VirtualRobot, draw_truth
 from trueup.lab.plant import friction_level
 from trueup.lab.spec import Controller, Elasticity, Friction, Gravity, Readings, Ripple, Saturation, Warming
-from trueup.lab.truth import body_of, tensor, with_ball
+from trueup.lab.truth import body_of, loaded, tensor, with_ball
 from trueup.robots import JointFriction, find_model, load_robot
 
 HOME = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
@@ -420,3 +420,18 @@ def test_a_motor_with_dry_friction_stands_until_it_is_overcome(elastic):
     mujoco.mj_mulM(model, data, column, np.eye(7)[0])
     push = np.trapezoid(np.maximum(np.abs(ramp[:, 0]) - 0.3, 0.0), dx=TICK)
     assert np.abs(seen["velocity"][-1, 0]) == pytest.approx(push / column[0], rel=0.1)
+
+
+def test_a_payload_may_hang_on_a_flange_without_mass(tmp_path):
+    path = find_model(load_robot("panda"))
+    spec = mujoco.MjSpec.from_file(str(path))
+    place = np.array(spec.site("payload").pos)
+    hand = spec.site("payload").parent
+    spec.delete(spec.site("payload"))
+    hand.add_body(name="tool0", pos=place).add_site(name="payload")
+    model = spec.compile()
+    truth = draw_truth(lab())
+    before, after = loaded(truth, model, 0.0), loaded(truth, model, 1.5)
+    assert set(after) - set(before) == {"tool0"}
+    assert after["tool0"].mass == 1.5
+    np.testing.assert_allclose(after["tool0"].com, [0, 0, 0.05])

@@ -46,10 +46,11 @@ def experiment(
         raise ConfigError(f"there is no experiment {kind!r}", available=_KINDS)
     if out_file is not None and out_file.exists() and not overwrite:
         raise OutputExists(f"{out_file} exists", hint="Give --overwrite, or choose another --out.")
-    names = None if joints is None else [name.strip() for name in joints.split(",") if name.strip()]
+    described = load_robot(robot)
+    names = None if joints is None else options.names_among(joints, described.joint_names)
     found = run(
         Dataset(dataset),
-        load_robot(robot),
+        described,
         kind,  # type: ignore[arg-type]
         joints=names,
         breakaway=breakaway,

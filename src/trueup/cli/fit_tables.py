@@ -108,4 +108,4 @@ def status_line(fit: FitResult) -> tuple[str, str | None]:
 
 
 def _remark(item: FittedParameter) -> str:
-    return item.sentence.split(":")[0] if item.identified == "yes" else item.sentence
+    return item.sentence.partition(": ")[0] if item.identified == "yes" else item.sentence

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -128,6 +129,17 @@ def splits_choice(text: str | None) -> Path | dict[str, float] | None:
     return path
 
 
+def names_among(text: str, known: Sequence[str]) -> list[str]:
+    """The names in a list with commas; a known name may have commas of its own."""
+    parts, names = text.split(","), []
+    while parts:
+        ends = range(len(parts), 0, -1)
+        end = next((end for end in ends if ",".join(parts[:end]).strip() in known), 1)
+        names.append(",".join(parts[:end]).strip())
+        parts = parts[end:]
+    return [name for name in names if name]
+
+
 def unit_choices(items: list[str] | None) -> dict[str, str]:
     """{"position.Jaw": "1"} from ["position.Jaw=1"].
 
@@ -136,7 +148,7 @@ def unit_choices(items: list[str] | None) -> dict[str, str]:
     """
     units = {}
     for item in items or []:
-        name, equals, unit = item.partition("=")
+        name, equals, unit = item.rpartition("=")
         if not (name and equals and unit):
             raise ConfigError("--unit", got=item, expected="SIGNAL=UNIT or SIGNAL.JOINT=UNIT, e.g. position.Jaw=1")
         units[name] = unit

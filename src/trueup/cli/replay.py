@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from trueup.cli import options
-from trueup.cli.console import out, problem, track
+from trueup.cli.console import note, out, problem, track
 
 
 def register(app: typer.Typer) -> None:
@@ -52,6 +52,8 @@ def replay(
     )
     for name, error in summary.failed.items():
         problem(f"{name} was not replayed: {error.what}: {error.details}", error.hint)
+    for line in summary.notes:
+        note(line)
     kept = f", {summary.kept} were there" if summary.kept else ""
     out.print(
         f"{summary.replayed} episodes replayed{kept} in {summary.seconds:.1f} s -> run {summary.label}", markup=False

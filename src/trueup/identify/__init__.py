@@ -4,6 +4,7 @@ from trueup.identify.attribution import explain as explain
 from trueup.identify.candidate import Candidate as Candidate
 from trueup.identify.candidate import Nominal as Nominal
 from trueup.identify.config import IdentifyConfig as IdentifyConfig
+from trueup.identify.export import rehearse as rehearse
 from trueup.identify.export import save_identification as save_identification
 from trueup.identify.identification import Identification as Identification
 from trueup.identify.identification import identify as identify
@@ -44,6 +45,7 @@ __all__ = [
     "judged",
     "make_segments",
     "refuse_one_start",
+    "rehearse",
     "save_identification",
     "solve",
 ]

@@ -136,9 +136,7 @@ class _NestedFits:
         self.split, self.unit, self._unscored = split, first.unit, first.refused
         self._scorers = {id(soft): first, id(hard): Scorer(hard, {split: logs[split]}, jobs=jobs, seed=seed)}
         robot = soft.robot
-        self.seen = excitation_of(
-            logs["train"], robot.scored_joints, robot.controller.signal, soft.simulator.torque_limits
-        )
+        self.seen = excitation_of(logs["train"], robot.scored_joints, robot.controller.signal, soft.commanded_limits)
         rule = replace(config.data, budget_s=config.data.budget_s / 2).rule(robot, seed)
         self._segments, self._refused = make_segments(logs["train"], soft.simulator, rule)
         self._motions = [segment.episode_id for segment in self._segments]

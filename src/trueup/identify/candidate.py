@@ -13,7 +13,7 @@ import numpy as np
 
 from trueup.errors import ConfigError
 from trueup.identify.drive import Drive, drive_of
-from trueup.identify.inertial import Inertial, apply_inertial, inertial_of
+from trueup.identify.inertial import Inertial, apply_inertial, inertial_of, name_bodies, settle
 from trueup.robots import ControllerSpec, RobotSpec
 from trueup.robots.model import compile_spec, load_spec
 from trueup.sim import MujocoSimulator, attach_payload
@@ -112,10 +112,13 @@ class Nominal:
     def __init__(self, robot: RobotSpec, path: Path, *, hard_friction: bool = True) -> None:
         self.path = path
         self.given = robot
-        self.spec = load_spec(path)
+        self.spec = load_spec(path, shapes=robot.simulation.contacts)
+        name_bodies(self.spec)
         self.simulator = MujocoSimulator.from_spec(self.spec, robot, origin=path)
+        changed = settle(self.spec, self.simulator.model)
         if hard_friction:
             harden_friction(self.spec, robot.joint_names)
+        if hard_friction or changed:
             self.simulator = MujocoSimulator(compile_spec(self.spec, path), robot, self.simulator.channels)
         self.robot = _with_model_controller(robot)
         self._inertials: dict[str, Inertial] = {}
@@ -148,22 +151,46 @@ class Nominal:
         """What drives a joint of the nominal model."""
         return drive_of(self.spec, self.model, self.channels(joint))
 
+    @property
+    def commanded_limits(self) -> dict[str, float]:
+        """Joint name -> largest commanded torque that reaches the joint [Nm or N], where it is limited."""
+        limits = self.simulator.torque_limits
+        return {joint: limit / (self.drive(joint).torque_gain or 1.0) for joint, limit in limits.items()}
+
     def length_unit(self, joint: str) -> Literal["rad", "m"]:
         """Unit of a joint's position."""
         return "m" if self.model.joint(joint).type[0] == mujoco.mjtJoint.mjJNT_SLIDE else "rad"
 
     @property
     def bodies(self) -> tuple[str, ...]:
-        """Bodies that move with a joint of the robot, in the model's order."""
+        """Bodies that move with a joint of the robot, in the model's order.
+
+        What lies about in the scene is not among them: a tree of bodies without such a joint, unless constraints or
+        tendons tie trees to each other.
+        """
         model = self.model
-        moving = []
-        for body in range(1, model.nbody):
-            root = body
-            while root and model.body_dofnum[root] == 0:
-                root = model.body_parentid[root]
-            if root and not model.body(body).name.startswith(PREFIX):
-                moving.append(model.body(body).name)
-        return tuple(moving)
+        own = {int(model.body_treeid[model.joint(name).bodyid[0]]) for name in self.robot.joint_names}
+        tied = model.neq + model.ntendon > 0
+        return tuple(
+            model.body(body).name
+            for body in range(1, model.nbody)
+            if (tree := int(model.body_treeid[body])) >= 0
+            and (tied or tree in own)
+            and not model.body(body).name.startswith(PREFIX)
+        )
+
+    @cached_property
+    def rigid_groups(self) -> tuple[tuple[str, ...], ...]:
+        """The moving bodies, those together that are welded to each other, of which only the sum can be seen.
+
+        First in its group is the one that stands for it in a fit: the one with the joint if that has mass, else the
+        heaviest.
+        """
+        model = self.model
+        groups: dict[int, list[str]] = {}
+        for name in self.bodies:
+            groups.setdefault(int(model.body_weldid[model.body(name).id]), []).append(name)
+        return tuple(tuple(_leading(model, group)) for group in groups.values())
 
     @cached_property
     def payload_place(self) -> tuple[str, tuple[float, float, float]]:
@@ -193,14 +220,23 @@ class Nominal:
         return Inertial.point(payload.get("mass", 0.0), np.array(site) + [payload.get(axis, 0.0) for axis in "xyz"])
 
 
+def _leading(model: mujoco.MjModel, group: list[str]) -> list[str]:
+    """The same bodies, first the one that stands for all."""
+    masses = [float(model.body(name).mass[0]) for name in group]
+    first = 0 if masses[0] > 0 else int(np.argmax(masses))
+    return [group[first], *group[:first], *group[first + 1 :]]
+
+
 def _with_model_controller(robot: RobotSpec) -> RobotSpec:
+    """The description of what stands in the model by now: its controller, and its laws of friction."""
     if robot.controller.kind == "model":
-        return robot
+        return replace(robot, friction={})
     delays = {name: gains for name, gains in robot.controller.per_joint.items() if gains.delay_s is not None}
     controller = ControllerSpec(
         kind="model",
         command=robot.controller.signal,
         delay_s=robot.controller.delay_s,
+        source=robot.controller.source,
         per_joint={name: replace(gains, kp=None, kv=None, ki=None) for name, gains in delays.items()},
     )
     return replace(robot, controller=controller, friction={})

@@ -276,8 +276,13 @@ def _number(kind: Quantity, key: str, value: Any) -> float:
 
 
 def _all(kind: Quantity, nominal: Nominal, able: Sequence[str] | None = None) -> list[str]:
-    """What `all` means: those of `able` (of what the model has, if None) that enter the score."""
+    """What `all` means: those of `able` (of what the model has, if None) that enter the score.
+
+    Of bodies that are welded together, one: no motion tells them apart.
+    """
     names = kind.holders(nominal) if able is None else able
+    if kind.of == "body":
+        return [name for name in names if name in {group[0] for group in nominal.rigid_groups}]
     return [name for name in names if kind.of != "joint" or name in nominal.robot.scored_joints]
 
 

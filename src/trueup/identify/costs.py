@@ -9,7 +9,7 @@ from jaxtyping import Float64
 
 from trueup.core.parameters import Parameter
 from trueup.identify.problem import Problem
-from trueup.identify.quantities import quantity
+from trueup.identify.quantities import quantity, split_motion_target
 from trueup.identify.solvers import Evaluation, Roles
 from trueup.identify.uncertainty import noise_of
 
@@ -97,7 +97,7 @@ def _joint_of(problem: Problem, parameter: Parameter) -> int:
         case "joint":
             return problem.nominal.robot.joint_names.index(parameter.target)
         case "motion":
-            return problem.nominal.robot.joint_names.index(parameter.target.rpartition(":")[2])
+            return problem.nominal.robot.joint_names.index(split_motion_target(parameter.target)[1])
         case _:
             return _joint_of_body(problem, parameter.target)
 

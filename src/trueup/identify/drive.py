@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from trueup.sim.controllers import PID_PLUGIN, Channel, torque_limit_of
+from trueup.sim.actuator_inputs import PID_PLUGIN
+from trueup.sim.controllers import Channel, torque_limit_of
 
 # As numbers: an enum of MuJoCo's is not equal to an integer of numpy's, though that integer is equal to it.
 _FIXED_GAIN = int(mujoco.mjtGain.mjGAIN_FIXED)
@@ -26,7 +27,7 @@ class Drive:
         kv: torque per velocity, against it; 0 for a servo that could have one.
         ki: torque per integrated position error.
         torque_offset: torque that acts all the time.
-        torque_gain: torque per commanded torque.
+        torque_gain: torque per torque that is followed.
         torque_limit: largest torque, of the joint and of its actuators together.
         plugin: whether a plugin makes the torque.
     """
@@ -48,7 +49,7 @@ def drive_of(spec: mujoco.MjSpec, model: mujoco.MjModel, channels: Sequence[Chan
         model: the same, compiled.
         channels: of one joint, one or two.
     """
-    names = [channel.actuator for channel in channels]
+    names = list(dict.fromkeys(channel.actuator for channel in channels))
     rows = [int(model.actuator(name).id) for name in names]
     limit = torque_limit_of(model, channels[0].joint, names)
     if any(model.actuator_plugin[row] >= 0 for row in rows):
@@ -58,7 +59,7 @@ def drive_of(spec: mujoco.MjSpec, model: mujoco.MjModel, channels: Sequence[Chan
     if not (gear.all() and np.all(gains == _FIXED_GAIN) and np.all(np.isin(biases, _LINEAR_BIAS))):
         return Drive(torque_limit=limit)
     kp, kv = -float(gear**2 @ bias[:, 1]), -float(gear**2 @ bias[:, 2])
-    gain = float(gear[0] * model.actuator_gainprm[rows[0], 0])
+    gain = float(channels[0].scale * gear[0] * model.actuator_gainprm[rows[0], 0])
     follows_torque = channels[0].signal == "torque"
     has_kv = kv > 0.0 or (kv == 0.0 and not follows_torque and (kp > 0.0 or len(rows) > 1))
     return Drive(

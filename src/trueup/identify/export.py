@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,12 +13,17 @@ import numpy as np
 import yaml
 
 from trueup.core.atomic import replacing, write_text
-from trueup.identify.candidate import Candidate
+from trueup.errors import ConfigError
+from trueup.identify.candidate import Candidate, Nominal
+from trueup.identify.config import IdentifyConfig, make_parameters
 from trueup.identify.drive import Drive
 from trueup.identify.identification import Identification
+from trueup.identify.problem import Problem
 from trueup.identify.uncertainty import rounded
-from trueup.robots import JointFriction, JointGains, RobotSpec
-from trueup.sim import friction_of
+from trueup.robots import JointFriction, JointGains, RobotSpec, load_robot
+from trueup.robots.extent import folders_of
+from trueup.robots.model import compile_spec, state_files
+from trueup.sim import MujocoSimulator, friction_of
 
 MODEL_FILE = "model.fitted.xml"
 ROBOT_FILE = "robot.fitted.yaml"
@@ -39,23 +45,109 @@ def save_identification(found: Identification, folder: Path, *, seed: int = 0) -
     found.result.save(folder / "fit.json")
 
 
+def rehearse(robot: RobotSpec, model: Path, config: IdentifyConfig | None = None) -> None:
+    """Write and read everything once that an identification will write of a model, with the numbers of its start.
+
+    What keeps a fitted model from being written or replayed must not come to light after an hour of search.
+
+    Args:
+        robot: its description.
+        model: MJCF or URDF.
+        config: what will be fitted; the default for the robot's controller if None.
+
+    Raises:
+        ConfigError: a fitted model could not be written, or would not move as it was fitted.
+        TrueupError: whatever keeps this model from being fitted or simulated.
+    """
+    nominal = Nominal(robot, model)
+    chosen = (config or IdentifyConfig()).resolved(nominal)
+    extra = dict.fromkeys((name for names in (chosen.models or {}).values() for name in names), "all")
+    parameters = make_parameters({**extra, **chosen.fit}, nominal)
+    candidate = Problem(nominal, parameters, ()).candidate({item.name: item.value for item in parameters})
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        save_model(candidate, folder / MODEL_FILE)
+        write_text(folder / ROBOT_FILE, robot_yaml(fitted_robot(candidate)))
+        isaac_yaml(candidate)
+        again = load_robot(folder / ROBOT_FILE)
+        simulator = MujocoSimulator.from_robot(again, folder / MODEL_FILE)
+    unlike = _unlike(candidate.compile(), simulator.model)
+    if again.joint_rules() != robot.joint_rules() or simulator.command_signals != nominal.simulator.command_signals:
+        unlike.append("joint map or commands")
+    if unlike:
+        raise ConfigError(
+            f"a model fitted to {model} would not be replayed as it was fitted", got=f"other {', '.join(unlike)}"
+        )
+
+
 def save_model(candidate: Candidate, path: Path) -> None:
     """Write a candidate as MJCF that plain MuJoCo loads.
 
-    What trueup adds for itself (torque sensors, no automatic reset) is taken out again. Meshes are referred to by
-    their absolute folder; those that were missing are left out.
+    What trueup adds for itself (sensors and their sites, no automatic reset) is taken out again. Meshes, textures and
+    other files are referred to by their whole paths; those that were missing are left out.
+
+    Raises:
+        ConfigError: MuJoCo refuses what was written, or reads another model from it.
     """
     candidate.finish()
     spec = candidate.spec
-    for sensor in list(spec.sensors):
-        if sensor.name.startswith("trueup."):
-            spec.delete(sensor)
+    state_files(spec, compile_spec(spec, candidate.nominal.path), folders_of(candidate.nominal.path.absolute()))
+    # Sensors, and the sites of sensors; bodies that a payload has added are of the model.
+    for added in (*spec.sensors, *spec.sites):
+        if added.name.startswith("trueup."):
+            spec.delete(added)
     spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    if spec.meshes and spec.meshdir and not Path(spec.meshdir).is_absolute():
-        spec.meshdir = str((candidate.nominal.path.parent / spec.meshdir).resolve())
     _leave_room_for_rounding(spec, spec.compile())
-    spec.compile()
+    model = compile_spec(spec, candidate.nominal.path)
     write_text(path, spec.to_xml())
+    _compare(model, path, candidate.nominal.path)
+
+
+# What moves a robot, in a compiled model: written with six digits, it must come back as it was.
+_MOVING = (
+    *("body_mass", "body_ipos", "body_inertia", "body_pos", "body_quat", "body_gravcomp", "body_parentid", "qpos0"),
+    *("jnt_type", "jnt_axis", "jnt_pos", "jnt_range", "jnt_limited", "jnt_stiffness", "qpos_spring"),
+    *("jnt_actfrclimited", "jnt_actfrcrange", "dof_damping", "dof_frictionloss", "dof_armature", "dof_solref"),
+    *("actuator_trnid", "actuator_gear", "actuator_dyntype", "actuator_dynprm", "actuator_gaintype"),
+    *("actuator_gainprm", "actuator_biastype", "actuator_biasprm", "actuator_ctrllimited", "actuator_ctrlrange"),
+    *("actuator_forcelimited", "actuator_forcerange", "jnt_user", "eq_type", "eq_data", "tendon_stiffness"),
+)
+_OPTIONS = ("timestep", "gravity", "integrator", "wind", "density", "viscosity")
+_DIGITS = 1e-4
+
+
+def _compare(model: mujoco.MjModel, path: Path, origin: Path) -> None:
+    """Raise ConfigError unless plain MuJoCo reads from a file the model that was written."""
+    try:
+        found = mujoco.MjModel.from_xml_path(str(path))
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        raise ConfigError(f"the fitted model of {origin} cannot be written: MuJoCo refuses it", got=error) from error
+    unlike = _unlike(model, found)
+    if unlike:
+        raise ConfigError(
+            f"the fitted model of {origin} cannot be written: MuJoCo's MJCF of it is another model",
+            got=f"other {', '.join(unlike)}",
+            hint="Convert the model to plain MJCF (mujoco.MjSpec.from_file, compile, to_xml), and compare the two.",
+        )
+
+
+def _unlike(one: mujoco.MjModel, other: mujoco.MjModel) -> list[str]:
+    """What differs in how two models move."""
+    unlike = [name for name in _MOVING if not _alike(_moved(one, name), _moved(other, name))]
+    return unlike + [name for name in _OPTIONS if not _alike(getattr(one.opt, name), getattr(other.opt, name))]
+
+
+def _moved(model: mujoco.MjModel, name: str) -> np.ndarray:
+    """A field of what moves: the world does not."""
+    values = np.asarray(getattr(model, name))
+    return values[1:] if name.startswith("body_") else values
+
+
+def _alike(one: Any, other: Any) -> bool:
+    """Whether arrays are alike but for the digits with which a file holds them, and quaternions but for their sign."""
+    one, other = np.asarray(one, np.float64), np.asarray(other, np.float64)
+    size = np.abs(one).max(initial=0.0)
+    return one.shape == other.shape and bool(np.allclose(one, other, rtol=_DIGITS, atol=_DIGITS * min(size, 1.0)))
 
 
 def _leave_room_for_rounding(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:

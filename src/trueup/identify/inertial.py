@@ -8,6 +8,8 @@ import mujoco
 import numpy as np
 from jaxtyping import Float
 
+# Smaller moments are none to MuJoCo [kg m2].
+_NO_MOMENT = 1e-14
 COMPONENTS = ("d1", "d2", "d3", "s12", "s13", "s23")
 
 
@@ -116,7 +118,67 @@ def apply_inertial(spec: mujoco.MjSpec, body: str, inertial: Inertial) -> None:
     target.iquat = [1.0, 0.0, 0.0, 0.0]
     target.inertia = [0.0, 0.0, 0.0]
     i = inertial.inertia
+    moments, axes = np.linalg.eigh(i)
+    if moments[0] < _NO_MOMENT:  # a point or a rod: MuJoCo takes it as three moments, not as a matrix
+        moments[moments < _NO_MOMENT] = 0.0
+        moments[2] = min(moments[2], moments[0] + moments[1])
+        if np.linalg.det(axes) < 0:
+            axes[:, 0] *= -1.0
+        quaternion = np.empty(4)
+        mujoco.mju_mat2Quat(quaternion, axes.ravel())
+        target.iquat, target.inertia, target.fullinertia = quaternion, moments, np.full(6, np.nan)
+        return
     target.fullinertia = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
+
+
+def name_bodies(spec: mujoco.MjSpec) -> None:
+    """Give bodies without a name one by their number, as parameters and files speak of bodies by name."""
+    taken = {body.name for body in spec.bodies}
+    for number, body in enumerate(spec.bodies):
+        if not body.name:
+            body.name = next(name for i in range(number, 10**9) if (name := f"body{i}") not in taken)
+            taken.add(body.name)
+
+
+def settle(spec: mujoco.MjSpec, model: mujoco.MjModel) -> bool:
+    """Write down what MuJoCo works out of other numbers when it compiles, so that it stays when they change.
+
+    Masses that come from shapes whatever the body says (`inertiafromgeom="true"`), that are scaled to a total
+    (`settotalmass`) or raised to a bound would undo a change of a mass; a servo's `dampratio` and a joint's
+    `springdamper` would change gains along with it.
+
+    Args:
+        spec: the model, editable; it is changed.
+        model: the same, compiled.
+
+    Returns:
+        Whether there was anything.
+    """
+    compiler, found = spec.compiler, False
+    if (
+        compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+        or compiler.settotalmass > 0
+        or compiler.boundmass > 0
+        or compiler.boundinertia > 0
+    ):
+        found = True
+        for body in spec.bodies[1:]:
+            apply_inertial(spec, body.name, inertial_of(model, body.name))
+        compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+        compiler.settotalmass = -1.0
+        compiler.boundmass = compiler.boundinertia = 0.0
+    for actuator in spec.actuators:
+        # MuJoCo's mark of a damping ratio is a bias that would speed the joint up.
+        if actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and actuator.biasprm[2] > 0:
+            found = True
+            actuator.biasprm[2] = model.actuator_biasprm[actuator.id, 2]
+    for joint in spec.joints:
+        if np.any(joint.springdamper):
+            found = True
+            joint.stiffness[0] = model.jnt_stiffness[joint.id]
+            joint.damping[0] = model.dof_damping[model.jnt_dofadr[joint.id]]
+            joint.springdamper = [0.0, 0.0]
+    return found
 
 
 def _triangle(theta: dict[str, float]) -> Float[np.ndarray, "3 3"]:

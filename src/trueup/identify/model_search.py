@@ -77,9 +77,7 @@ class ModelSearch:
             )
         self.notes = () if nominal.robot.payload else _payload_note(self._train)
         self._signal = nominal.robot.controller.signal
-        self.seen = excitation_of(
-            self._train, nominal.robot.scored_joints, self._signal, nominal.simulator.torque_limits
-        )
+        self.seen = excitation_of(self._train, nominal.robot.scored_joints, self._signal, nominal.commanded_limits)
         rule = self.config.data.rule(nominal.robot, seed)
         self._segments, refused = make_segments(self._train, nominal.simulator, rule)
         self._unfitted = {name: error.summary for name, error in refused.items()}

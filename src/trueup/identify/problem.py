@@ -18,7 +18,7 @@ from trueup.core.protocols import RolloutRequest
 from trueup.core.time_limit import OutOfTime, TimeLimit
 from trueup.errors import ConfigError
 from trueup.identify.candidate import Candidate, Nominal
-from trueup.identify.quantities import motion_target, quantity
+from trueup.identify.quantities import motion_target, quantity, split_motion_target
 from trueup.identify.segments import Segment
 from trueup.sim import MujocoSimulator
 
@@ -195,7 +195,7 @@ class Problem:
         colors, number = [], len(joints)
         for parameter in self.parameters.free:
             if quantity(parameter.quantity).of == "motion":
-                colors.append(joints.index(parameter.target.rpartition(":")[2]))
+                colors.append(joints.index(split_motion_target(parameter.target)[1]))
             else:
                 colors.append(number)
                 number += 1
@@ -204,7 +204,7 @@ class Problem:
     def support(self, index: int) -> Bool[np.ndarray, "N"]:
         """Which residuals a free parameter can change."""
         parameter = self.parameters.free[index]
-        motion = parameter.target.rpartition(":")[0] if quantity(parameter.quantity).of == "motion" else None
+        motion = split_motion_target(parameter.target)[0] if quantity(parameter.quantity).of == "motion" else None
         return np.concatenate(
             [
                 np.full(values.size, motion is None or segment.episode_id == motion)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -11,6 +12,7 @@ from trueup.core.episode import Episode
 from trueup.core.parameters import ParameterSet
 from trueup.core.time_limit import OutOfTime, TimeLimit
 from trueup.errors import TrueupError
+from trueup.identify.candidate import Nominal
 from trueup.identify.problem import Problem
 from trueup.identify.quantities import QUANTITIES, quantity
 from trueup.identify.regression import torque_start
@@ -22,6 +24,8 @@ _FACTORS = 4.0 ** np.arange(-4, 5)
 _DELAYS_S = np.array([0.0, 0.005, 0.01, 0.02, 0.03, 0.05, 0.08])
 # A start on a bound has a one-sided view and often stays there.
 _OFF_BOUND = 0.01
+# What is left of a mass at least, where others that are welded to it keep theirs.
+_LEAST_SHARE = 0.2
 
 
 def swept_start(problem: Problem, limit: TimeLimit | None = None) -> ParameterSet:
@@ -69,6 +73,9 @@ def regressed_start(problem: Problem, episodes: Sequence[Episode]) -> ParameterS
     """
     parameters = off_bounds(problem.parameters)
     try:
+        # What is commanded is the motors'; what is regressed is the joints'.
+        gains = {name: problem.nominal.drive(name).torque_gain or 1.0 for name in problem.nominal.robot.joint_names}
+        episodes = [_with_torques(episode, gains) for episode in episodes]
         found = torque_start(episodes, problem.nominal.model, joints=problem.nominal.robot.joint_names)
     except TrueupError:
         return parameters
@@ -79,10 +86,36 @@ def regressed_start(problem: Problem, episodes: Sequence[Episode]) -> ParameterS
         "torque_offset": found.offset,
     }
     values = {f"{name}[{joint}]": value for name, own in terms.items() for joint, value in own.items()}
-    values |= {f"mass[{body}]": problem.nominal.inertial(body).mass * scale for body, scale in found.mass_scale.items()}
+    values |= _masses(problem.nominal, found.mass_scale)
     regressed = off_bounds(parameters.at({name: values[name] for name in parameters.names if name in values}))
     costs = np.sum(problem.residuals(np.array([parameters.start, regressed.start])) ** 2, axis=1)
     return regressed if costs[1] < costs[0] or not np.isfinite(costs[0]) else parameters
+
+
+def _with_torques(episode: Episode, gains: Mapping[str, float]) -> Episode:
+    """The episode with its commanded torques times these factors, by joint."""
+    command = episode.commanded()
+    factors = np.array([gains.get(joint, 1.0) for joint in command.joints])
+    if "torque" not in command or np.all(factors == 1.0):
+        return episode
+    return replace(
+        episode, command=replace(command, signals={**command.signals, "torque": command["torque"] * factors})
+    )
+
+
+def _masses(nominal: Nominal, scales: Mapping[str, float]) -> dict[str, float]:
+    """Mass parameters that make the sum of each rigid group `scales` times as heavy.
+
+    Args:
+        nominal: the model as it came.
+        scales: by the body with the joint.
+    """
+    found = {}
+    for group in nominal.rigid_groups:
+        scale = next((scales[body] for body in group if body in scales), 1.0)
+        masses = [nominal.inertial(body).mass for body in group]
+        found[f"mass[{group[0]}]"] = max(masses[0] + (scale - 1.0) * sum(masses), _LEAST_SHARE * masses[0])
+    return found
 
 
 def off_bounds(parameters: ParameterSet) -> ParameterSet:

@@ -391,5 +391,5 @@ def loaded(truth: Truth, model: mujoco.MjModel, payload_kg: float) -> dict[str, 
         mujoco.mju_quat2Mat(axes, model.site_quat[index])
         place = model.site_pos[index] + spec.payload_offset_m * axes.reshape(3, 3)[:, 2]
         name = model.body(model.site_bodyid[index]).name
-        bodies[name] = with_ball(bodies[name], payload_kg, place, spec.payload_radius_m)
+        bodies[name] = with_ball(bodies.get(name) or body_of(model, name), payload_kg, place, spec.payload_radius_m)
     return bodies

@@ -46,6 +46,17 @@ def root_tag(path: Path) -> str:
     return _Files().model(path).tag
 
 
+def folders_of(path: Path) -> frozenset[Path]:
+    """The folders of a model file and of all files that it includes and attaches: where its assets may lie.
+
+    Raises:
+        ConfigError: as of `root_tag`.
+    """
+    files = _Files()
+    files.model(path)
+    return files.folders
+
+
 @dataclass
 class _Extent:
     """Of a file, with all that it includes.
@@ -103,6 +114,11 @@ class _Files:
     def __init__(self) -> None:
         self._known: dict[tuple[Path, Path], _Extent | None] = {}
 
+    @property
+    def folders(self) -> frozenset[Path]:
+        """Of all files that were read."""
+        return frozenset(path.parent for path, _ in self._known)
+
     def model(self, path: Path) -> _Extent:
         """Of a model, with all that it attaches."""
         whole = replace(self.part(path, path.parent))
@@ -134,6 +150,7 @@ class _Reading:
     def __init__(self, files: _Files, path: Path, folder: Path) -> None:
         self._files, self._path, self._folder = files, path, folder
         self._found = _Extent()
+        self._prefixes = {"xacro"}  # of the names of macros
         self._copies = [1.0]  # of the elements around the place that is being read
 
     def extent(self) -> _Extent:
@@ -151,8 +168,25 @@ class _Reading:
     def _refuse_doctype(self, *_: object) -> None:
         raise ConfigError(f"{self._path} is not read", got="a DOCTYPE", expected="XML without one")
 
+    def _refuse_xacro(self, tag: str, said: Mapping[str, str]) -> None:
+        """A URDF is what xacro makes of its macros; a reader that passes them over finds a part of the robot."""
+        self._prefixes |= {name.partition(":")[2] for name, value in said.items() if _is_xacro(name, value)}
+        macro = tag.partition(":")[0] in self._prefixes and ":" in tag
+        if macro or any(mark in value for value in said.values() for mark in ("${", "$(")):
+            words = "".join(f' {name}="{value}"' for name, value in said.items())
+            name = self._path.name.removesuffix(".xacro").removesuffix(".urdf")
+            raise ConfigError(
+                f"{self._path} is xacro that has not been expanded",
+                got=f"<{tag}{words}>",
+                expected="a URDF",
+                hint=f"Expand it where ROS is (xacro {self._path.name} > {name}.expanded.urdf, with its arguments), "
+                "and name that file as the model.",
+            )
+
     def _begin(self, tag: str, said: Mapping[str, str]) -> None:
         self._found.tag = self._found.tag or tag
+        if self._found.tag == "robot":
+            self._refuse_xacro(tag, said)
         copies = self._copies[-1] * _product(said, "count") * _product(said, "cellcount")
         self._copies.append(copies)
         self._found.add(_alone(tag, said), copies)
@@ -167,6 +201,11 @@ class _Reading:
 
     def _end(self, _: str) -> None:
         self._copies.pop()
+
+
+def _is_xacro(name: str, value: str) -> bool:
+    """Whether an attribute declares a prefix of xacro, of which there have been several addresses."""
+    return name.startswith("xmlns:") and value.rstrip("/").rpartition("/")[2] == "xacro"
 
 
 def _first(*paths: Path) -> Path | None:

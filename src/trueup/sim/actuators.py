@@ -68,6 +68,8 @@ class Actuators:
                 limits[:, model.jnt_dofadr[joint]] = model.jnt_actfrcrange[joint]
         self._joint_limit = limits
         self._offset, self._by_length, self._by_speed = bias.T.copy()
+        # Per position, the state at which a servo asks for no torque.
+        self._hold = -self._by_length * self._gear / np.where(self._gain == 0.0, np.inf, self._gain)
         self._integrates: Bool[np.ndarray, "A"] = model.actuator_dyntype == _INTEGRATOR
         self._step_s = float(model.opt.timestep)
         self._pid(model, robot)
@@ -99,7 +101,7 @@ class Actuators:
 
     def start(self, position: Float64[np.ndarray, "B V"]) -> Float64[np.ndarray, "B A"]:
         """The actuators' states at the start: integrators hold these positions, integrals of errors are zero."""
-        return np.where(self._integrates, self._gear * position[:, self._dof], 0.0)
+        return np.where(self._integrates, self._hold * position[:, self._dof], 0.0)
 
     def torque(
         self,

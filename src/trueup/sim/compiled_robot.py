@@ -37,7 +37,12 @@ class CompiledRobot:
         self.channels = channels
         columns = {joint: index for index, joint in enumerate(robot.joint_names)}
         self._controls = tuple(
-            (int(model.actuator_ctrladr[model.actuator(channel.actuator).id]), columns[channel.joint], channel.signal)
+            (
+                int(model.actuator_ctrladr[model.actuator(channel.actuator).id]) + channel.number,
+                columns[channel.joint],
+                channel.signal,
+                channel.scale,
+            )
             for channel in channels
         )
 
@@ -55,6 +60,32 @@ class CompiledRobot:
     def command_signals(self) -> tuple[str, ...]:
         """Command signals that the controller follows; the first is required."""
         return tuple(dict.fromkeys(channel.signal for channel in self.channels))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is done with commands that might be meant otherwise."""
+        scaled: dict[float, list[str]] = {}
+        amplified: dict[float, list[str]] = {}
+        for channel in self.channels:
+            row = self.model.actuator(channel.actuator).id
+            gain = float(self.model.actuator_gear[row, 0] * self.model.actuator_gainprm[row, 0])
+            if channel.scale != 1.0:
+                scaled.setdefault(channel.scale, []).append(channel.joint)
+            elif channel.signal == "torque" and gain != 1.0:
+                amplified.setdefault(gain, []).append(channel.joint)
+        return (
+            *(
+                f"commands of {', '.join(dict.fromkeys(joints))} go into the model's actuators times {scale:g} "
+                "(gear and gains), so that the joints follow them"
+                for scale, joints in scaled.items()
+            ),
+            *(
+                f"commanded torques of {', '.join(joints)} go into the model's motors as they are, which give the "
+                f"joint {gain:g} times as much (gear and gain); if the logs hold torques of the joint, write "
+                "controller: {kind: torque} in robot.yaml"
+                for gain, joints in amplified.items()
+            ),
+        )
 
     @property
     def torque_limits(self) -> dict[str, float]:
@@ -80,9 +111,9 @@ class CompiledRobot:
                 available=command,
             )
         control = np.zeros((*command[required].shape[:2], self.model.nu))
-        for row, column, signal in self._controls:
+        for row, column, signal, scale in self._controls:
             if signal in command:  # PD without a velocity command damps towards standstill
-                control[:, :, row] = command[signal][:, :, column]
+                control[:, :, row] = scale * command[signal][:, :, column]
         return control
 
     def electrics(
@@ -99,7 +130,10 @@ class CompiledRobot:
         """SHA-256 of the compiled model, controller and options with it, and of the engines' versions."""
         buffer = np.empty(mujoco.mj_sizeModel(self.model), dtype=np.uint8)
         mujoco.mj_saveModel(self.model, None, buffer)
-        return hashlib.sha256(versions.encode() + buffer.tobytes()).hexdigest()
+        # Beside what the model says, where that does not decide alone.
+        scales = [channel.scale for channel in self.channels]
+        told = repr(scales).encode() if any(scale != 1.0 for scale in scales) else b""
+        return hashlib.sha256(versions.encode() + buffer.tobytes() + told).hexdigest()
 
 
 def compile_robot(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path) -> tuple[mujoco.MjModel, tuple[Channel, ...]]:

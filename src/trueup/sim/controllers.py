@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 
 from trueup.errors import ConfigError, NameMismatch
-from trueup.robots import MotorSpec, RobotSpec
+from trueup.robots import ControllerSpec, MotorSpec, RobotSpec
+from trueup.sim.actuator_inputs import PID_PLUGIN, inputs_of
 
-PID_PLUGIN = "mujoco.pid"
 # The actuator of a servo that takes no input.
 _BACK_EMF = "back_emf"
 
@@ -26,11 +26,21 @@ _ACTUATOR_FIELDS = tuple(
 
 @dataclass(frozen=True)
 class Channel:
-    """One input of the engine: which actuator takes which command signal of which joint."""
+    """One input of the engine: which actuator takes which command signal of which joint.
+
+    Attributes:
+        actuator: its name in the model.
+        joint: that it acts on.
+        signal: of the command.
+        scale: the input per commanded value.
+        number: which of the actuator's inputs it is.
+    """
 
     actuator: str
     joint: str
     signal: str
+    scale: float = 1.0
+    number: int = 0
 
 
 def attach_controller(spec: mujoco.MjSpec, robot: RobotSpec) -> tuple[Channel, ...]:
@@ -41,7 +51,8 @@ def attach_controller(spec: mujoco.MjSpec, robot: RobotSpec) -> tuple[Channel, .
 
     Raises:
         NameMismatch: a joint is not in the model; both lists are printed.
-        ConfigError: kind `model`, and a joint has no actuator of its own, or several.
+        ConfigError: kind `model`, and a joint has no actuator of its own, several, or one that does not follow the
+            command.
     """
     controller, joints = robot.controller, robot.joints
     known = {joint.name: joint for joint in spec.joints}
@@ -59,7 +70,7 @@ def attach_controller(spec: mujoco.MjSpec, robot: RobotSpec) -> tuple[Channel, .
             known[joint.name].actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
             known[joint.name].actfrcrange = [-joint.torque_limit, joint.torque_limit]
     if controller.kind == "model":
-        return tuple(channel for joint in joints for channel in _own_channels(spec, joint.name, controller.signal))
+        return tuple(channel for joint in joints for channel in _own_channels(spec, joint.name, controller))
     for actuator in list(spec.actuators):
         spec.delete(actuator)
     channels = {joint: _add(spec, robot, joint.name) for joint in joints}
@@ -85,7 +96,7 @@ def torque_limit_of(model: mujoco.MjModel, joint: str, actuators: Sequence[str])
     Returns:
         None where nothing is limited.
     """
-    index, rows = model.joint(joint).id, [model.actuator(name).id for name in actuators]
+    index, rows = model.joint(joint).id, [model.actuator(name).id for name in dict.fromkeys(actuators)]
     limits = []
     if model.jnt_actfrclimited[index]:
         limits.append(float(np.abs(model.jnt_actfrcrange[index]).max()))
@@ -95,25 +106,32 @@ def torque_limit_of(model: mujoco.MjModel, joint: str, actuators: Sequence[str])
     return min(limits, default=None)
 
 
-def _own_channels(spec: mujoco.MjSpec, joint: str, signal: str) -> list[Channel]:
-    names = [
-        actuator.name
+def _own_channels(spec: mujoco.MjSpec, joint: str, controller: ControllerSpec) -> list[Channel]:
+    own = [
+        actuator
         for actuator in spec.actuators
-        if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT and actuator.target == joint
+        if actuator.trntype in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+        and actuator.target == joint
     ]
+    names = sorted(actuator.name for actuator in own)
     # Two actuators are told apart by the names that `_add` gives them.
     pair = [f"{joint}.position", f"{joint}.velocity"]
-    if sorted(names) == pair:
+    if names == pair:
         return [Channel(actuator=name, joint=joint, signal=name.rpartition(".")[2]) for name in pair]
-    if sorted(names) == [f"{joint}.{_BACK_EMF}", pair[0]]:
-        names = pair[:1]
-    if len(names) != 1 or not names[0]:
+    if names == [f"{joint}.{_BACK_EMF}", pair[0]]:
+        own = [actuator for actuator in own if actuator.name == pair[0]]
+    if len(own) != 1:
         raise ConfigError(
-            f"joint {joint!r} needs exactly one named actuator in the model",
-            got=names or "none",
+            f"joint {joint!r} needs exactly one actuator in the model",
+            got=[name or "one without a name" for name in names] or "none",
             hint="Name a controller in robot.yaml (controller: {kind: position, kp: …, kv: …}) to replace the model's.",
         )
-    return [Channel(actuator=names[0], joint=joint, signal=signal)]
+    (actuator,) = own
+    if not actuator.name:
+        taken = {other.name for other in spec.actuators}
+        actuator.name = joint if joint not in taken else f"{joint}.actuator"
+    found = inputs_of(actuator, joint, controller.signal, measured=controller.source == "measured")
+    return [Channel(actuator.name, joint, item.signal, item.scale, item.number) for item in found]
 
 
 def _add(spec: mujoco.MjSpec, robot: RobotSpec, joint: str) -> list[Channel]:

@@ -30,6 +30,8 @@ _CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
 _WITH_FORCES = _CONTROL | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
 # Forces on all bodies in every step of motions that are simulated at once [bytes].
 _FORCES_AT_ONCE = 2**27
+_INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
+_FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 _DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 
 # MuJoCo's own handler writes MUJOCO_LOG.TXT into the current folder; a divergence is reported as an error here.
@@ -46,7 +48,7 @@ class _Layout:
     torque: np.ndarray
     load: np.ndarray  # (J, 3) of the wrench's part, or (0, 3)
     axis: np.ndarray  # (J, 3), in the axes of the body
-    integrators: tuple[tuple[int, int], ...]  # (activation, joint column) whose state is a position target
+    holding: tuple[tuple[int, int, float], ...]  # (activation, joint column, scale) whose state is a position target
 
 
 class MujocoSimulator(CompiledRobot):
@@ -82,7 +84,7 @@ class MujocoSimulator(CompiledRobot):
             ConfigError: the model does not load, lacks an actuator, or holds no payload.
             NameMismatch: a joint is not in the model.
         """
-        spec = load_spec(model_path)
+        spec = load_spec(model_path, shapes=robot.simulation.contacts)
         attach_payload(spec, robot, payload_kg)
         return MujocoSimulator.from_spec(spec, robot, origin=model_path, threads=threads)
 
@@ -219,8 +221,8 @@ class MujocoSimulator(CompiledRobot):
             self._batch = batch.Batch(self.model, nsim=count, nthread=self.threads)
         self._batch.reset()
         self.place(self._batch.bind("qpos"), self._batch.bind("qvel"), position, velocity)
-        for activation, column in self._layout.integrators:
-            self._batch.bind("act")[:, activation] = position[:, column]
+        for activation, column, scale in self._layout.holding:
+            self._batch.bind("act")[:, activation] = scale * position[:, column]
 
     def step(self, command: Mapping[str, Float[np.ndarray, "B J"]]) -> dict[str, Float[np.ndarray, "B J"]]:
         """Advance every copy by one physics step.
@@ -256,8 +258,8 @@ class MujocoSimulator(CompiledRobot):
         states = np.tile(template, (request.position.shape[0], 1))
         qpos, qvel = states[:, 1 : 1 + self.model.nq], states[:, 1 + self.model.nq : 1 + self.model.nq + self.model.nv]
         self.place(qpos, qvel, request.position, request.velocity)
-        for activation, column in self._layout.integrators:
-            states[:, 1 + self.model.nq + self.model.nv + activation] = request.position[:, column]
+        for activation, column, scale in self._layout.holding:
+            states[:, 1 + self.model.nq + self.model.nv + activation] = scale * request.position[:, column]
         return states
 
     def place(
@@ -309,18 +311,19 @@ def _rollout_apart(
 
 def _layout(model: mujoco.MjModel, joints: tuple[str, ...], channels: tuple[Channel, ...]) -> _Layout:
     columns = {joint: index for index, joint in enumerate(joints)}
-    integrators = []
+    holding = []
     for channel in channels:
         actuator = model.actuator(channel.actuator).id
-        if model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_INTEGRATOR:
-            integrators.append((int(model.actuator_actadr[actuator]), columns[channel.joint]))
+        kind = int(model.actuator_dyntype[actuator])
+        if kind == _INTEGRATOR or (kind in _FILTERS and channel.signal == "position"):
+            holding.append((int(model.actuator_actadr[actuator]), columns[channel.joint], channel.scale))
     return _Layout(
         qpos=np.array([model.jnt_qposadr[model.joint(name).id] for name in joints]),
         qvel=np.array([model.jnt_dofadr[model.joint(name).id] for name in joints]),
         torque=np.array([model.sensor_adr[model.sensor(torque_sensor(name)).id] for name in joints]),
         load=_load_places(model, joints),
         axis=np.array([model.jnt_axis[model.joint(name).id] for name in joints]),
-        integrators=tuple(integrators),
+        holding=tuple(holding),
     )
 
 

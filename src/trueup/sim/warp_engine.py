@@ -84,7 +84,7 @@ class WarpSimulator(MujocoSimulator):
             NameMismatch: a joint is not in the model.
             MissingDependency: MuJoCo Warp is not installed.
         """
-        spec = load_spec(model_path)
+        spec = load_spec(model_path, shapes=robot.simulation.contacts)
         attach_payload(spec, robot, payload_kg)
         model, channels = compile_robot(spec, robot, origin=model_path)
         return WarpSimulator(model, robot, channels, threads=threads)

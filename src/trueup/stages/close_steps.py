@@ -113,7 +113,7 @@ class CloseSteps:
         replayed = self._replay()
         forget_explanation(out, unless_of=None if self.folder.overwrite else self.dataset.hash)
         if not asked("gap"):
-            return Closed(self.dataset, self.folder.result, replayed=replayed)
+            return Closed(self.dataset, self.folder.result, replayed=replayed, notes=replayed.notes)
         self.budget.took(replay_s=replayed.seconds)
         rungs = {"stock": (STOCK, replayed.seconds)}
         self.watch.on_step("gap")
@@ -124,7 +124,7 @@ class CloseSteps:
             step.what = words.main_number(measurement, STOCK)
         identified = self._identify(replayed) if asked("identify") else None
         trained = self._augment(identified) if asked("augment") else ()
-        notes: list[str] = []
+        notes = list(replayed.notes)
         if trained or identified is not None:
             began = time.perf_counter()
             rungs |= _corrected(trained, "stock", replayed.seconds)
@@ -133,7 +133,7 @@ class CloseSteps:
                 rungs |= {"fitted": (FITTED, seconds), **_corrected(trained, "fitted", seconds)}
             measurement, ladder = self._measured_again(rungs, identified)
             if not self._holds_more(rungs):
-                notes = self._judge(trained)
+                notes += self._judge(trained)
             self.folder.measured(time.perf_counter() - began)
         # Last, so that the steps that were asked for have their time first.
         attribution = self._explain(replayed) if asked("explain") else None

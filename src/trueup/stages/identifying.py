@@ -107,7 +107,7 @@ def fit(
         ConfigError: no cluster answers, or there is one and a single start.
         TrueupError: what any step raises.
     """
-    from trueup.identify import IdentifyConfig, identify, judged, refuse_one_start, save_identification
+    from trueup.identify import IdentifyConfig, identify, judged, refuse_one_start, rehearse, save_identification
 
     out = Path(out)
     cluster = None if ray is None else Cluster(ray, jobs)
@@ -129,6 +129,7 @@ def fit(
         # Before the fit, since what keeps a replay from working must not come to light after an hour of it.
         stock = replay_unless_same(dataset, robot, model=path, label=STOCK, jobs=jobs, track=track)
         if result is None:
+            rehearse(robot, path, config)
             on_begin()
             found = identify(
                 motions.by_split,
@@ -154,7 +155,9 @@ def fit(
         keep_given(out, given, path, config)
         graybox = _save_graybox(motions, robot, path, out, drop_flagged=drop)
         fitted_robot = load_robot(out / "robot.fitted.yaml")
-        fitted = replay_unless_same(dataset, fitted_robot, model=None, label=FITTED, jobs=jobs, track=track)
+        # Not looked for: the dataset may hold a model of that name, too.
+        own = out / fitted_robot.model
+        fitted = replay_unless_same(dataset, fitted_robot, model=own, label=FITTED, jobs=jobs, track=track)
         measurement = gap(dataset, runs=[STOCK, FITTED], seed=seed, blocks=False, track=track)
         seconds = sum(row.seconds for row in result.models) + fitted.seconds
         ladder = ladder_of(measurement, {"stock": (STOCK, stock.seconds), "fitted": (FITTED, seconds)})
@@ -164,7 +167,7 @@ def fit(
             ladder.save(out / "ladder.json")
         # Only here is nothing left that an interruption could cost.
         shutil.rmtree(checkpoints, ignore_errors=True)
-        notes = (*_left_out_notes(result), *_window_note(given, robot), *_version_note(result), *graybox)
+        notes = (*stock.notes, *_left_out_notes(result), *_window_note(given, robot), *_version_note(result), *graybox)
         notes = (*notes, *measurement.gap.settings["warnings"])
         return Identified(result, (stock, fitted), measurement, ladder, notes)
 

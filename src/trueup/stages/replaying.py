@@ -39,6 +39,7 @@ class ReplaySummary:
         failed: episode id -> why it could not be replayed.
         seconds: wall-clock time that it took to make the run, earlier calls included [s].
         replaced: whether there was a run of this label that was made of something else.
+        notes: what is done with commands that might be meant otherwise.
     """
 
     label: str
@@ -47,6 +48,7 @@ class ReplaySummary:
     failed: Mapping[str, TrueupError] = field(default_factory=dict)
     seconds: float = 0.0
     replaced: bool = False
+    notes: tuple[str, ...] = ()
 
 
 def replay(
@@ -172,7 +174,7 @@ def replay(
     if failed and not done and len(missing) == len(wanted):
         name, first = next(iter(failed.items()))
         raise DataError(f"no episode could be replayed, {name!r} because: {first.summary}", hint=first.hint)
-    return ReplaySummary(label, done, len(wanted) - len(missing), failed, seconds)
+    return ReplaySummary(label, done, len(wanted) - len(missing), failed, seconds, notes=simulator.notes)
 
 
 def replay_unless_same(

@@ -4,6 +4,7 @@ from trueup.errors import ConfigError
 from trueup.identify.quantities.base import Cause as Cause
 from trueup.identify.quantities.base import Quantity as Quantity
 from trueup.identify.quantities.base import motion_target as motion_target
+from trueup.identify.quantities.base import split_motion_target as split_motion_target
 from trueup.identify.quantities.friction import FRICTION
 from trueup.identify.quantities.rigid_body import RIGID_BODY
 from trueup.identify.quantities.servo import SERVO
@@ -22,4 +23,4 @@ def quantity(name: str) -> Quantity:
     return QUANTITIES[name]
 
 
-__all__ = ["QUANTITIES", "Cause", "Quantity", "motion_target", "quantity"]
+__all__ = ["QUANTITIES", "Cause", "Quantity", "motion_target", "quantity", "split_motion_target"]

@@ -19,6 +19,12 @@ def motion_target(motion: str, joint: str) -> str:
     return f"{motion}:{joint}"
 
 
+def split_motion_target(target: str) -> tuple[str, str]:
+    """The motion and the joint of such a target: no id of a motion has a colon, names of joints may."""
+    motion, _, joint = target.partition(":")
+    return motion, joint
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A kind of number that a fit can change.
@@ -34,7 +40,7 @@ class Quantity:
         write: sets the value for a target.
         excite: what kind of motion shows it; `{target}` is filled in.
         search: its default start, bounds, scale and prior.
-        needs: what a joint must have to be read, in words.
+        needs: what a joint must have, or a body must be, to be read, in words.
         addable: whether a start from the user puts it into a model that has none.
         brakes: whether more of it makes a joint slower, whatever else is the case.
         relative: whether it is a change of what the model says, so that a fitted model says it no longer.
@@ -113,5 +119,6 @@ class Quantity:
     def _unit(self, nominal: Nominal, places: Sequence[str]) -> str:
         if self.of not in ("joint", "motion"):
             return self.unit
-        units = {joint_unit(self.unit, nominal.length_unit(place.rpartition(":")[2])) for place in places}
+        joints = [split_motion_target(place)[1] if self.of == "motion" else place for place in places]
+        units = {joint_unit(self.unit, nominal.length_unit(joint)) for joint in joints}
         return units.pop() if len(units) == 1 else "mixed"

@@ -10,18 +10,22 @@ from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.inertial import COMPONENTS
 from trueup.identify.quantities.base import Quantity
 
+_MASS, _EXTENT = "a body that has mass", "a body that has a rotational inertia"
 
-def _read_mass(nominal: Nominal, body: str) -> float:
-    return nominal.inertial(body).mass
+
+def _read_mass(nominal: Nominal, body: str) -> float | None:
+    mass = nominal.inertial(body).mass
+    return mass if mass > 0.0 else None
 
 
 def _write_mass(candidate: Candidate, body: str, value: float) -> None:
     candidate.inertials[body] = candidate.inertial(body).with_mass(value)
 
 
-def _com(axis: int) -> tuple[Callable[[Nominal, str], float], Callable[[Candidate, str, float], None]]:
-    def read(nominal: Nominal, body: str) -> float:
-        return float(nominal.inertial(body).com[axis])
+def _com(axis: int) -> tuple[Callable[[Nominal, str], float | None], Callable[[Candidate, str, float], None]]:
+    def read(nominal: Nominal, body: str) -> float | None:
+        own = nominal.inertial(body)
+        return float(own.com[axis]) if own.mass > 0.0 else None
 
     def write(candidate: Candidate, body: str, value: float) -> None:
         inertial = candidate.inertial(body)
@@ -51,8 +55,14 @@ def _carried(name: str) -> Callable[[Candidate, str, float], None]:
     return write
 
 
-def _one(_nominal: Nominal, _target: str) -> float:
-    return 1.0
+def _unchanged(value: float) -> Callable[[Nominal, str], float | None]:
+    """Reader of what changes a body's inertia, which the model says nothing of."""
+
+    def read(nominal: Nominal, body: str) -> float | None:
+        own = nominal.inertial(body)
+        return value if own.mass > 0.0 and own.inertia.any() else None
+
+    return read
 
 
 def _zero(_nominal: Nominal, _target: str) -> float:
@@ -69,6 +79,7 @@ RIGID_BODY: tuple[Quantity, ...] = (
         _write_mass,
         _POSES,
         SearchRange("log", start=1e-4, low=1e-6, span=10.0, prior_std=0.5),
+        needs=_MASS,
     ),
     *(
         Quantity(
@@ -76,24 +87,27 @@ RIGID_BODY: tuple[Quantity, ...] = (
             *_com(index),
             _POSES,
             SearchRange(low=-2.0, high=2.0, scale=0.02, prior_std=1.0),
+            needs=_MASS,
         )
         for index, axis in enumerate("xyz")
     ),
     Quantity(
         *("inertia_scale", "rotational inertia, factor", "1", "body", "inertia"),
-        _one,
+        _unchanged(1.0),
         _write_inertia_scale,
         _SWING,
         SearchRange("log", span=20.0, prior_std=0.7),
+        needs=_EXTENT,
         relative=True,
     ),
     *(
         Quantity(
             *(f"inertia_{name}", f"rotational inertia, log-Cholesky component {name}", "1", "body", "inertia"),
-            _zero,
+            _unchanged(0.0),
             _component(name),
             _SWING,
             SearchRange(low=-3.0, high=3.0, scale=0.3, prior_std=1.0),
+            needs=_EXTENT,
             relative=True,
         )
         for name in COMPONENTS

@@ -15,7 +15,8 @@ from trueup.identify.quantities.base import Quantity
 
 def spec_actuators(candidate: Candidate, joint: str) -> list[mujoco.MjsActuator]:
     """Those that drive a joint, in the candidate's model."""
-    return [candidate.spec.actuator(channel.actuator) for channel in candidate.nominal.channels(joint)]
+    names = dict.fromkeys(channel.actuator for channel in candidate.nominal.channels(joint))
+    return [candidate.spec.actuator(name) for name in names]
 
 
 def _gear(candidate: Candidate, joint: str) -> float:
@@ -76,7 +77,8 @@ def _write_torque_offset(candidate: Candidate, joint: str, value: float) -> None
 
 
 def _write_torque_gain(candidate: Candidate, joint: str, value: float) -> None:
-    spec_actuators(candidate, joint)[0].gainprm[0] = value / _gear(candidate, joint)
+    scale = candidate.nominal.channels(joint)[0].scale
+    spec_actuators(candidate, joint)[0].gainprm[0] = value / (scale * _gear(candidate, joint))
 
 
 def _write_torque_limit(candidate: Candidate, joint: str, value: float) -> None:

@@ -191,7 +191,7 @@ def _base(linkage: Linkage, solution: Solution) -> tuple[BaseParameter, ...]:
     for number, kept in enumerate(structure.kept):
         value, width = float(solution.values[number]), float(half[number])
         # For friction there is no usual size: one of zero is found, not missed.
-        share = width / usual[kept] if kept < usual.size else 0.0
+        share = width / usual[kept] if kept < usual.size and usual[kept] > 0.0 else 0.0
         result.append(
             BaseParameter(
                 name=structure.names[kept],
@@ -215,7 +215,7 @@ def _usual_sizes(linkage: Linkage) -> Float64[np.ndarray, "P"]:
     """Mass, mass times radius and mass times squared radius of each link, for its ten parameters."""
     table = linkage.nominal.reshape(len(linkage.links), -1)
     mass = table[:, 0]
-    squared = 0.5 * (table[:, 4] + table[:, 6] + table[:, 9]) / mass
+    squared = 0.5 * (table[:, 4] + table[:, 6] + table[:, 9]) / np.maximum(mass, 1e-300)
     first = np.repeat((mass * np.sqrt(squared))[:, None], 3, axis=1)
     second = np.repeat((mass * squared)[:, None], 6, axis=1)
     return np.concatenate([mass[:, None], first, second], axis=1).ravel()
