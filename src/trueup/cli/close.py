@@ -208,6 +208,8 @@ def show(closed: Closed, out_dir: Path) -> None:
     for name, error in _not_replayed(closed):
         problem(f"{name} was not replayed: {error.what}: {error.details}", error.hint)
     if closed.measurement is None:
+        for line in closed.replayed.notes if closed.replayed else ():
+            note(line)
         run = f", with the run {closed.replayed.label}" if closed.replayed else ""
         out.print(f"dataset: {closed.dataset.path}{run}", markup=False)
         return

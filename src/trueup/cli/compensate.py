@@ -153,6 +153,8 @@ def replay(
     )
     for name, error in summary.failed.items():
         problem(f"{name} was not replayed: {error.what}: {error.details}", error.hint)
+    for line in summary.notes:
+        note(line)
     out.print(f"{summary.replayed} episodes replayed in {summary.seconds:.1f} s -> run {summary.label}", markup=False)
     out.print(f"next: trueup gap {dataset} --runs mujoco/stock,{summary.label} --out RESULTS", markup=False)
     return 2 if summary.failed else 0

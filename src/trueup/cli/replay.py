@@ -55,6 +55,8 @@ def replay(
     for line in summary.notes:
         note(line)
     kept = f", {summary.kept} were there" if summary.kept else ""
+    for line in summary.notes:
+        note(line)
     out.print(
         f"{summary.replayed} episodes replayed{kept} in {summary.seconds:.1f} s -> run {summary.label}", markup=False
     )

@@ -112,7 +112,8 @@ def build(cls: type[T], data: Any, where: str) -> T:
     """A frozen dataclass from a tree of YAML or JSON values.
 
     Nested dataclasses, tuples, mappings, Literals and optional values follow the annotations. A class with a static
-    method `variant` leaves it to that which class, itself or a subclass, fits the data.
+    method `variant` leaves it to that which class, itself or a subclass, fits the data, and one with a static method
+    `of_word` takes one word in place of a mapping.
 
     Args:
         cls: dataclass type.
@@ -122,9 +123,11 @@ def build(cls: type[T], data: Any, where: str) -> T:
     Raises:
         ConfigError: an unknown or missing key, or a value of the wrong type.
     """
-    if not isinstance(data, Mapping):
+    of_word = getattr(cls, "of_word", None)
+    if not isinstance(data, Mapping) and not (of_word and isinstance(data, str)):
         raise ConfigError(f"{where} must be a mapping", got=repr(data))
     try:
+        data = of_word(data) if of_word and isinstance(data, str) else data
         cls = getattr(cls, "variant", lambda _: cls)(data)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error.summary}", hint=error.hint) from error

@@ -30,7 +30,7 @@ class Candidate:
     """One choice of parameters, on its way to a compiled model.
 
     Attributes:
-        spec: editable copy of the nominal model, controller included.
+        spec: editable copy of the nominal model, controller included, and what is held in simulations.
         nominal: what the model said before.
         delay_s: joint name -> how much later its commands act [s].
         inertials: body name -> mass, centre of mass and inertia so far.
@@ -79,7 +79,7 @@ class Candidate:
         if payload_kg:
             spec = spec.copy()
             attach_payload(spec, self.nominal.robot, payload_kg)
-        model = compile_spec(spec, self.nominal.path)
+        model = compile_spec(self.nominal.holding.applied(spec), self.nominal.path)
         if has_friction(model):
             install()
         return model
@@ -106,7 +106,8 @@ class Nominal:
     Attributes:
         robot: the description, with controller kind `model`.
         simulator: of the nominal model.
-        spec: the model, editable; copy it before writing.
+        spec: the model, editable, with all that is held in simulations; copy it before writing.
+        holding: what that is.
     """
 
     def __init__(self, robot: RobotSpec, path: Path, *, hard_friction: bool = True) -> None:
@@ -115,11 +116,13 @@ class Nominal:
         self.spec = load_spec(path, shapes=robot.simulation.contacts)
         name_bodies(self.spec)
         self.simulator = MujocoSimulator.from_spec(self.spec, robot, origin=path)
+        self.holding = self.simulator.holding
         changed = settle(self.spec, self.simulator.model)
         if hard_friction:
             harden_friction(self.spec, robot.joint_names)
         if hard_friction or changed:
-            self.simulator = MujocoSimulator(compile_spec(self.spec, path), robot, self.simulator.channels)
+            model = compile_spec(self.holding.applied(self.spec), path)
+            self.simulator = MujocoSimulator(model, robot, self.simulator.channels, self.holding)
         self.robot = _with_model_controller(robot)
         self._inertials: dict[str, Inertial] = {}
 

@@ -12,8 +12,9 @@ from jaxtyping import Bool, Float64
 from trueup.errors import ConfigError
 from trueup.lab.plant import JOINT_STATE, NUMBERS, Engine, Settings, State
 from trueup.lab.spec import LabSpec
-from trueup.lab.truth import BodyTruth, Truth, loaded, per_joint
+from trueup.lab.truth import BodyTruth, Truth, held_model, loaded, per_joint
 from trueup.robots import RobotSpec, find_model, load_robot
+from trueup.robots.holding import Holding
 from trueup.robots.model import compile_spec, load_spec
 from trueup.sim.closed_chains import open_by
 from trueup.sim.stepping import addresses
@@ -124,7 +125,7 @@ def build_plant(truth: Truth, payload_kg: float, *, carrier: Carrier | None = No
     robot = load_robot(spec.robot)
     path = find_model(robot)
     editable = carrier() if carrier else load_spec(path)
-    plain = compile_spec(load_spec(path), path)
+    plain = held_model(robot, path)
     _refuse_other_robot(truth, robot, plain)
     bodies = loaded(truth, plain, payload_kg)
     known_share = spec.gravity.payload_known if spec.gravity.enabled else 1.0
@@ -138,6 +139,8 @@ def build_plant(truth: Truth, payload_kg: float, *, carrier: Carrier | None = No
         own.mass, own.ipos, own.iquat, own.fullinertia = body.mass, body.com, [1, 0, 0, 0], body.inertia
     for actuator in list(editable.actuators):
         editable.delete(actuator)
+    for key in editable.keys:
+        key.act, key.ctrl = [], []
     for name, joint in truth.joints.items():
         own = editable.joint(name)
         own.damping[0] = 0.0
@@ -149,7 +152,8 @@ def build_plant(truth: Truth, payload_kg: float, *, carrier: Carrier | None = No
     editable.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     if not carrier:
         editable.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    model = compile_spec(editable, path)
+    holding = Holding() if carrier else Holding.of(editable, robot, origin=path)
+    model = compile_spec(holding.applied(editable), path)
     _mount(model, truth)
     data = mujoco.MjData(model)
     homes = {plain.key(index).name: plain.key_qpos[index] for index in range(plain.nkey)}

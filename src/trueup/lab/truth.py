@@ -15,6 +15,7 @@ from trueup.core.config import build
 from trueup.errors import ConfigError
 from trueup.lab.spec import EFFECTS, LabSpec, Winding
 from trueup.robots import RobotSpec, find_model, load_robot
+from trueup.robots.holding import Holding
 from trueup.robots.model import compile_spec, load_spec
 
 _SCHEMA = "trueup.truth/1"
@@ -164,7 +165,7 @@ def draw_truth(spec: LabSpec | None = None, *, unit: int = 1) -> Truth:
         raise ConfigError("the unit of a virtual robot must not be negative", got=unit)
     robot = load_robot(spec.robot)
     path = find_model(robot)
-    model = compile_spec(load_spec(path), path)
+    model = held_model(robot, path)
     streams = {name: np.random.default_rng([4, unit, index]) for index, name in enumerate(EFFECTS)}
     armature = np.array([model.dof_armature[model.joint(name).dofadr[0]] for name in robot.joint_names])
     bodies, motor_inertia = _bodies(spec, model, armature, streams["inertia"])
@@ -183,6 +184,16 @@ def draw_truth(spec: LabSpec | None = None, *, unit: int = 1) -> Truth:
     }
     mounts = _mounts(spec, model, streams["mounting"])
     return Truth(spec=spec, unit=unit, bodies=bodies, joints=joints, mounts=mounts)
+
+
+def held_model(robot: RobotSpec, path: Path) -> mujoco.MjModel:
+    """The robot's model, compiled, with all held in it that its description says.
+
+    Raises:
+        ConfigError: it does not load or compile, or see `Holding.of`.
+    """
+    spec = load_spec(path)
+    return compile_spec(Holding.of(spec, robot, origin=path).applied(spec), path)
 
 
 def per_joint(values: tuple[float, ...], robot: RobotSpec, name: str) -> Float64[np.ndarray, "J"]:

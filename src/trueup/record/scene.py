@@ -73,7 +73,7 @@ class Scene:
             raise ConfigError("clearance_m cannot be kept", got=clearance_m, expected=f"0 to {_HORIZON_M}")
         path = find_model(robot, given=model)
         self._mujoco = mujoco
-        self._model = _compile(path, workspace or Workspace(floor_m=None))
+        self._model = _compile(path, robot, workspace or Workspace(floor_m=None))
         self._data = mujoco.MjData(self._model)
         self.robot = robot
         self.joints = robot.joint_names
@@ -84,7 +84,10 @@ class Scene:
         slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
         hinges = [int(mujoco.mjtJoint.mjJNT_HINGE), slide]
         if not np.isin(self._model.jnt_type, hinges).all():
-            raise ConfigError(f"{path} has joints other than hinges and slides", hint="Floating bases are not planned.")
+            raise ConfigError(
+                f"{path} has joints other than hinges and slides",
+                hint="Balls and bodies that move freely are not planned.",
+            )
         self.length_units = tuple("m" if self._model.jnt_type[number] == slide else "rad" for number in numbers)
         self._addresses = self._model.jnt_qposadr[numbers]
         self._reach = np.array([_reach(self._model, number) for number in numbers])
@@ -251,16 +254,17 @@ def _own(limits: Mapping[str, float], robot: RobotSpec) -> dict[str, float]:
     return {name: limit for name, limit in limits.items() if name in robot.joint_names}
 
 
-def _compile(path: Path, workspace: Workspace) -> mujoco.MjModel:
+def _compile(path: Path, robot: RobotSpec, workspace: Workspace) -> mujoco.MjModel:
     import mujoco
 
+    from trueup.robots.holding import Holding
     from trueup.robots.model import compile_spec, load_whole_spec
 
     spec = load_whole_spec(path)
     for geom in spec.geoms:
         geom.margin = 0.0
     _furnish(spec, workspace)
-    model = compile_spec(spec, path)
+    model = compile_spec(Holding.of(spec, robot, origin=path).applied(spec), path)
     # Contacts are wanted whatever the model says, from a distance on: the margins of two geoms add up.
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     model.geom_margin[:] = _HORIZON_M / 2

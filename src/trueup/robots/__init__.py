@@ -2,6 +2,7 @@
 
 from trueup.robots.friction import JointFriction
 from trueup.robots.spec import (
+    BaseSpec,
     ControllerSpec,
     JointGains,
     JointSpec,
@@ -10,12 +11,14 @@ from trueup.robots.spec import (
     ReplaySpec,
     RobotSpec,
     SimulationSpec,
+    UnlistedSpec,
     find_model,
     load_robot,
     shipped_robots,
 )
 
 __all__ = [
+    "BaseSpec",
     "ControllerSpec",
     "JointFriction",
     "JointGains",
@@ -25,6 +28,7 @@ __all__ = [
     "ReplaySpec",
     "RobotSpec",
     "SimulationSpec",
+    "UnlistedSpec",
     "find_model",
     "load_robot",
     "shipped_robots",

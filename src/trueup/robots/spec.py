@@ -243,6 +243,86 @@ class PayloadSpec:
 
 
 @dataclass(frozen=True)
+class BaseSpec:
+    """Where a base that floats in the model is held; in YAML also as one word, `base: held`.
+
+    Attributes:
+        held: where the model has the base, or a keyframe of the model that says where.
+        position: of its body in the world [m], in place of that.
+        rotation: of its body in the world as a quaternion w, x, y, z of any length, in place of that.
+
+    Raises:
+        ConfigError: a base that is not held, or a rotation that is none.
+    """
+
+    held: bool | str = True
+    position: tuple[float, float, float] | None = None
+    rotation: tuple[float, float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what would fall."""
+        if not self.held:
+            raise ConfigError(
+                "base: it is held, or left out of robot.yaml for a model whose base is fixed",
+                got=f"held: {self.held}",
+                expected="held: true, or the name of a keyframe",
+            )
+        if self.rotation is not None and not 0 < float(np.linalg.norm(self.rotation)) < np.inf:
+            raise ConfigError("base: rotation is no quaternion", got=list(self.rotation), expected="w, x, y, z")
+
+    @staticmethod
+    def of_word(word: str) -> dict[str, Any]:
+        """What one word stands for in YAML."""
+        if word != "held":
+            raise ConfigError("base", got=repr(word), expected="held, or {held: KEYFRAME}, {position: [x, y, z], ...}")
+        return {}
+
+    def to_plain(self) -> str | dict[str, Any]:
+        """As in YAML, JSON types only."""
+        stated = {key: list(value) for key in ("position", "rotation") if (value := getattr(self, key)) is not None}
+        return "held" if self.held is True and not stated else {"held": self.held, **stated}
+
+
+UnlistedRule = Literal["lock", "drive", "free"]
+
+
+@dataclass(frozen=True)
+class UnlistedSpec:
+    """What becomes of joints of the model that robot.yaml does not name; in YAML also as one word, the rule.
+
+    Joints that equality constraints or tendons couple to named ones stay, whatever the rule: they follow those.
+
+    Attributes:
+        rule: `lock` takes them out of the simulated model, at their pose; `drive` leaves those that have actuators to
+            these, whose inputs are held at those of the keyframe, and locks the others; `free` lets them swing, without
+            actuators.
+        keyframe: of the model, where they are; the one called `home`, or the only one, if empty, and the model's own
+            pose where there is none.
+        pose: joint -> position [rad or m], in place of that.
+        joints: joint -> rule of a joint that differs.
+    """
+
+    rule: UnlistedRule = "lock"
+    keyframe: str = ""
+    pose: Mapping[str, float] = field(default_factory=dict)
+    joints: Mapping[str, UnlistedRule] = field(default_factory=dict)
+
+    @staticmethod
+    def of_word(word: str) -> dict[str, Any]:
+        """What one word stands for in YAML."""
+        return {"rule": word}
+
+    def rule_of(self, joint: str) -> UnlistedRule:
+        """That of one joint."""
+        return self.joints.get(joint, self.rule)
+
+    def to_plain(self) -> str | dict[str, Any]:
+        """As in YAML, JSON types only."""
+        tree = {key: value for key, value in asdict(self).items() if value}
+        return self.rule if list(tree) == ["rule"] else tree
+
+
+@dataclass(frozen=True)
 class ReplaySpec:
     """How logs are replayed.
 
@@ -278,6 +358,8 @@ class RobotSpec:
         friction: joint name -> friction law beyond the model's own `damping` and `frictionloss`.
         motor: of every joint, for the current and voltage in what is replayed; a `servo` needs it.
         payload: where the payload of a log hangs; if not given, simulations leave it out.
+        base: where a base is held that floats in the model; such a model is refused if not given.
+        unlisted: what becomes of the model's joints that are not among `joints`.
         description: for people.
         folder: where the YAML was read from.
     """
@@ -294,6 +376,8 @@ class RobotSpec:
     friction: Mapping[str, JointFriction] = field(default_factory=dict)
     motor: MotorSpec | None = None
     payload: PayloadSpec | None = None
+    base: BaseSpec | None = None
+    unlisted: UnlistedSpec = field(default_factory=UnlistedSpec)
     description: str = ""
     folder: Path | None = None
 
@@ -305,6 +389,11 @@ class RobotSpec:
         strangers = [name for name in (*self.scored, *self.controller.per_joint, *self.friction) if name not in names]
         if strangers:
             raise ConfigError(f"robot {self.name!r}: {strangers} are not joints", available=names)
+        if named := [name for name in (*self.unlisted.pose, *self.unlisted.joints) if name in names]:
+            raise ConfigError(
+                f"robot {self.name!r}: unlisted: {named} are among the joints of the robot",
+                expected="joints of the model that `joints` does not name",
+            )
         if self.controller.kind == "servo" and self.motor is None:
             raise ConfigError(
                 f"robot {self.name!r}: a servo needs a motor",
@@ -372,6 +461,10 @@ class RobotSpec:
             del tree["simulation"]["base_sensor"]  # and those on a base at rest likewise
         if self.controller.source == "commanded":
             del tree["controller"]["source"]
+        for name, own in (("base", self.base), ("unlisted", self.unlisted)):
+            tree[name] = None if own is None else own.to_plain()
+            if own in (None, UnlistedSpec()):
+                del tree[name]
         return tree
 
 

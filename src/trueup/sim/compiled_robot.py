@@ -12,6 +12,7 @@ from jaxtyping import Float, Float64
 
 from trueup.errors import ConfigError, MissingSignal
 from trueup.robots import RobotSpec, SimulationSpec
+from trueup.robots.holding import Holding, driven_inputs
 from trueup.robots.model import compile_spec
 from trueup.sim.body_sensors import add_body_sensors
 from trueup.sim.controllers import Channel, attach_controller, torque_limit_of
@@ -29,12 +30,16 @@ class CompiledRobot:
         model: compiled model with the controller's actuators and one `jointactuatorfrc` sensor per joint.
         robot: its description.
         channels: how commands reach the actuators.
+        holding: what of the robot's model is held still in this one.
     """
 
-    def __init__(self, model: mujoco.MjModel, robot: RobotSpec, channels: tuple[Channel, ...]) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, robot: RobotSpec, channels: tuple[Channel, ...], holding: Holding | None = None
+    ) -> None:
         self.model = model
         self.robot = robot
         self.channels = channels
+        self.holding = holding or Holding()
         columns = {joint: index for index, joint in enumerate(robot.joint_names)}
         self._controls = tuple(
             (
@@ -136,14 +141,24 @@ class CompiledRobot:
         return hashlib.sha256(versions.encode() + buffer.tobytes() + told).hexdigest()
 
 
-def compile_robot(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path) -> tuple[mujoco.MjModel, tuple[Channel, ...]]:
-    """The compiled model of a robot with all that its description adds, and how commands reach it; for any engine.
+def compile_robot(
+    spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path, moves: bool = False
+) -> tuple[mujoco.MjModel, tuple[Channel, ...], Holding]:
+    """The compiled model of a robot with all that its description adds, how commands reach it, and what is held in it.
+
+    For any engine. The editable model is completed in place, and what is held stays in it.
+
+    Args:
+        spec: the model.
+        robot: its description.
+        origin: of the model, for messages.
+        moves: whether somebody else drives a base and joints that the description does not name: nothing is held.
 
     Raises:
-        ConfigError: the model lacks an actuator, or MuJoCo refuses it.
+        ConfigError: the model lacks an actuator, MuJoCo refuses it, or see `Holding.of`.
         NameMismatch: a joint is not in the model.
     """
-    channels = attach_controller(spec, robot)
+    channels = _with_controller(spec, robot, origin)
     for name in robot.joint_names:
         kind = spec.joint(name).type
         if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
@@ -160,7 +175,21 @@ def compile_robot(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path) -> tup
     for name, friction in robot.friction.items():
         set_friction(spec, name, friction)
     _set_options(spec, robot.simulation)
-    return compile_spec(spec, origin), channels
+    holding = Holding() if moves else Holding.of(spec, robot, origin=origin)
+    return compile_spec(holding.applied(spec), origin), channels, holding
+
+
+def _with_controller(spec: mujoco.MjSpec, robot: RobotSpec, origin: Path) -> tuple[Channel, ...]:
+    """Put the controller into the model, and leave keyframes the inputs of the actuators that are left."""
+    if robot.controller.kind == "model":
+        return attach_controller(spec, robot)
+    kept = driven_inputs(spec, robot, origin=origin)
+    channels = attach_controller(spec, robot, keep=kept)
+    for number, key in enumerate(spec.keys):
+        if len(key.ctrl) or len(key.act):
+            inputs = [entries[number] for entries in kept.values()]
+            key.act, key.ctrl = [], [*inputs, *[0.0] * (len(spec.actuators) - len(inputs))]
+    return channels
 
 
 def torque_sensor(joint: str) -> str:

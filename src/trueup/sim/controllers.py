@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -43,11 +43,11 @@ class Channel:
     number: int = 0
 
 
-def attach_controller(spec: mujoco.MjSpec, robot: RobotSpec) -> tuple[Channel, ...]:
+def attach_controller(spec: mujoco.MjSpec, robot: RobotSpec, *, keep: Collection[int] = ()) -> tuple[Channel, ...]:
     """Put the controller into the model and say how commands reach it.
 
-    Every kind but `model` replaces all actuators of the model. `torque_limit` of a joint limits the sum of its
-    actuators.
+    Every kind but `model` replaces all actuators of the model, except for those whose numbers are in `keep`.
+    `torque_limit` of a joint limits the sum of its actuators.
 
     Raises:
         NameMismatch: a joint is not in the model; both lists are printed.
@@ -71,8 +71,9 @@ def attach_controller(spec: mujoco.MjSpec, robot: RobotSpec) -> tuple[Channel, .
             known[joint.name].actfrcrange = [-joint.torque_limit, joint.torque_limit]
     if controller.kind == "model":
         return tuple(channel for joint in joints for channel in _own_channels(spec, joint.name, controller))
-    for actuator in list(spec.actuators):
-        spec.delete(actuator)
+    for number, actuator in enumerate(list(spec.actuators)):
+        if number not in keep:
+            spec.delete(actuator)
     channels = {joint: _add(spec, robot, joint.name) for joint in joints}
     for joint, own in channels.items():
         # A servo's own limit is its voltage.

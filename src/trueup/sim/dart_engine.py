@@ -13,6 +13,7 @@ from jaxtyping import Float, Float64
 from trueup.core.protocols import RolloutRequest, RolloutResult
 from trueup.errors import DataError
 from trueup.robots import RobotSpec
+from trueup.robots.holding import Holding
 from trueup.robots.model import gravity_of, load_spec
 from trueup.sim.actuators import Actuators
 from trueup.sim.compiled_robot import ABSURD, CompiledRobot, compile_robot
@@ -40,15 +41,18 @@ class DartSimulator(CompiledRobot):
         model: compiled model with the controller's actuators.
         robot: its description.
         channels: how commands reach the actuators.
+        holding: see `CompiledRobot`.
 
     Raises:
         ConfigError: dartpy is not installed, or the model holds what DART cannot match; everything is named.
     """
 
-    def __init__(self, model: mujoco.MjModel, robot: RobotSpec, channels: tuple[Channel, ...]) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, robot: RobotSpec, channels: tuple[Channel, ...], holding: Holding | None = None
+    ) -> None:
         load_dart()
         refuse_unmatched(model)
-        super().__init__(model, robot, channels)
+        super().__init__(model, robot, channels, holding)
         laws = laws_of(model)
         self._numbers = JointNumbers.of(model)
         self._actuators = Actuators(model, robot, laws)
@@ -76,16 +80,16 @@ class DartSimulator(CompiledRobot):
     @staticmethod
     def from_spec(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path) -> DartSimulator:
         """The simulator of a model that is still editable; `origin` is named in messages."""
-        model, channels = compile_robot(spec, robot, origin=origin)
-        return DartSimulator(model, robot, channels)
+        model, channels, holding = compile_robot(spec, robot, origin=origin)
+        return DartSimulator(model, robot, channels, holding)
 
     def clone(self) -> DartSimulator:
         """Another simulator on the same compiled model."""
-        return DartSimulator(self.model, self.robot, self.channels)
+        return DartSimulator(self.model, self.robot, self.channels, self.holding)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickled as what it was made from; a batch that is being stepped is not carried along."""
-        return DartSimulator, (self.model, self.robot, self.channels)
+        return DartSimulator, (self.model, self.robot, self.channels, self.holding)
 
     @property
     def fingerprint(self) -> str:

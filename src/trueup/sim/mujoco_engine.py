@@ -16,6 +16,7 @@ from mujoco import batch, rollout
 from trueup.core.protocols import RolloutRequest, RolloutResult
 from trueup.errors import DataError
 from trueup.robots import RobotSpec
+from trueup.robots.holding import Holding
 from trueup.robots.model import load_spec
 from trueup.sim.body_sensors import BodySensors
 from trueup.sim.closed_chains import ClosedChains
@@ -58,13 +59,20 @@ class MujocoSimulator(CompiledRobot):
         model: compiled model with the controller's actuators and one `jointactuatorfrc` sensor per joint.
         robot: its description.
         channels: how commands reach the actuators.
+        holding: see `CompiledRobot`.
         threads: threads for `rollout` and `step`; one simulator must not be used from several threads itself.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, robot: RobotSpec, channels: tuple[Channel, ...], *, threads: int = 1
+        self,
+        model: mujoco.MjModel,
+        robot: RobotSpec,
+        channels: tuple[Channel, ...],
+        holding: Holding | None = None,
+        *,
+        threads: int = 1,
     ) -> None:
-        super().__init__(model, robot, channels)
+        super().__init__(model, robot, channels, holding)
         self.threads = threads
         self._layout = _layout(model, robot.joint_names, channels)
         bodies = robot.simulation.bodies
@@ -94,12 +102,12 @@ class MujocoSimulator(CompiledRobot):
 
         The spec is completed in place: controller, torque sensors, friction laws and options of the robot.
         """
-        model, channels = compile_robot(spec, robot, origin=origin)
-        return MujocoSimulator(model, robot, channels, threads=threads)
+        model, channels, holding = compile_robot(spec, robot, origin=origin)
+        return MujocoSimulator(model, robot, channels, holding, threads=threads)
 
     def clone(self, *, threads: int = 1) -> MujocoSimulator:
         """Another simulator on the same compiled model, for another thread."""
-        return MujocoSimulator(self.model, self.robot, self.channels, threads=threads)
+        return MujocoSimulator(self.model, self.robot, self.channels, self.holding, threads=threads)
 
     @property
     def fingerprint(self) -> str:

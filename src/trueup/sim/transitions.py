@@ -47,7 +47,8 @@ class Transitions:
         delay_s: how much later commands act, one per joint or one for all, at most a control step [s].
 
     Raises:
-        ConfigError: the control step is no number of physics steps, the delay is longer, or the controller is another.
+        ConfigError: the control step is no number of physics steps, the delay is longer, the controller is another, or
+            joints swing whose states are not among those of the robot's.
     """
 
     def __init__(self, simulator: MujocoSimulator, control_s: float, delay_s: float | Sequence[float] = 0.0) -> None:
@@ -57,6 +58,13 @@ class Transitions:
                 f"robot {simulator.robot.name!r} follows no positions or torques, or its controller remembers",
                 got=simulator.robot.controller.kind,
                 available=("position", "pd", "torque"),
+            )
+        if swinging := simulator.holding.swinging:
+            raise ConfigError(
+                f"robot {simulator.robot.name!r}: what its named joints do in a control step depends on others, which "
+                "move by themselves",
+                got=list(swinging),
+                hint="Write `unlisted: lock` into robot.yaml, or name these joints where the logs have them.",
             )
         self.simulator = simulator
         self.signal = simulator.command_signals[0]

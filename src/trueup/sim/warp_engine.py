@@ -15,6 +15,7 @@ from jaxtyping import Float, Float64
 from trueup.core.protocols import RolloutRequest, RolloutResult
 from trueup.errors import ConfigError, DataError, needing
 from trueup.robots import RobotSpec
+from trueup.robots.holding import Holding
 from trueup.robots.model import load_spec
 from trueup.sim.compiled_robot import compile_robot
 from trueup.sim.controllers import Channel
@@ -36,6 +37,7 @@ class WarpSimulator(MujocoSimulator):
         model: see `MujocoSimulator`.
         robot: its description.
         channels: how commands reach the actuators.
+        holding: see `CompiledRobot`.
         threads: of no meaning here.
 
     Raises:
@@ -45,7 +47,13 @@ class WarpSimulator(MujocoSimulator):
     """
 
     def __init__(
-        self, model: mujoco.MjModel, robot: RobotSpec, channels: tuple[Channel, ...], *, threads: int = 1
+        self,
+        model: mujoco.MjModel,
+        robot: RobotSpec,
+        channels: tuple[Channel, ...],
+        holding: Holding | None = None,
+        *,
+        threads: int = 1,
     ) -> None:
         with needing("--engine warp", "warp"):
             import warp
@@ -64,7 +72,7 @@ class WarpSimulator(MujocoSimulator):
         }
         if present := [name for name, there in lacking.items() if there]:
             raise ConfigError(f"MuJoCo Warp simulates no {', '.join(present)}, as in {robot.name!r}", hint=_INSTEAD)
-        super().__init__(model, robot, channels, threads=threads)
+        super().__init__(model, robot, channels, holding, threads=threads)
         compiled = copy.copy(model)
         # Warp has no such flag: it never starts again from the reset state.
         compiled.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -86,12 +94,12 @@ class WarpSimulator(MujocoSimulator):
         """
         spec = load_spec(model_path, shapes=robot.simulation.contacts)
         attach_payload(spec, robot, payload_kg)
-        model, channels = compile_robot(spec, robot, origin=model_path)
-        return WarpSimulator(model, robot, channels, threads=threads)
+        model, channels, holding = compile_robot(spec, robot, origin=model_path)
+        return WarpSimulator(model, robot, channels, holding, threads=threads)
 
     def clone(self, *, threads: int = 1) -> WarpSimulator:
         """Another simulator on the same compiled model."""
-        return WarpSimulator(self.model, self.robot, self.channels, threads=threads)
+        return WarpSimulator(self.model, self.robot, self.channels, self.holding, threads=threads)
 
     @property
     def device(self) -> str:

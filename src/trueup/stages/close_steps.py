@@ -150,7 +150,7 @@ class CloseSteps:
             attribution=attribution,
             identified=identified,
             networks=trained,
-            notes=tuple(dict.fromkeys(notes)),
+            notes=tuple(dict.fromkeys(line for line in notes if line not in measurement.gap.settings["warnings"])),
         )
 
     def _replay(self) -> ReplaySummary:

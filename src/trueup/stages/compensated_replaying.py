@@ -99,6 +99,9 @@ def compensated_replay(
         "torque_limits": plants(0.0).simulator.torque_limits,
         "provenance": provenance(config={"network": card.to_json()["sha256"]}, data_hash=dataset.hash),
     }
+    held = plants(0.0).simulator.holding.notes
+    if held:
+        info["notes"] = list(held)
     # Under torques alone, simulations go their own way: they are gone back as a plain replay does.
     window_s = robot.replay.window_s if robot.controller.signal == "torque" else None
     rows = None if window_s is None else round(window_s * card.rate_hz)
@@ -121,7 +124,7 @@ def compensated_replay(
     if not done:
         name, first = next(iter(failed.items()))
         raise DataError(f"no episode could be replayed, {name!r} because: {first.summary}", hint=first.hint)
-    return ReplaySummary(label, done, 0, failed, time.perf_counter() - began)
+    return ReplaySummary(label, done, 0, failed, time.perf_counter() - began, notes=held)
 
 
 def _simulated(

@@ -51,7 +51,7 @@ class Compensated:
         folder: its folder.
         errors: of the val motions, payload by payload.
         seconds: what training took, without preparing [s].
-        notes: what was left out.
+        notes: what was left out, and what of the model is held.
     """
 
     compensation: Compensation
@@ -71,7 +71,7 @@ class Prepared:
         plants: the simulators.
         control_s: control step [s].
         data_hash: of the dataset.
-        notes: what was left out.
+        notes: what was left out, and what of the model is held.
     """
 
     train: Sequence[Linear]
@@ -141,7 +141,9 @@ def prepare(
             name, first = next(iter(refused.items()))
             raise DataError(f"no motion of {split} can be used, {name!r} because: {first.summary}", hint=first.hint)
     notes = [f"{len(refused)} motions were left out, {name} because {error.summary}" for name, error in refused.items()]
-    return Prepared(parts["train"], parts["val"], plants, control_s, dataset.hash, (*left_out(unused), *notes[:1]))
+    held = plants(parts["train"][0].track.payload_kg).simulator.holding.notes
+    said = (*left_out(unused), *notes[:1], *held)
+    return Prepared(parts["train"], parts["val"], plants, control_s, dataset.hash, said)
 
 
 @writes_alone()

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from trueup.deploy import Predictor
 
 # What a corrected run has in common with the run that it corrects.
-_INHERITED = ("engine", "joint_map", "joints", "scored_joints", "command_signal", "torque_limits", "settings")
+_INHERITED = ("engine", "joint_map", "joints", "scored_joints", "command_signal", "torque_limits", "settings", "notes")
 
 
 @dataclass(frozen=True)

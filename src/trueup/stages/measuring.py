@@ -42,7 +42,7 @@ from trueup.stages.comparing import Frame, comparison_of, frame_of
 from trueup.stages.folder import provenance_of
 from trueup.stages.lacking import lacking
 from trueup.stages.progress import Track, silent
-from trueup.stages.suspicions import Signs, far_motions, incomplete, outdated, quality_of, unapplied
+from trueup.stages.suspicions import Signs, far_motions, held, incomplete, outdated, quality_of, unapplied
 
 # Motions whose curves are kept for the report, those with the largest errors; memory must not grow with the dataset.
 _MOST_TRACED = 300
@@ -257,6 +257,7 @@ class _Motions:
         return [
             *incomplete(self._dataset, self._covered, self._kept),
             *outdated(self._dataset, self._labels),
+            *held(self._dataset, self._labels),
             *unapplied(self._frame.joint_map, logged),
             *(f"{name} was left out: {error.what}" for name, error in self.left_out.items()),
             *(self._signs.warnings() if signals is None or "torque" in signals else ()),

@@ -252,6 +252,7 @@ def robustness(
             make = partial(judge.drawn, first, size, number, what)
             own.append(cells.get(f"{first.name}: {sizes}, draw {number}", make))
         rows.append(replace(row(first, own, what), perturbation=name, share=share, size=vars(size)))
+    held = dict.fromkeys(note for simulator in simulators.values() for note in simulator.holding.notes)
     result = RobustnessResult(
         network=trained.card.name,
         method=trained.card.method,
@@ -260,7 +261,7 @@ def robustness(
         parts=parts,
         split=split,
         rows=tuple(rows),
-        notes=(*_off(card, signal, parts), *_foreign(card, first, simulators[first.model]), *cells.notes()),
+        notes=(*_off(card, signal, parts), *_foreign(card, first, simulators[first.model]), *cells.notes(), *held),
         settings={"shares": list(shares), "draws": draws, "seed": seed, "bootstrap_draws": bootstrap_draws},
         provenance=as_read_back(
             provenance(

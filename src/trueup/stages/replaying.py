@@ -39,7 +39,8 @@ class ReplaySummary:
         failed: episode id -> why it could not be replayed.
         seconds: wall-clock time that it took to make the run, earlier calls included [s].
         replaced: whether there was a run of this label that was made of something else.
-        notes: what is done with commands that might be meant otherwise.
+        notes: what of the model is held in the simulation, or swings in it, and what is done with commands that might
+            be meant otherwise.
     """
 
     label: str
@@ -118,6 +119,8 @@ def replay(
         "settings": settings.to_dict(),
         "provenance": provenance(config={"robot": robot.to_dict(), "model": path.name}, data_hash=dataset.hash),
     }
+    if simulator.holding.notes:
+        info["notes"] = list(simulator.holding.notes)
     refuse_run(dataset.path, label, allowed=overwrite or resume)
     earlier_s = 0.0
     keeping = label in dataset.runs and resume and not overwrite
@@ -174,7 +177,9 @@ def replay(
     if failed and not done and len(missing) == len(wanted):
         name, first = next(iter(failed.items()))
         raise DataError(f"no episode could be replayed, {name!r} because: {first.summary}", hint=first.hint)
-    return ReplaySummary(label, done, len(wanted) - len(missing), failed, seconds, notes=simulator.notes)
+    kept = len(wanted) - len(missing)
+    notes = (*simulator.notes, *simulator.holding.notes)
+    return ReplaySummary(label, done, kept, failed, seconds, notes=notes)
 
 
 def replay_unless_same(

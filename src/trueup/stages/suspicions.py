@@ -77,6 +77,15 @@ def outdated(dataset: Dataset, labels: Sequence[str]) -> list[str]:
     return sentences
 
 
+def held(dataset: Dataset, labels: Sequence[str]) -> list[str]:
+    """Sentences about what of the model is held in these simulations, or swings in them; runs that agree share one."""
+    found: dict[str, list[str]] = {}
+    for label in labels:
+        for note in dataset.run_info(label).get("notes", ()):
+            found.setdefault(str(note), []).append(label)
+    return [f"{note[:1].upper()}{note[1:]} ({', '.join(those)})." for note, those in found.items()]
+
+
 def unapplied(joint_map: JointMap | None, log_joints: Sequence[str]) -> list[str]:
     """A sentence if signs, scales or offsets stay unused because the log is in the robot's names already."""
     if joint_map is None or set(joint_map.log_joints) == set(log_joints) or set(joint_map.joints) != set(log_joints):

@@ -62,7 +62,7 @@ class SimulatedBody:
         robot = replace(robot, simulation=replace(robot.simulation, contacts=True))
         spec = load_body()
         attach_payload(spec, robot, payload_kg)
-        self.model, channels = compile_robot(spec, robot, origin=MODEL)
+        self.model, channels, _ = compile_robot(spec, robot, origin=MODEL, moves=True)
         self.payload_kg = payload_kg
         self._data = mujoco.MjData(self.model)
         self.chassis = Chassis(self.model, self._data)
