@@ -227,9 +227,9 @@ def test_commands_may_be_spoken_of_otherwise_than_measurements():
     assert episode.measured["position"] == pytest.approx(np.array([[0.1, 0.3], [0.3, 0.1]]))
     radian = np.pi / 180.0
     assert episode.command["position"] == pytest.approx(np.array([[-0.2 * radian, -0.1], [-0.4 * radian, -0.3]]))
-    with pytest.raises(NameMismatch, match="occurs twice"):
-        data["joints"]["lift"]["command"]["log"] = "a"
-        JointMap.from_dict(data).of_episode(make_episode(series, series))
+    data["joints"]["lift"]["command"]["log"] = "a"
+    with pytest.raises(NameMismatch, match="a command joint occurs twice"):
+        JointMap.from_dict(data)
 
 
 def test_stamps_are_scaled_and_those_of_commands_shifted():

@@ -48,6 +48,7 @@ class Accepted:
         after: score with it.
         others: the same change of another series that explains as much; and other changes that do.
         joints: those that it makes better.
+        far: whether these were far out of their range before.
     """
 
     proposal: Proposal
@@ -56,6 +57,7 @@ class Accepted:
     after: Score
     others: tuple[Proposal, ...]
     joints: tuple[int, ...]
+    far: bool
 
 
 def nominal(evidence: Evidence) -> Reading:
@@ -66,18 +68,36 @@ def nominal(evidence: Evidence) -> Reading:
 def accepted(evidence: Evidence, reading: Reading, lengths: Sequence[str]) -> tuple[list[Accepted], Reading]:
     """The changes, and how the logs are read with all that are certain."""
     found: list[Accepted] = []
+    sure = reading
     for _ in range(_ROUNDS):
         score = evidence.score(reading)
         best = _best(Looked(evidence, reading, score, tuple(lengths)))
         if best is None:
             break
         found.append(best)
-        if best.severity != "certain":
+        if best.severity != "certain" and not best.far:
             break
         reading = best.proposal.reading
         if best.proposal.kind not in ("delay", "control-mode"):
             reading = _usual_lag(evidence, reading)
-    return found, reading
+    # What brought joints back into their range is certain once the rest is right, too.
+    last = evidence.score(reading)
+    for place, one in enumerate(found):
+        if one.far and one.severity == "likely" and _sensible(evidence, one.proposal, last, np.array(one.joints)):
+            found[place] = replace(one, severity="certain")
+    if all(one.severity == "certain" for one in found):
+        return found, reading
+    doubtful = next(place for place, one in enumerate(found) if one.severity != "certain")
+    found = found[: doubtful + 1]
+    return found, found[doubtful - 1].proposal.reading if doubtful else sure
+
+
+def _sensible(evidence: Evidence, proposal: Proposal, score: Score, own: np.ndarray) -> bool:
+    """Whether joints that are back in their range also do about what they are told."""
+    servo = evidence.followed(proposal.reading) != "torque"
+    if not evidence.sure and not servo:
+        return True
+    return bool(score.left[own].max() < (LOST if servo else _SENSIBLE))
 
 
 def _usual_lag(evidence: Evidence, reading: Reading) -> Reading:
@@ -126,7 +146,9 @@ def _best(looked: Looked) -> Accepted | None:
             continue
         if rivals and severity == "certain":
             severity = "likely"
-        return Accepted(proposal, severity, _permuted(before, proposal.order), after, (*same, *rivals[:2]), better)
+        ordered = _permuted(before, proposal.order)
+        far = proposal.kind == "unit" and not rivals and _far_outside(ordered, after, np.array(better))
+        return Accepted(proposal, severity, ordered, after, (*same, *rivals[:2]), better, far)
     return None
 
 
@@ -182,9 +204,8 @@ def _severity(looked: Looked, proposal: Proposal, after: Score, better: tuple[in
     left, was = after.left[own], before.left[own]
     share, had = _share(after)[own], _share(before)[own]
     servo = evidence.followed(proposal.reading) != "torque"
-    sensible = left.max() < (LOST if servo else _SENSIBLE) or (servo and not evidence.sure)
     if proposal.kind == "unit" and _far_outside(before, after, own):
-        return "certain" if sensible else "likely"
+        return "certain" if _sensible(evidence, proposal, after, own) else "likely"
     if servo and was.max() > LOST and left[was > LOST].max() < _FOLLOWED:
         strong = bool(np.all(left[was > LOST] < _CERTAIN * was[was > LOST]))
     elif not servo and left.max() < _MOVED:

@@ -43,6 +43,5 @@ def setup_section(run: RunFolder) -> Section | None:
     words = f"{plural(len(rows), 'finding')} in {plural(run.checked.motions, 'motion')}."
     if certain:
         words += " What is certain has to be mended before numbers of the model mean anything."
-    return Section(
-        "setup", "Set-up: what does not fit together", {"rows": rows, "words": words, "unseen": run.checked.unseen}
-    )
+    context = {"rows": rows, "words": words, "unseen": run.checked.unseen}
+    return Section("setup", "Set-up: what does not fit together", context)
