@@ -5,6 +5,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from stages.closes import METHODS, QUICK, ROBOT, quick
@@ -14,7 +15,7 @@ from trueup.core.check_result import CheckResult
 from trueup.core.close_result import CloseResult
 from trueup.dataset import Dataset, DatasetWriter
 from trueup.identify.export import robot_yaml
-from trueup.robots import load_robot
+from trueup.robots import find_model, load_robot
 from trueup.stages import check_setup, close
 
 PAGE = (Path(__file__).parent.parent.parent / "docs" / "check.md").read_text()
@@ -147,3 +148,32 @@ def test_real_recordings_are_no_wrong_set_ups(logs, robot, tmp_path, request):
     result = check_setup(Dataset(data), load_robot(robot))
     assert result.certain == ()
     assert result.seconds < 60.0
+
+
+@pytest.mark.parametrize(
+    ("logs", "robot", "column", "factor", "kind"),
+    [
+        ("so101_logs", "so101", 1, -1.0, "sign"),
+        ("so101_logs", "so101", 2, 180.0 / np.pi, "unit"),
+        ("double_pendulum_logs", "double_pendulum", 0, -1.0, "sign"),
+        ("double_pendulum_logs", "double_pendulum", 0, 180.0 / np.pi, "unit"),
+    ],
+)
+def test_real_recordings_with_a_mistake_in_the_measurement_are_named(
+    logs, robot, column, factor, kind, tmp_path, request
+):
+    import trueup
+
+    trueup.import_logs(request.getfixturevalue(logs), tmp_path / "right")
+    given, spec = Dataset(tmp_path / "right"), load_robot(robot)
+    with DatasetWriter.create(tmp_path / "data", given.info) as writer:
+        for episode in given:
+            signals = {name: values.copy() for name, values in episode.measured.signals.items()}
+            names = [joint.log or joint.name for joint in spec.joints]
+            signals["position"][:, episode.measured.joints.index(names[column])] *= factor
+            writer.append(replace(episode, measured=replace(episode.measured, signals=signals)))
+    model = find_model(spec, folder=tmp_path / "right" / "model")
+    (found, *_) = check_setup(Dataset(tmp_path / "data"), spec, model=model).certain
+    assert (found.kind, found.joints) == (kind, (spec.joint_names[column],))
+    right = mended(spec, found.mends[0].lines)
+    assert check_setup(Dataset(tmp_path / "data"), right, model=model).certain == ()

@@ -22,6 +22,8 @@ _FOLLOWED, _MOVED = 0.05, 0.15
 _EXPLAINED, _UNEXPLAINED, _MUCH_LESS = 0.75, 0.4, 0.25
 # What a motor's torque may leave where positions were far out of range.
 _SENSIBLE = 0.5
+# Where a joint was explained not at all and leaves so many times less now, more may be left: of a servo, of a motor.
+_NOTHING, _BY_FAR, _NEARLY, _MOSTLY = 0.7, 8.0, 0.12, 0.3
 # Another explanation that is nearly as good, in the logarithm of what is left.
 _RIVAL = 0.7
 _AGREE = 0.8
@@ -144,10 +146,11 @@ def _best(looked: Looked) -> Accepted | None:
         severity = _severity(looked, proposal, after, better)
         if severity is None:
             continue
-        if rivals and severity == "certain":
+        # Of changes of one kind that are as good (which joint of two is mirrored?) one is needed.
+        if severity == "certain" and any(other.kind != proposal.kind for other in rivals):
             severity = "likely"
         ordered = _permuted(before, proposal.order)
-        far = proposal.kind == "unit" and not rivals and _far_outside(ordered, after, np.array(better))
+        far = proposal.kind == "unit" and _far_outside(ordered, after, np.array(better))
         return Accepted(proposal, severity, ordered, after, (*same, *rivals[:2]), better, far)
     return None
 
@@ -206,7 +209,10 @@ def _severity(looked: Looked, proposal: Proposal, after: Score, better: tuple[in
     servo = evidence.followed(proposal.reading) != "torque"
     if proposal.kind == "unit" and _far_outside(before, after, own):
         return "certain" if _sensible(evidence, proposal, after, own) else "likely"
-    if servo and was.max() > LOST and left[was > LOST].max() < _FOLLOWED:
+    plain = bool(np.any((was > _NOTHING) & (left * _BY_FAR < was)))
+    if plain and left.max() < (_NEARLY if servo else _MOSTLY):
+        strong = True  # it explained nothing, and explains nearly all now
+    elif servo and was.max() > LOST and left[was > LOST].max() < _FOLLOWED:
         strong = bool(np.all(left[was > LOST] < _CERTAIN * was[was > LOST]))
     elif not servo and left.max() < _MOVED:
         strong = bool(np.max(was / (left + _LEAST)) > 1.0 / _CERTAIN) and share.max() > _EXPLAINED
