@@ -32,7 +32,6 @@ ARROWS = {
     "policy": {"augment", "deploy", "identify", "measure", "robots", "sim"},
     "zoo": {"augment"},
     "ros2": {"deploy"},
-    "check": {"align", "measure", "robots", "sim"},
     "report": {"measure"},
     "stages": {
         "dataset",
@@ -43,7 +42,6 @@ ARROWS = {
         "lab",
         "record",
         "identify",
-        "check",
         "deploy",
         "augment",
         "compensate",
@@ -61,7 +59,6 @@ ARROWS = {
             "lab",
             "record",
             "identify",
-            "check",
             "deploy",
             "augment",
             "compensate",

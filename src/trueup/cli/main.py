@@ -12,7 +12,6 @@ import typer
 
 from trueup.cli import (
     augment,
-    check,
     close,
     compensate,
     convert,
@@ -45,7 +44,6 @@ for module in (
     record,
     replay,
     gap,
-    check,
     identify,
     augment,
     compensate,

@@ -3,9 +3,6 @@
 from trueup.robots.friction import JointFriction
 from trueup.robots.spec import (
     BaseSpec,
-    ClockSpec,
-    CommandSpec,
-    CommandTiming,
     ControllerSpec,
     JointGains,
     JointSpec,
@@ -22,9 +19,6 @@ from trueup.robots.spec import (
 
 __all__ = [
     "BaseSpec",
-    "ClockSpec",
-    "CommandSpec",
-    "CommandTiming",
     "ControllerSpec",
     "JointFriction",
     "JointGains",
