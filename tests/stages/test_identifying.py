@@ -96,14 +96,14 @@ def test_motions_that_are_left_out_are_said_whatever_their_split(rig, tmp_path):
     truth, model = rig
     logs = logs_of(truth, ("train", "train", "train", "val", "val", "test", "test"))
     logs[0] = replace(logs[0], command=None)  # the first one: all that looks at one motion only meets it
-    logs[3] = replace(logs[3], meta=replace(logs[3].meta, flags=(Flag("blocked", severity="warning"),)))
+    logs[3] = replace(logs[3], meta=replace(logs[3].meta, flags=(Flag("frozen", severity="warning"),)))
     lost = {**logs[5].measured.signals, "position": np.full_like(logs[5].measured["position"], np.nan)}
     logs[5] = replace(logs[5], measured=replace(logs[5].measured, signals=lost))
     data = stored(tmp_path / "data", logs)
     found = fit(data, truth.robot, tmp_path / "fit", model=model, config=CONFIG, jobs=1)
     kept = json.loads((tmp_path / "fit" / "fit.json").read_text())["data"]
     assert kept["episodes"] == ["log1", "log2"]
-    assert kept["flagged"] == {"val": {"log3": "blocked"}}
+    assert kept["flagged"] == {"val": {"log3": "frozen"}}
     assert {split: list(own) for split, own in kept["refused"].items()} == {"train": ["log0"], "test": ["log5"]}
     assert "command" in kept["refused"]["train"]["log0"]
     assert "not finite" in kept["refused"]["test"]["log5"]
