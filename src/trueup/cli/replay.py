@@ -52,8 +52,6 @@ def replay(
     )
     for name, error in summary.failed.items():
         problem(f"{name} was not replayed: {error.what}: {error.details}", error.hint)
-    for line in summary.notes:
-        note(line)
     kept = f", {summary.kept} were there" if summary.kept else ""
     for line in summary.notes:
         note(line)

@@ -149,7 +149,7 @@ def settle(spec: mujoco.MjSpec, model: mujoco.MjModel) -> bool:
 
     Args:
         spec: the model, editable; it is changed.
-        model: the same, compiled.
+        model: the same, compiled; what is held may be missing in it, and stays as it came.
 
     Returns:
         Whether there was anything.
@@ -170,15 +170,29 @@ def settle(spec: mujoco.MjSpec, model: mujoco.MjModel) -> bool:
     for actuator in spec.actuators:
         # MuJoCo's mark of a damping ratio is a bias that would speed the joint up.
         if actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and actuator.biasprm[2] > 0:
-            found = True
-            actuator.biasprm[2] = model.actuator_biasprm[actuator.id, 2]
+            row = _row(
+                model, mujoco.mjtObj.mjOBJ_ACTUATOR, actuator, whole=len(model.actuator_biasprm) == len(spec.actuators)
+            )
+            if row >= 0:
+                found = True
+                actuator.biasprm[2] = model.actuator_biasprm[row, 2]
     for joint in spec.joints:
         if np.any(joint.springdamper):
+            row = _row(model, mujoco.mjtObj.mjOBJ_JOINT, joint, whole=model.njnt == len(spec.joints))
+            if row < 0:
+                continue
             found = True
-            joint.stiffness[0] = model.jnt_stiffness[joint.id]
-            joint.damping[0] = model.dof_damping[model.jnt_dofadr[joint.id]]
+            joint.stiffness[0] = model.jnt_stiffness[row]
+            joint.damping[0] = model.dof_damping[model.jnt_dofadr[row]]
             joint.springdamper = [0.0, 0.0]
     return found
+
+
+def _row(
+    model: mujoco.MjModel, kind: mujoco.mjtObj, element: mujoco.MjsActuator | mujoco.MjsJoint, *, whole: bool
+) -> int:
+    """Number of an element in a compiled model, -1 where it is missing; by name unless all are there."""
+    return int(element.id if whole else mujoco.mj_name2id(model, kind, element.name))
 
 
 def _triangle(theta: dict[str, float]) -> Float[np.ndarray, "3 3"]:

@@ -124,7 +124,7 @@ class CloseSteps:
             step.what = words.main_number(measurement, STOCK)
         identified = self._identify(replayed) if asked("identify") else None
         trained = self._augment(identified) if asked("augment") else ()
-        notes = list(replayed.notes)
+        notes = list(replayed.command_notes)
         if trained or identified is not None:
             began = time.perf_counter()
             rungs |= _corrected(trained, "stock", replayed.seconds)

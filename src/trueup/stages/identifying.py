@@ -167,7 +167,13 @@ def fit(
             ladder.save(out / "ladder.json")
         # Only here is nothing left that an interruption could cost.
         shutil.rmtree(checkpoints, ignore_errors=True)
-        notes = (*stock.notes, *_left_out_notes(result), *_window_note(given, robot), *_version_note(result), *graybox)
+        notes = (
+            *stock.command_notes,
+            *_left_out_notes(result),
+            *_window_note(given, robot),
+            *_version_note(result),
+            *graybox,
+        )
         notes = (*notes, *measurement.gap.settings["warnings"])
         return Identified(result, (stock, fitted), measurement, ladder, notes)
 

@@ -41,6 +41,7 @@ class ReplaySummary:
         replaced: whether there was a run of this label that was made of something else.
         notes: what of the model is held in the simulation, or swings in it, and what is done with commands that might
             be meant otherwise.
+        command_notes: the latter, which `gap` does not say.
     """
 
     label: str
@@ -50,6 +51,7 @@ class ReplaySummary:
     seconds: float = 0.0
     replaced: bool = False
     notes: tuple[str, ...] = ()
+    command_notes: tuple[str, ...] = ()
 
 
 def replay(
@@ -177,9 +179,11 @@ def replay(
     if failed and not done and len(missing) == len(wanted):
         name, first = next(iter(failed.items()))
         raise DataError(f"no episode could be replayed, {name!r} because: {first.summary}", hint=first.hint)
-    kept = len(wanted) - len(missing)
-    notes = (*simulator.notes, *simulator.holding.notes)
-    return ReplaySummary(label, done, kept, failed, seconds, notes=notes)
+    return ReplaySummary(
+        *(label, done, len(wanted) - len(missing), failed, seconds),
+        notes=(*simulator.holding.notes, *simulator.notes),
+        command_notes=simulator.notes,
+    )
 
 
 def replay_unless_same(
