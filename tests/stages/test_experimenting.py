@@ -7,7 +7,7 @@ import pytest
 
 from identify.experiment_robots import Friction, log, recordings
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
-from trueup.errors import MissingSignal
+from trueup.errors import MissingSignal, NotIdentifiable
 from trueup.robots import ControllerSpec, JointSpec, RobotSpec
 from trueup.stages.experimenting import experiment
 
@@ -30,6 +30,19 @@ def ramps(folder, splits=("val", "test", "")):
     return Dataset(folder)
 
 
+def pushes(folder):
+    """Constant torques that move the same joint in both directions, each released after a second and a half."""
+    late, rows = round(DELAY_S * RATE), np.arange(3000) / RATE
+    with DatasetWriter.create(folder, DatasetInfo(robot="rig")) as writer:
+        for number, size in enumerate((0.7, 0.9, 1.1, 1.3)):
+            for way, sign in (("up", 1), ("down", -1)):
+                asked = sign * size * ((rows >= 0.5) & (rows < 2.0))
+                acting = np.concatenate([np.zeros(late), asked[:-late]])
+                position, velocity = recordings(Friction(), acting, RATE, [number])
+                writer.append(log(f"joint1_{way}-{number}", RATE, asked, position[0], velocity[0]))
+    return Dataset(folder)
+
+
 def test_splits_do_not_matter_and_the_delay_of_the_robot_is_taken_off(tmp_path):
     data = ramps(tmp_path / "data")
     found = experiment(data, ROBOT, "breakaway")
@@ -43,8 +56,14 @@ def test_splits_do_not_matter_and_the_delay_of_the_robot_is_taken_off(tmp_path):
 
 @pytest.mark.parametrize("kind", ["constant-torque", "coast"])
 def test_the_delay_reaches_the_other_experiments(tmp_path, kind):
-    found = experiment(ramps(tmp_path / "data"), ROBOT, kind)
+    found = experiment(pushes(tmp_path / "data"), ROBOT, kind)
     assert found.settings["delay_s"] == {"joint1": DELAY_S}
+
+
+@pytest.mark.parametrize("kind", ["constant-torque", "coast"])
+def test_ramps_isolate_nothing_for_the_other_experiments(tmp_path, kind):
+    with pytest.raises(NotIdentifiable, match="no recording could be used"):
+        experiment(ramps(tmp_path / "data"), ROBOT, kind)
 
 
 def test_a_recording_without_a_command_is_rejected_by_name(tmp_path):
