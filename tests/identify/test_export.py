@@ -120,9 +120,12 @@ def test_isaac_is_told_what_a_geared_drive_does_at_the_joint(tmp_path):
         '<velocity name="e" joint="elbow" kv="3" gear="-2"/></actuator>'
     )
     path.write_text(ARM.replace("</mujoco>", f"{drives}</mujoco>"))
-    joints = (JointSpec("shoulder"), JointSpec("elbow"))
-    robot = RobotSpec("arm", joints, "arm.xml", controller=ControllerSpec(kind="model", command="position"))
-    actuators, text = settings_of(Nominal(robot, path))
+    actuators, text = {}, ""
+    for joint, command in (("shoulder", "position"), ("elbow", "velocity")):
+        controller = ControllerSpec(kind="model", command=command)
+        own, said = settings_of(Nominal(RobotSpec("arm", (JointSpec(joint),), "arm.xml", controller=controller), path))
+        actuators |= own
+        text += said
     model = mujoco.MjModel.from_xml_path(str(path))
 
     def torque(position=(0.0, 0.0), velocity=(0.0, 0.0)):
