@@ -136,7 +136,8 @@ def test_a_pose_of_the_base_may_be_stated(tmp_path):
     rest[:7] = [0.5, 1.0, 2.0, np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0]
     same_dynamics(whole, model, ARM, rest)
     assert "in the pose of robot.yaml" in holding.notes[0]
-    partly = held(BIPED, robot(base=BaseSpec("home", position=(0.5, 1.0, 2.0))), tmp_path)[1]
+    _, partly, holding = held(BIPED, robot(base=BaseSpec("home", position=(0.5, 1.0, 2.0))), tmp_path)
+    assert "at keyframe 'home', in the position of robot.yaml" in holding.notes[0]
     assert np.allclose(mujoco.MjData(partly).qpos, partly.qpos0)
     rest[3:7] = whole.key("home").qpos[3:7] / np.linalg.norm(whole.key("home").qpos[3:7])
     same_dynamics(whole, partly, ARM, rest)

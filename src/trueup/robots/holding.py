@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from functools import cached_property, reduce
 from pathlib import Path
 
 import mujoco
@@ -170,7 +170,7 @@ class _Search:
             keys=self._keys(dropped, set(gone.get("actuators", ()))),
         )
 
-    @property
+    @cached_property
     def driving(self) -> set[int]:
         """Actuators whose inputs are held at those of the keyframe: of joints that are not named and not locked."""
         found = set()
@@ -305,8 +305,7 @@ class _Search:
 
     def _base_moved(self, row: int, body: int) -> Pose:
         base, model = self._robot.base, self._model
-        if base is None:
-            raise AssertionError("only a base that is held has a pose")
+        assert base is not None
         place = self._place(body)
         pose = place
         if base.held is True and base.position is None and base.rotation is None:
@@ -429,7 +428,11 @@ class _Search:
         if bases and base is not None:
             body = _listed(repr(model.body(int(model.jnt_bodyid[row])).name) for row in bases)
             where = f"at keyframe {base.held!r}" if isinstance(base.held, str) else "where the model has it"
-            where = "in the pose of robot.yaml" if base.position and base.rotation else where
+            stated = [name for name in ("position", "rotation") if getattr(base, name) is not None]
+            if stated:
+                where = (
+                    "in the pose of robot.yaml" if len(stated) == 2 else f"{where}, in the {stated[0]} of robot.yaml"
+                )
             yield f"the base floats in the model and is held {where}: {body}"
         key = "" if self._key is None else model.key(self._key).name
         frame = f"keyframe {key!r}" if key else "the model's keyframe"
