@@ -9,6 +9,10 @@ ELSEWHERE = {
         "core, errors": "tests/test_architecture.py::test_every_part_has_an_arrow_and_stands_in_the_architecture_page"
     },
     "augmentation": {"[python]": "tests/docs/test_augmentation_docs.py::test_the_python_of_the_page_runs"},
+    "check": {
+        "error: shoulder": "tests/stages/test_checking.py::test_the_page_shows_what_is_printed",
+        "[json]": "tests/stages/test_checking.py::test_the_page_shows_what_is_printed",
+    },
     "compensation-online": {"[python]": "tests/docs/test_compensation_online.py::test_the_python_of_the_page_runs"},
     "extending": {
         "[text]": "tests/docs/test_extending.py::test_the_format_is_detected_and_read",
@@ -58,8 +62,6 @@ HERE = {
     "robots": {
         "- {name: gripper": "test_the_jaw_of_the_so101_is_described_as_its_robot_has_it",
         "controller: {kind: torque}": "test_a_robot_that_takes_torques_is_described_so",
-        "base: held": "test_the_ways_to_hold_a_base_and_other_joints_are_read",
-        "unlisted: lock": "test_the_ways_to_hold_a_base_and_other_joints_are_read",
     },
     "runtime": {"[cpp]": "test_the_states_of_a_network_are_named_as_in_cpp"},
 }

@@ -24,8 +24,8 @@ from trueup.identify.config import SolverChoice, make_parameters
 from trueup.identify.costs import PenalizedSquares, roles_of
 from trueup.identify.solution import Checkpoint, fingerprint_of
 from trueup.identify.solvers import GaussNewtonSettings
-from trueup.identify.uncertainty import fitted_parameters, posterior_of
-from trueup.identify.verdict import verdict
+from trueup.identify.uncertainty import fitted_parameters, posterior_of, whiteness_of
+from trueup.identify.verdict import Evidence, verdict
 
 TARGET = np.array([0.9, -0.7])
 
@@ -281,11 +281,12 @@ def test_the_evolution_strategy_knows_the_joint_of_an_encoder_zero(tmp_path):
 def judged(problem, solution, errors=None):
     posterior = posterior_of(problem, solution.z, solution.residual, solution.jacobian)
     items = fitted_parameters(posterior)
+    left = {name: replace(item, white=True) for name, item in whiteness_of(problem, solution.residual).items()}
     errors = errors or {
         "nominal": {"val": Estimate(2.0, "rad", 1.9, 2.1)},
         "fitted": {"val": Estimate(1.0, "rad", 0.9, 1.1)},
     }
-    return verdict(solution, items, errors, (), chosen_by_user=True, torque_seen=True)
+    return verdict(Evidence(solution, items, left, errors, {}, chosen_by_user=True, torque_seen=True), ())
 
 
 def test_the_test_motions_decide_nothing_about_the_status(small):

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 _STYLE = {"yes": "", "weakly": "yellow", "no": "red"}
 _HINT = {
     "not-identifiable": "Record motions that show these parameters (see the remarks in the table), or freeze them.",
+    "unexplained": "Let the fit have what is missing (models: …), or use the model for motions like these only.",
+    "signal-worse": "Check sign, scale and unit of that signal, or weigh it (signals: {torque: …}) and fit again.",
     "at-bound": "Widen the bound in the configuration, or doubt the structure of the model.",
     "not-converged": "Allow more iterations, evaluations, seconds or starts (solver: …); run again with --overwrite.",
     "no-better": "Check that robot, model and logs belong together: joint map, units, delays, payload.",
@@ -33,7 +35,8 @@ def parameter_table(fit: FitResult) -> Table:
     table.add_column("how sure", overflow="fold")
     for item in fit.free:
         low, high = item.interval
-        style = "red" if item.at_bound and item.low != item.value != 0.0 else _STYLE[item.identified]
+        stuck = item.at_bound and not item.absent and item.low != item.value != 0.0
+        style = "red" if stuck else _STYLE[item.identified]
         table.add_row(
             escape(item.name),
             "none" if item.nominal is None else f"{item.nominal:.4g}",

@@ -12,6 +12,7 @@ import typer
 
 from trueup.cli import (
     augment,
+    check,
     close,
     compensate,
     convert,
@@ -44,6 +45,7 @@ for module in (
     record,
     replay,
     gap,
+    check,
     identify,
     augment,
     compensate,

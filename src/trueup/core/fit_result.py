@@ -17,7 +17,7 @@ FIT_SCHEMA = "trueup.fit/1"
 STOCK_ROBOT, FIT_CONFIG = "robot.stock.yaml", "fit.config.yaml"
 
 # From good to bad; the status of a fit is the worst that applies.
-FitStatus = Literal["ok", "not-identifiable", "at-bound", "not-converged", "no-better"]
+FitStatus = Literal["ok", "unexplained", "not-identifiable", "at-bound", "signal-worse", "not-converged", "no-better"]
 Identified = Literal["yes", "weakly", "no"]
 
 
@@ -43,6 +43,7 @@ class FittedParameter:
         transform: `log` or `linear`; on which scale the interval is symmetric.
         frozen: it was not fitted.
         label: what its quantity is, in words.
+        absent: it ended on its lower bound, where the robot has next to none of it.
     """
 
     name: str
@@ -61,6 +62,7 @@ class FittedParameter:
     transform: Literal["linear", "log"]
     frozen: bool = False
     label: str = ""
+    absent: bool = False
 
 
 @dataclass(frozen=True)
@@ -85,12 +87,15 @@ class Whiteness:
         correlation_s: time over which the residual is correlated with itself [s]; noise alone has none.
         white: whether it looks like noise: nothing is left that a model could explain.
         sentence: the same in words.
+        noise: of the measurement, as the residual's third differences show it [unit of the signal]; None in older
+            files.
     """
 
     rms: float
     correlation_s: float
     white: bool
     sentence: str
+    noise: float | None = None
 
 
 @dataclass(frozen=True)
@@ -121,9 +126,12 @@ class FitResult:
     """What an identification found, and how sure that is.
 
     Attributes:
-        status: the worst of what applies: `ok`; `not-identifiable` (the data do not determine some parameter);
-            `at-bound` (a parameter ended on a bound); `not-converged`; `no-better` (on val, or on
-            train without one, the fitted model is no better than the nominal one).
+        status: the worst of what applies: `ok`; `unexplained` (more is left than the noise of the measurement, so
+            numbers may make up for what the model lacks); `not-identifiable` (the data do not determine a parameter
+            that
+            was asked for, or none at all); `at-bound` (a parameter ended on a bound); `signal-worse` (a logged signal
+            is simulated worse than before); `not-converged`; `no-better` (on val, or on train without one, the fitted
+            model is no better than the nominal one, or than the command taken as the motion).
         statements: what a user must know before trusting the numbers, most important first.
         solver: name, why it was chosen, why it stopped, iterations, evaluations, seconds, settings; `short_of_time`:
             models whose search a time limit has ended or kept from beginning, if any; of several starts `starts`,
@@ -133,7 +141,10 @@ class FitResult:
         directions: combinations that the data leave open, the worst first.
         whiteness: joint -> what is left.
         models: the models that were tried, if more than one.
-        errors: run (`nominal`, `fitted`) -> split -> error of the fitted signal, with interval.
+        errors: run (`nominal`, `fitted`, and `command` where a position is commanded) -> split -> error of the
+            position, with interval.
+        signals: logged signal -> joint -> root mean square error of the nominal and of the fitted model, on val, or on
+            train without one [unit of the signal].
         data: what it was fitted to: episodes, pieces, seconds, windows, what was left out and why.
         provenance: versions, git hash, seed, data hash, configuration.
     """
@@ -147,6 +158,7 @@ class FitResult:
     whiteness: Mapping[str, Whiteness]
     models: tuple[ModelRow, ...] = ()
     errors: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
+    signals: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
     data: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
@@ -204,6 +216,9 @@ class FitResult:
                 }
                 for row in self.models
             ],
+            "signals": {
+                signal: {joint: list(pair) for joint, pair in own.items()} for signal, own in self.signals.items()
+            },
             "data": dict(self.data),
             "provenance": dict(self.provenance),
         }
@@ -243,6 +258,10 @@ class FitResult:
             errors={
                 run: {split: Estimate.from_json(error) for split, error in splits.items()}
                 for run, splits in data["errors"].items()
+            },
+            signals={
+                signal: {joint: (float(before), float(after)) for joint, (before, after) in own.items()}
+                for signal, own in data.get("signals", {}).items()  # of files that were written before there were any
             },
             data=data["data"],
             provenance=data["provenance"],

@@ -21,22 +21,26 @@ from trueup.robots.friction import LAWS
 
 _LAWS = {name: tuple(number.name for number in law.numbers if number.excite) for name, law in LAWS.items() if law.tried}
 # Closed loop: the servo holds the joint near its command, so whole motions can be compared.
-_SERVO_FIT = ("delay_s", "kp", "damping", "frictionloss", "armature", "torque_offset")
+# Gains are what somebody had to invent; masses are what CAD has weighed, and stay near it.
+_WEIGHED = {"prior_std": 0.1}
+_SERVO_FIT: Mapping[str, Any] = {
+    **dict.fromkeys(("delay_s", "kp", "kv", "damping", "frictionloss", "armature", "torque_offset"), "all"),
+    "mass": _WEIGHED,
+}
 _SERVO_MODELS = {
-    "gravity": ("mass",),
-    "drive": ("kv", "torque_limit"),
+    "limits": ("torque_limit",),
     "integral": ("ki",),
     **_LAWS,
 }
 # A velocity servo has no other gain, and its error in speed tells it from friction.
-_VELOCITY_FIT = ("delay_s", "kv", "damping", "frictionloss", "armature", "torque_offset")
-_VELOCITY_MODELS = {**_SERVO_MODELS, "drive": ("torque_limit",)}
+_VELOCITY_FIT = {name: choice for name, choice in _SERVO_FIT.items() if name != "kp"}
+_VELOCITY_MODELS = _SERVO_MODELS
 # Open loop: the torque is known, so masses and inertias can be told from friction.
 # (Incremental encoders are zeroed where the arm happens to hang: each recording has zeros of its own.)
-_TORQUE_FIT = (
-    *("delay_s", "damping", "frictionloss", "armature", "encoder_zero"),
-    *("mass", "com_x", "com_y", "com_z", "inertia_scale"),
-)
+_TORQUE_FIT: Mapping[str, Any] = {
+    **dict.fromkeys(("delay_s", "damping", "frictionloss", "armature", "encoder_zero"), "all"),
+    **dict.fromkeys(("mass", "com_x", "com_y", "com_z", "inertia_scale"), "all"),
+}
 _TORQUE_MODELS = {
     "torque-offset": ("torque_offset",),
     "torque-gain": ("torque_gain",),
@@ -88,6 +92,7 @@ class DataChoice:
             seed,
             robot.replay.settle_s,
             robot.simulation.base_sensor,
+            robot.replay.command,
         )
 
 
@@ -178,7 +183,7 @@ class IdentifyConfig:
             ConfigError: `models` names a quantity that no scored joint has.
         """
         usual_fit, usual_models = _usual(nominal)
-        fit = self.fit or dict.fromkeys(usual_fit, "all")
+        fit = self.fit or usual_fit
         models = self.models
         if models is None:
             models = {} if self.fit else usual_models
@@ -197,9 +202,9 @@ class IdentifyConfig:
         return asdict(self)
 
 
-def _usual(nominal: Nominal) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]]]:
+def _usual(nominal: Nominal) -> tuple[dict[str, Any], dict[str, tuple[str, ...]]]:
     """What is fitted, and what is tried on top, if nobody says."""
-    fit: tuple[str, ...]
+    fit: Mapping[str, Any]
     if nominal.robot.controller.signal == "torque":
         fit, models = _TORQUE_FIT, _TORQUE_MODELS
     elif _all(quantity("kp"), nominal):
@@ -207,7 +212,7 @@ def _usual(nominal: Nominal) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]
     else:
         fit, models = _VELOCITY_FIT, _VELOCITY_MODELS
     there = {name: _there(own, nominal) for name, own in models.items()}
-    return _there(fit, nominal), {name: own for name, own in there.items() if own}
+    return {name: fit[name] for name in _there(tuple(fit), nominal)}, {name: own for name, own in there.items() if own}
 
 
 def _there(names: Sequence[str], nominal: Nominal) -> tuple[str, ...]:

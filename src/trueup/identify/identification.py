@@ -20,7 +20,7 @@ from trueup.identify.problem import Problem
 from trueup.identify.scoring import Scorer, judged
 from trueup.identify.solution import OnModel
 from trueup.identify.uncertainty import Posterior, fitted_parameters, open_directions, whiteness_of
-from trueup.identify.verdict import correlations, verdict
+from trueup.identify.verdict import Evidence, correlations, verdict
 from trueup.robots import RobotSpec
 
 
@@ -102,7 +102,8 @@ def identify(
         cluster=cluster,
     )
     best, tried = search.climb()
-    solution, problem, posterior = best.solution, search.problem_of(best), search.posterior_of(best).of_model()
+    solution, problem = best.solution, search.problem_of(best)
+    posterior = search.certain_posterior(best).of_model()
     parameters = fitted_parameters(posterior)
     rows = tuple(search.scored_row(item, chosen=item is best) for item in tried)
     soft = Scorer(Nominal(robot, model, hard_friction=False), search.usable, jobs=jobs, seed=seed)
@@ -110,13 +111,17 @@ def identify(
         "nominal": {split: soft.score(ParameterSet(()), {}, split).estimate(soft.unit) for split in search.judged},
         "fitted": dict(next(row for row in rows if row.chosen).splits),
     }
+    commanded = {split: error for split in soft.splits if (error := soft.command(split)) is not None}
+    errors |= {"command": commanded} if commanded else {}
+    judge = "val" if "val" in soft.splits else next(iter(soft.splits))
+    before, after = soft.signals(ParameterSet(()), {}, judge), search.signals(best, judge)
+    signals = {
+        signal: {joint: (error, after[signal][joint]) for joint, error in own.items()} for signal, own in before.items()
+    }
+    whiteness = whiteness_of(problem, solution.residual)
+    evidence = Evidence(solution, parameters, whiteness, errors, signals, search.chosen_by_user, search.torque_seen)
     status, statements = verdict(
-        solution,
-        parameters,
-        errors,
-        (*search.seen.statements, *search.notes, *_untried(search.untried)),
-        chosen_by_user=search.chosen_by_user,
-        torque_seen=search.torque_seen,
+        evidence, (*search.ways_in_words, *search.seen.statements, *search.notes, *_untried(search.untried))
     )
     result = FitResult(
         status=status,
@@ -125,9 +130,10 @@ def identify(
         parameters=parameters,
         correlation=correlations(posterior),
         directions=open_directions(posterior),
-        whiteness=whiteness_of(problem, solution.residual),
+        whiteness=whiteness,
         models=rows,
         errors=errors,
+        signals=signals,
         data={**search.data, "encoder_zeros": search.encoder_zeros(best)},
         provenance=provenance(
             config={"robot": robot.to_dict(), "model": model.name, "identify": search.config.to_json()},
@@ -135,7 +141,7 @@ def identify(
             data_hash=data_hash,
         ),
     )
-    return Identification(result, nominal, posterior.parameters, posterior)
+    return Identification(result, search.nominal, posterior.parameters, posterior)
 
 
 def refuse_one_start(config: IdentifyConfig | None) -> None:

@@ -35,8 +35,8 @@ _SETTLE_S = 1.0
 class PlannedInformation:
     """The Fisher information of one planned motion: J^T W J of the free parameters of the model, in z.
 
-    J holds the derivatives of what would be recorded, taken as a fit takes them: one-sided differences over a batch of
-    simulations. W is the inverse variance of every sample; samples are taken as independent. Numbers that each
+    J holds the derivatives of what would be recorded, by central differences over a batch of simulations. W is the
+    inverse variance of every sample; samples are taken as independent. Numbers that each
     recording has of its own (`encoder_zero`) are unknown, so what they could explain is taken off (the Schur
     complement of their block).
 
@@ -121,7 +121,7 @@ class PlannedInformation:
         for _, signal, rows in problem.by_segment(std):
             rows[:] = self._std[signal][problem.columns] * problem.scale
         search = Search(problem, SolveSettings(), Stopwatch(), checkpoint=None, on_progress=None)
-        jacobian = search.start_jacobian() / std
+        jacobian = search.certain_jacobian(problem.parameters.start) / std
         return of_model(self._all, jacobian @ jacobian.T)
 
     def _expected(

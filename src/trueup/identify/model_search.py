@@ -9,28 +9,50 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from trueup.core.episode import Episode
 from trueup.core.fit_result import ModelRow
 from trueup.core.parameters import ParameterSet
 from trueup.core.ray_workers import Cluster
 from trueup.core.time_limit import TimeLimit
-from trueup.errors import NotIdentifiable
+from trueup.errors import NotIdentifiable, TrueupError
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import IdentifyConfig, make_parameters
+from trueup.identify.discretization import (
+    DECIDED,
+    Alternative,
+    Discretization,
+    alternative,
+    finer,
+    in_words,
+    probability,
+)
 from trueup.identify.excitation import excitation_of, freeze_still
 from trueup.identify.problem import Problem, Weights
 from trueup.identify.quantities import quantity
 from trueup.identify.scoring import Scorer, Scores
-from trueup.identify.segments import make_segments, usable
+from trueup.identify.search import Search, Stopwatch
+from trueup.identify.segments import Segment, make_segments, usable
 from trueup.identify.solution import OnModel, Solution
 from trueup.identify.solve import solve
-from trueup.identify.start import idle_names, off_bounds, regressed_start, swept_start
-from trueup.identify.uncertainty import Posterior, absent_names, noise_of, open_names, posterior_of, rounded
+from trueup.identify.start import idle_names, off_bounds, regressed_start, servo_regressed, swept_start
+from trueup.identify.uncertainty import (
+    Posterior,
+    noise_of,
+    posterior_of,
+    remaining_step,
+    rounded,
+    unexplained,
+    whiteness_of,
+)
 
 # A richer model must make motions that it was not fitted to better by this share.
 _WORTH = 0.01
 # A search of a model that is only compared ends when an iteration lowers the cost by less than this share.
 _ROUGH = 0.005
+# What is left is the noise of the measurement up to this ratio.
+EXPLAINED = 1.1
 # Shares of a time limit at which the base model ends, no richer one is begun, these end, and the best one ends.
 _BASE, _LAST_BEGIN, _RICHER, _BEST = 0.5, 0.65, 0.75, 0.9
 
@@ -60,7 +82,7 @@ class ModelSearch:
         limit: TimeLimit | None = None,
         cluster: Cluster | None = None,
     ) -> None:
-        self.nominal, self._jobs = nominal, jobs
+        self._jobs, self._seed = jobs, seed
         self._limit, self._cluster = limit, cluster
         self.untried: list[str] = []
         self.short_of_time: list[str] = []
@@ -78,19 +100,32 @@ class ModelSearch:
         self.notes = () if nominal.robot.payload else _payload_note(self._train)
         self._signal = nominal.robot.controller.signal
         self.seen = excitation_of(self._train, nominal.robot.scored_joints, self._signal, nominal.commanded_limits)
-        rule = self.config.data.rule(nominal.robot, seed)
-        self._segments, refused = make_segments(self._train, nominal.simulator, rule)
-        self._unfitted = {name: error.summary for name, error in refused.items()}
-        self.motions = [segment.episode_id for segment in self._segments]
         self._weights = Weights(self.config.signals, self.config.joints)
-        self._scorer = Scorer(nominal, self.usable, jobs=jobs, seed=seed)
         self._settings = self.config.solver.settings(seed)
+        self._timestep_s = nominal.simulator.timestep_s
+        self._own = self.way = Discretization(command=nominal.robot.replay.command)
+        self._cut: dict[Discretization, tuple[Nominal, list[Segment]]] = {}
+        segments, refused = self._segments_of(nominal)
+        self._cut[self.way] = nominal, segments
+        self._unfitted = {name: error.summary for name, error in refused.items()}
+        self.motions = [segment.episode_id for segment in segments]
+        self._scorer = Scorer(nominal, self.usable, jobs=jobs, seed=seed)
+        self._finer: Alternative | None = None
+        self._undecided: dict[str, float] = {}
 
     def climb(self) -> tuple[TriedModel, list[TriedModel]]:
         """Fit the base model, then richer ones, then without what the motions do not show; the best, and all."""
         models = self.config.models or {}
-        best = self._try("base", self.config.fit, rough=bool(models), limit=self._until(_BASE))
-        tried, fit = [best], dict(self.config.fit)
+        fit = dict(self.config.fit)
+        # Before anything richer is tried: other models would make up for a wrong step, or timing, with their numbers.
+        best = self._timed(fit, rough=bool(models))
+        best = self._settled(best, fit, rough=bool(models), limit=self._until(_BASE))
+        tried = [best]
+        if self._explained(best):
+            # Nothing is left that a richer model could explain.
+            models = {}
+            best = self._further(best, fit, "to the end", (), limit=self._until(_BEST))
+            tried = [best]
         # What changes nothing near the solution is left out from here on; far from it, nothing can be told.
         idle = self._idle(best)
         for name, extra in models.items():
@@ -108,23 +143,18 @@ class ModelSearch:
             idle = [*idle, *(name for name in self._idle(best) if name not in idle)]
             finished = self._to_the_end(best, fit, idle)
             tried[tried.index(best)] = best = finished
-        known = self.posterior_of(best).of_model()
-        absent = absent_names(known)
-        surplus = [] if self.chosen_by_user else open_names(known)
-        timely = self._limit is None or not self._limit.over
-        if timely and surplus and len(surplus) + len(absent) < len(known.parameters.free):
-            leaner = self._try(
-                f"{best.row.name}, known only",
-                fit,
-                best.solution,
-                left_out=[*idle, *surplus],
-                absent=absent,
-                limit=self._limit,
-            )
-            tried.append(leaner)
-            if _as_good(leaner, best):
-                best = leaner
-        return best, tried
+        if self._limit is not None and self._limit.over:
+            return best, tried
+        settled = self._settled(best, fit, left_out=self._frozen(best), limit=self._limit)
+        certain = self._certain(settled)
+        self._finer = self._compared(certain)
+        # Its numbers are those of the robot, and not of a time step.
+        low, high = certain.solution.parameters.bounds
+        change = 0.0 if self._finer is None else self._finer.to_step_zero(self.way)
+        z = np.clip(certain.solution.z + change, low, high)
+        certain = replace(certain, solution=replace(certain.solution, z=z))
+        tried[tried.index(best)] = certain
+        return certain, tried
 
     def encoder_zeros(self, item: TriedModel) -> dict[str, float]:
         """What single recordings were off by, where that was fitted: `MOTION:JOINT` -> [rad or m]."""
@@ -139,9 +169,30 @@ class ModelSearch:
         return self._problem(item.solution.parameters)
 
     def posterior_of(self, item: TriedModel) -> Posterior:
-        """What is known after a model's fit."""
+        """What is known after a model's fit, by its own derivatives."""
         found = item.solution
         return posterior_of(self.problem_of(item), found.z, found.residual, found.jacobian)
+
+    def certain_posterior(self, item: TriedModel) -> Posterior:
+        """What is known after a fit, with what another discretization, or the end of its search, would bring."""
+        found, problem = item.solution, self.problem_of(item)
+        known = posterior_of(problem, found.z, found.residual, found.jacobian)
+        # The robot takes new commands at a rate of its own, and holds them: by half of that time they are later.
+        unknown = np.zeros(found.z.size)
+        if self.way.command != "held":
+            late = 0.125 * self._period_s
+            unknown = np.array([late / item.scale * (item.quantity == "delay_s") for item in found.parameters.free])
+        timing = np.array([self._undecided.get(item.name, 0.0) for item in found.parameters.free])
+        step = 0.0 if self._finer is None else self._finer.unknown(self.way)
+        left = remaining_step(problem, found.z, found.residual, found.jacobian)
+        return known.widened([left, timing, step * np.ones(found.z.size), unknown])
+
+    def _certain(self, item: TriedModel) -> TriedModel:
+        """The same model with verified derivatives, at the minimum that these see."""
+        found, problem = item.solution, self.problem_of(item)
+        search = Search(problem, self._settings, Stopwatch(), checkpoint=None, on_progress=None)
+        solution = replace(found, **search.certain(found.z))
+        return replace(item, solution=solution, val=self._on_val(solution))
 
     def scored_row(self, item: TriedModel, *, chosen: bool) -> ModelRow:
         """The row of the table of models, with its errors; where the time is over, on val alone if it is not chosen."""
@@ -159,6 +210,10 @@ class ModelSearch:
             per_joint={split: own.per_joint for split, own in scores.items()},
             chosen=chosen,
         )
+
+    def signals(self, item: TriedModel, split: str) -> dict[str, dict[str, float]]:
+        """Logged signal -> joint -> error of one model on one split."""
+        return self._scorer.signals(item.solution.parameters, item.solution.values, split)
 
     @cached_property
     def judged(self) -> tuple[str, ...]:
@@ -194,9 +249,12 @@ class ModelSearch:
     @property
     def data(self) -> dict[str, Any]:
         """What was fitted to."""
+        _, segments = self._simulated(self.way)
         return {
-            "episodes": sorted({segment.episode_id for segment in self._segments}),
-            "seconds": round(sum(segment.seconds for segment in self._segments), 2),
+            "episodes": sorted({segment.episode_id for segment in segments}),
+            "seconds": round(sum(segment.seconds for segment in segments), 2),
+            "timestep_s": self.nominal.simulator.timestep_s,
+            "command": self.way.command,
             "window_s": self.config.data.window_s,
             "replay_window_s": self.nominal.robot.replay.window_s,
             "samples": self._problem(ParameterSet(())).size,
@@ -210,8 +268,113 @@ class ModelSearch:
         train = {**self._scorer.refused.get("train", {}), **self._unfitted}
         return {**self._scorer.refused, **({"train": train} if train else {})}
 
-    def _problem(self, parameters: ParameterSet) -> Problem:
-        return Problem(self.nominal, parameters, self._segments, weights=self._weights, jobs=self._jobs)
+    @property
+    def nominal(self) -> Nominal:
+        """The model as it came, simulated as the fit does."""
+        return self._simulated(self.way)[0]
+
+    @property
+    def ways_in_words(self) -> tuple[str, ...]:
+        """How the fit simulates otherwise than the robot's description says."""
+        return in_words(self.way, self._own, self._timestep_s)
+
+    def _simulated(self, way: Discretization) -> tuple[Nominal, list[Segment]]:
+        """The model and the pieces of the logs for one way to simulate them."""
+        if way not in self._cut:
+            own, _ = self._cut[self._own]
+            nominal = Nominal(way.of(own.given, self._timestep_s), own.path)
+            self._cut[way] = nominal, self._segments_of(nominal)[0]
+        return self._cut[way]
+
+    def _segments_of(self, nominal: Nominal) -> tuple[list[Segment], dict[str, TrueupError]]:
+        rule = self.config.data.rule(nominal.robot, self._seed)
+        return make_segments(self._train, nominal.simulator, rule)
+
+    def _problem(self, parameters: ParameterSet, way: Discretization | None = None) -> Problem:
+        """The fit, simulated as it is now or in another way."""
+        way = way or self.way
+        nominal, segments = self._simulated(way)
+        # The derivatives of the larger step serve as well, and take a fraction of the time.
+        coarse = self._problem(parameters, replace(way, divisor=1)) if way.divisor > 1 else None
+        return Problem(nominal, parameters, segments, weights=self._weights, jobs=self._jobs, coarse=coarse)
+
+    def _timed(self, fit: Mapping[str, Any], *, rough: bool) -> TriedModel:
+        """The base model, with the command held between its stamps or moving on, whichever explains the logs better.
+
+        Both are searched from the same start: a fit that has made up for the wrong one with its numbers is far away.
+        """
+        limit = self._until(_BASE)
+        best = self._try("base", fit, rough=rough, limit=limit)
+        if not self._between_stamps:
+            return best
+        other = Discretization(command="linear" if self.way.command == "held" else "held")
+        before, self.way = self.way, other
+        # A held command is late by half of the time between two.
+        later = 0.5 * self._period_s * (1.0 if other.command == "linear" else -1.0)
+        begun = best.solution.parameters
+        delays = {item.name: item.value + later for item in begun.free if item.quantity == "delay_s"}
+        tried = self._try(f"base, {other.command}", fit, begun=begun.at(delays), rough=rough, limit=limit)
+        samples = noise_of(self.problem_of(tried), tried.solution.residual).effective
+        gain = 2.0 * samples * float(np.log(best.solution.rms / max(tried.solution.rms, 1e-300)))
+        if abs(gain) < DECIDED:
+            ends = best.solution, tried.solution
+            one, other_one = (
+                {item.name: item.to_z(own.values[item.name]) for item in own.parameters.free} for own in ends
+            )
+            root = probability(-abs(gain)) ** 0.5
+            self._undecided = {name: root * (other_one[name] - one[name]) for name in one if name in other_one}
+        if gain > 0 and (gain > DECIDED or best.solution.rms > tried.solution.rms):
+            self._scorer = Scorer(self.nominal, self.usable, jobs=self._jobs, seed=self._seed)
+            return replace(tried, row=replace(tried.row, name="base"), val=self._on_val(tried.solution))
+        self.way = before
+        return best
+
+    @property
+    def _between_stamps(self) -> bool:
+        """Whether there are simulation steps between the stamps of a command that moves."""
+        return self._period_s > 1.5 * self._timestep_s
+
+    @cached_property
+    def _period_s(self) -> float:
+        """Usual time between two commands [s]."""
+        steps = [np.diff(log.commanded().time_s) for log in self._train]
+        return float(np.median(np.concatenate(steps))) if any(own.size for own in steps) else 0.0
+
+    def _explained(self, item: TriedModel) -> bool:
+        """Whether what a fit leaves is no more than the noise of the measurement."""
+        left = whiteness_of(self.problem_of(item), item.solution.residual)
+        return unexplained(left) < EXPLAINED
+
+    def _on_val(self, solution: Solution) -> Scores | None:
+        if "val" not in self._scorer.splits:
+            return None
+        return self._scorer.score(solution.parameters, solution.values, "val")
+
+    def _settled(
+        self,
+        best: TriedModel,
+        fit: Mapping[str, Any],
+        *,
+        left_out: Sequence[str] = (),
+        rough: bool = False,
+        limit: TimeLimit | None = None,
+    ) -> TriedModel:
+        """The same model, fitted with a quarter of the time step if numbers depend on it and the data do not object."""
+        self._finer = self._compared(best)
+        if self._finer is None or not self._finer.matters(self.way, self.posterior_of(best).std):
+            return best
+        self.way = self._finer.way
+        self._scorer = Scorer(self.nominal, self.usable, jobs=self._jobs, seed=self._seed)
+        return self._further(best, fit, "finer", left_out, rough=rough, limit=limit)
+
+    def _compared(self, item: TriedModel) -> Alternative | None:
+        """What a finer time step would find."""
+        found, problem = item.solution, self.problem_of(item)
+        residual, way = problem.residuals(found.z[None])[0], finer(self.way)
+        return alternative(problem, found.z, residual, found.jacobian, self._problem(found.parameters, way), way)
+
+    def _frozen(self, item: TriedModel) -> list[str]:
+        return [parameter.name for parameter in item.solution.parameters if parameter.frozen]
 
     def _try(
         self,
@@ -224,8 +387,13 @@ class ModelSearch:
         rough: bool = False,
         starts: int | None = None,
         limit: TimeLimit | None = None,
+        begun: ParameterSet | None = None,
     ) -> TriedModel:
-        """Fit one model; `left_out` stays as the nominal model has it, `absent` at zero; `rough` to compare with."""
+        """Fit one model, from where another search ended (`start`) or began (`begun`), or from afar.
+
+        Of its parameters, `left_out` stays as the nominal model has it and `absent` at zero; `rough` is to compare
+        with.
+        """
         began = time.perf_counter()
         parameters = freeze_still(make_parameters(fit, self.nominal, self.motions), self.seen).freeze(left_out)
         parameters = parameters.at(dict.fromkeys(absent, 0.0)).hold(absent)
@@ -234,7 +402,9 @@ class ModelSearch:
             newton = settings.gauss_newton
             newton = replace(newton, tolerance=max(newton.tolerance, _ROUGH))
             settings = replace(settings, gauss_newton=newton)
-        if start is None:
+        if begun is not None:
+            problem = self._problem(off_bounds(parameters.at({item.name: item.value for item in begun})))
+        elif start is None:
             problem = self._started(self._problem(parameters), limit)
         else:
             problem = self._problem(off_bounds(parameters.at(start.values)))
@@ -258,7 +428,6 @@ class ModelSearch:
             took_s = max(took_s, prepared_s + solution.solver["seconds"])  # before an interruption, too
         if solution.solver["stop"] == "time":
             self.short_of_time.append(name)
-        splits = self._scorer.splits
         if start is not None and "remark" in start.solver:
             # It holds for all that goes on from there.
             solution = replace(solution, solver={"remark": start.solver["remark"], **solution.solver})
@@ -271,7 +440,7 @@ class ModelSearch:
                 splits={},
             ),
             solution,
-            self._scorer.score(solution.parameters, solution.values, "val") if "val" in splits else None,
+            self._on_val(solution),
         )
 
     def _until(self, spent: float) -> TimeLimit | None:
@@ -279,24 +448,42 @@ class ModelSearch:
 
     def _started(self, problem: Problem, limit: TimeLimit | None) -> Problem:
         """The problem with a start from afar."""
-        begin = regressed_start(problem, self._train) if self._signal == "torque" else swept_start(problem, limit)
-        return problem.with_parameters(begin)
+        if self._signal == "torque":
+            return problem.with_parameters(regressed_start(problem, self._train))
+        begun = problem.with_parameters(servo_regressed(problem, self._train))
+        return begun.with_parameters(swept_start(begun, limit))
 
     def _to_the_end(self, rough: TriedModel, fit: Mapping[str, Any], left_out: Sequence[str]) -> TriedModel:
-        """The same model from where a rough search ended; what is told of both is told as of one."""
-        name = rough.row.name
-        limit = self._until(_BEST)
-        end = self._try(f"{name}, to the end", fit, rough.solution, left_out=left_out, starts=1, limit=limit)
-        first, last = rough.solution, end.solution
-        spent = {key: first.solver[key] + last.solver[key] for key in ("iterations", "evaluations", "seconds")}
-        begun = {item.name: item.value for item in first.parameters.free}
+        """The same model from where a rough search ended."""
+        return self._further(rough, fit, "to the end", left_out, limit=self._until(_BEST))
+
+    def _further(
+        self,
+        first: TriedModel,
+        fit: Mapping[str, Any],
+        what: str,
+        left_out: Sequence[str],
+        *,
+        rough: bool = False,
+        limit: TimeLimit | None = None,
+    ) -> TriedModel:
+        """The same model from where another search ended; what is told of both is told as of one."""
+        name, before = first.row.name, first.solution
+        absent = [item.name for item in before.parameters if item.name in left_out and item.value == 0.0]
+        kept = [item for item in left_out if item not in absent]
+        end = self._try(
+            f"{name}, {what}", fit, before, left_out=kept, absent=absent, rough=rough, starts=1, limit=limit
+        )
+        last = end.solution
+        spent = {key: before.solver[key] + last.solver[key] for key in ("iterations", "evaluations", "seconds")}
+        begun = {item.name: item.value for item in before.parameters.free}
         solution = replace(
             last,
             parameters=last.parameters.at(begun),
-            solver={**first.solver, "stop": last.solver["stop"], **spent},
-            agreement=first.agreement,
+            solver={**before.solver, "stop": last.solver["stop"], **spent},
+            agreement=before.agreement,
         )
-        seconds = round(rough.row.seconds + end.row.seconds, 2)
+        seconds = round(first.row.seconds + end.row.seconds, 2)
         return replace(end, row=replace(end.row, name=name, seconds=seconds), solution=solution)
 
     def _idle(self, item: TriedModel) -> list[str]:
@@ -329,10 +516,3 @@ def _better(richer: TriedModel, best: TriedModel) -> bool:
     if richer.val is None or best.val is None:
         return False
     return richer.val.mean < (1.0 - _WORTH) * best.val.mean
-
-
-def _as_good(leaner: TriedModel, best: TriedModel) -> bool:
-    """Whether a model with fewer parameters is no worse, on motions that it was not fitted to if there are any."""
-    if leaner.val is None or best.val is None:
-        return leaner.solution.rms <= (1.0 + _WORTH) * best.solution.rms
-    return leaner.val.mean <= (1.0 + _WORTH) * best.val.mean

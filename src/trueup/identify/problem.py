@@ -52,6 +52,8 @@ class Problem:
         segments: parts of the logs.
         weights: of signals and joints; position and the scored joints alone if None.
         jobs: threads.
+        coarse: the same logs simulated with a larger time step, of which derivatives are taken; None takes those of
+            the simulation itself.
 
     Attributes:
         columns: of the joints that enter the residual.
@@ -69,8 +71,9 @@ class Problem:
         *,
         weights: Weights | None = None,
         jobs: int = 1,
+        coarse: Problem | None = None,
     ) -> None:
-        self.nominal = nominal
+        self.nominal, self.coarse = nominal, coarse
         self.parameters = parameters
         self.segments = tuple(segments)
         self.jobs = jobs
@@ -130,7 +133,8 @@ class Problem:
 
     def with_parameters(self, parameters: ParameterSet) -> Problem:
         """The same logs and weights for other parameters; the count of evaluations goes on."""
-        other = Problem(self.nominal, parameters, self.segments, weights=self.weights, jobs=self.jobs)
+        coarse = None if self.coarse is None else self.coarse.with_parameters(parameters)
+        other = Problem(self.nominal, parameters, self.segments, weights=self.weights, jobs=self.jobs, coarse=coarse)
         other.evaluations, other.seconds = self.evaluations, self.seconds
         return other
 
@@ -170,6 +174,13 @@ class Problem:
         self.evaluations += z.shape[0]
         self.seconds += time.perf_counter() - began
         return out
+
+    def slopes(self, z: Float64[np.ndarray, "C P"]) -> Float64[np.ndarray, "C N"]:
+        """Residuals of C candidates of which differences are taken: those of the larger time step, if there is one."""
+        if self.coarse is None:
+            return self.residuals(z)
+        self.evaluations += z.shape[0]
+        return self.coarse.residuals(z)
 
     def by_segment(self, residual: Float64[np.ndarray, "N"]) -> Iterator[tuple[Segment, str, np.ndarray]]:
         """The residual of one candidate in its places: segment, signal and (samples, columns)."""

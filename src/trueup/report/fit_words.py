@@ -48,11 +48,23 @@ _ALERTS = {
         "Some of the fitted numbers are guesses: these motions do not determine them, however well the model moves.",
         "Record motions that show these parameters, or freeze them.",
     ),
+    "unexplained": (
+        "careful",
+        "▲ Not fully explained",
+        "The model lacks something: more is left than noise, and numbers may be off by more than their intervals say.",
+        "Look at what is left below, and let the fit have what is missing (friction laws, limits, a payload).",
+    ),
     "at-bound": (
         "careful",
         "▲ On a bound",
         "Some of the fitted numbers ended on a bound: they say where the search had to stop, not what the robot is.",
         "Widen the bound in the configuration, or doubt the structure of the model.",
+    ),
+    "signal-worse": (
+        "bad",
+        "✕ A signal got worse",
+        "Positions are simulated better than before, and another logged signal is simulated worse.",
+        "Check sign, scale and unit of that signal in the logs, or weigh it (signals: {torque: …}) and fit again.",
     ),
     "not-converged": (
         "bad",
@@ -107,7 +119,7 @@ def kind_of(item: FittedParameter) -> str:
     """One of `KINDS`; a law that ended on zero is one that the robot does not have, no cause for alarm."""
     if item.frozen:
         return "frozen"
-    if item.at_bound == "low" and item.low == 0.0:
+    if item.absent or (item.at_bound == "low" and item.low == 0.0):
         return "zero"
     return "bound" if item.at_bound else item.identified
 

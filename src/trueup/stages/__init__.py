@@ -1,6 +1,7 @@
 """One module per command: dataset in, results out. The Python API is these functions."""
 
 from trueup.stages.augmenting import Augmented, augment
+from trueup.stages.checking import check_setup, refuse_wrong
 from trueup.stages.close_steps import Closed, Watch
 from trueup.stages.closing import close
 from trueup.stages.compensated_replaying import compensated_replay
@@ -40,6 +41,7 @@ __all__ = [
     "ReplaySummary",
     "Watch",
     "augment",
+    "check_setup",
     "close",
     "compensate",
     "compensated_replay",
@@ -58,6 +60,7 @@ __all__ = [
     "plans_named",
     "prepare",
     "record",
+    "refuse_wrong",
     "replay",
     "robustness",
     "sweep",
