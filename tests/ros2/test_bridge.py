@@ -117,12 +117,12 @@ def test_a_simulator_that_leaves_and_comes_back_is_heard_again(folder):
 def test_a_listener_that_comes_late_gets_what_comes_then(folder):
     where = network()
     with Bridge(where, augmented(folder)) as bridge, Node(where) as node:
-        source = node.publish("/joint_states", JointState)
-        wait_for(lambda: source.readers)
+        source, early = node.publish("/joint_states", JointState), node.listen("/corrected", JointState)
+        wait_for(lambda: source.readers and bridge.outbox.readers)
         send_all(source, [state(number / RATE_HZ) for number in range(20)], every_s=0.002)
-        wait_for(lambda: bridge.inbox.writers)
+        assert len(received(early, node, 20)) == 20  # nothing is under way when the other comes
         answers = node.listen("/corrected", JointState)
-        wait_for(lambda: answers.writers and bridge.outbox.readers)
+        wait_for(lambda: answers.writers and bridge.outbox.readers == 2)
         send_all(source, [state(number / RATE_HZ) for number in range(20, 30)], every_s=0.002)
         got = received(answers, node, 10)
     stamps = [message.header.stamp.ns for message in got]
