@@ -1,4 +1,4 @@
-"""What a simulation adds of its own: its time step, and what it takes the command to do between two stamps."""
+"""What a simulation adds of its own: time step, dry friction's rigidity, and the command between two stamps."""
 
 from __future__ import annotations
 
@@ -32,10 +32,13 @@ class Discretization:
     Attributes:
         divisor: of the model's time step.
         command: `held` from stamp to stamp, or `linear` between them.
+        rigid: whether dry friction holds a joint as if it were rigid, or as softly as the model's constraint solver
+            has it, which lets it creep.
     """
 
     divisor: int = 1
     command: CommandTiming = "held"
+    rigid: bool = True
 
     def of(self, robot: RobotSpec, timestep_s: float) -> RobotSpec:
         """The robot simulated this way; `timestep_s` is the time step that is divided [s]."""
@@ -171,5 +174,10 @@ def in_words(way: Discretization, before: Discretization, timestep_s: float) -> 
         said.append(
             f"the command {what}: this explains the logs better (replay: {{command: {way.command}}} in "
             "robot.fitted.yaml)"
+        )
+    if not way.rigid:
+        said.append(
+            "dry friction creeps as softly as the model's solreffriction says: this explains the logs better than "
+            "friction that holds"
         )
     return tuple(said)

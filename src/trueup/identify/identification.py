@@ -119,7 +119,16 @@ def identify(
         signal: {joint: (error, after[signal][joint]) for joint, error in own.items()} for signal, own in before.items()
     }
     whiteness = whiteness_of(problem, solution.residual)
-    evidence = Evidence(solution, parameters, whiteness, errors, signals, search.chosen_by_user, search.torque_seen)
+    evidence = Evidence(
+        solution,
+        parameters,
+        whiteness,
+        errors,
+        signals,
+        soft.size(judge),
+        search.chosen_by_user,
+        search.torque_seen,
+    )
     status, statements = verdict(
         evidence, (*search.ways_in_words, *search.seen.statements, *search.notes, *_untried(search.untried))
     )

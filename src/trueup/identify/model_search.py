@@ -111,7 +111,7 @@ class ModelSearch:
         self.motions = [segment.episode_id for segment in segments]
         self._scorer = Scorer(nominal, self.usable, jobs=jobs, seed=seed)
         self._finer: Alternative | None = None
-        self._undecided: dict[str, float] = {}
+        self._undecided: list[dict[str, float]] = []
 
     def climb(self) -> tuple[TriedModel, list[TriedModel]]:
         """Fit the base model, then richer ones, then without what the motions do not show; the best, and all."""
@@ -119,6 +119,7 @@ class ModelSearch:
         fit = dict(self.config.fit)
         # Before anything richer is tried: other models would make up for a wrong step, or timing, with their numbers.
         best = self._timed(fit, rough=bool(models))
+        best = self._braked(best, fit, rough=bool(models), limit=self._until(_BASE))
         best = self._settled(best, fit, rough=bool(models), limit=self._until(_BASE))
         tried = [best]
         if self._explained(best):
@@ -182,10 +183,10 @@ class ModelSearch:
         if self.way.command != "held":
             late = 0.125 * self._period_s
             unknown = np.array([late / item.scale * (item.quantity == "delay_s") for item in found.parameters.free])
-        timing = np.array([self._undecided.get(item.name, 0.0) for item in found.parameters.free])
+        undecided = [np.array([own.get(item.name, 0.0) for item in found.parameters.free]) for own in self._undecided]
         step = 0.0 if self._finer is None else self._finer.unknown(self.way)
         left = remaining_step(problem, found.z, found.residual, found.jacobian)
-        return known.widened([left, timing, step * np.ones(found.z.size), unknown])
+        return known.widened([left, *undecided, step * np.ones(found.z.size), unknown])
 
     def _certain(self, item: TriedModel) -> TriedModel:
         """The same model with verified derivatives, at the minimum that these see."""
@@ -282,7 +283,7 @@ class ModelSearch:
         """The model and the pieces of the logs for one way to simulate them."""
         if way not in self._cut:
             own, _ = self._cut[self._own]
-            nominal = Nominal(way.of(own.given, self._timestep_s), own.path)
+            nominal = Nominal(way.of(own.given, self._timestep_s), own.path, hard_friction=way.rigid)
             self._cut[way] = nominal, self._segments_of(nominal)[0]
         return self._cut[way]
 
@@ -322,7 +323,7 @@ class ModelSearch:
                 {item.name: item.to_z(own.values[item.name]) for item in own.parameters.free} for own in ends
             )
             root = probability(-abs(gain)) ** 0.5
-            self._undecided = {name: root * (other_one[name] - one[name]) for name in one if name in other_one}
+            self._undecided.append({name: root * (other_one[name] - one[name]) for name in one if name in other_one})
         if gain > 0 and (gain > DECIDED or best.solution.rms > tried.solution.rms):
             self._scorer = Scorer(self.nominal, self.usable, jobs=self._jobs, seed=self._seed)
             return replace(tried, row=replace(tried.row, name="base"), val=self._on_val(tried.solution))
@@ -367,10 +368,30 @@ class ModelSearch:
         self._scorer = Scorer(self.nominal, self.usable, jobs=self._jobs, seed=self._seed)
         return self._further(best, fit, "finer", left_out, rough=rough, limit=limit)
 
-    def _compared(self, item: TriedModel) -> Alternative | None:
-        """What a finer time step would find."""
-        found, problem = item.solution, self.problem_of(item)
-        residual, way = problem.residuals(found.z[None])[0], finer(self.way)
+    def _braked(
+        self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None
+    ) -> TriedModel:
+        """The same model with dry friction as soft as the model has it, if the logs say so: those of simulations do."""
+        friction = [item for item in best.solution.parameters if item.quantity == "frictionloss"]
+        own = self.nominal.model.dof_frictionloss.any()
+        if not own and not any(best.solution.values[item.name] > 0.0 for item in friction):
+            return best
+        other = self._compared(best, replace(self.way, rigid=False))
+        if other is None or other.gain < -DECIDED:
+            return best
+        if other.gain < DECIDED:
+            shift = probability(other.gain) ** 0.5 * other.shift
+            names = [item.name for item in best.solution.parameters.free]
+            self._undecided.append(dict(zip(names, shift.tolist(), strict=True)))
+            return best
+        self.way = other.way
+        self._scorer = Scorer(self.nominal, self.usable, jobs=self._jobs, seed=self._seed)
+        return self._further(best, fit, "soft friction", (), rough=rough, limit=limit)
+
+    def _compared(self, item: TriedModel, way: Discretization | None = None) -> Alternative | None:
+        """What another way, or a finer time step, would find."""
+        found, problem, way = item.solution, self.problem_of(item), way or finer(self.way)
+        residual = problem.residuals(found.z[None])[0]
         return alternative(problem, found.z, residual, found.jacobian, self._problem(found.parameters, way), way)
 
     def _frozen(self, item: TriedModel) -> list[str]:

@@ -133,6 +133,16 @@ class Scorer:
         own = {units[joint] for joint in self._nominal.robot.scored_joints}
         return own.pop() if len(own) == 1 else "mixed"
 
+    def size(self, split: str) -> dict[str, dict[str, float]]:
+        """Logged signal -> scored joint -> standard deviation of what was measured on one split [unit of the signal]."""
+        robot, found = self._nominal.robot, {}
+        for name in ("position", "velocity", "torque"):
+            rows = [own.plan.measured[name] for own in self._segments[split] if name in own.plan.measured]
+            if rows:
+                spread = np.nanstd(np.concatenate(rows), axis=0)
+                found[name] = {joint: float(spread[robot.joint_names.index(joint)]) for joint in robot.scored_joints}
+        return found
+
     def signals(self, parameters: ParameterSet, values: Mapping[str, float], split: str) -> dict[str, dict[str, float]]:
         """Logged signal -> scored joint -> root mean square error of one model on one split [unit of the signal]."""
         logged = {name for segment in self._segments[split] for name in segment.plan.measured.signals}

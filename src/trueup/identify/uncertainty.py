@@ -22,6 +22,8 @@ _NO, _WEAK = 0.5, 0.25
 _KNOWN, _VAGUE = 0.2, 0.7
 # What is left is called noise up to this ratio.
 _NOISE = 1.1
+# Of a motion, a share that no model is asked to explain: logs without noise are those of simulations.
+_RESOLVED = 1e-4
 _PARTNER = 0.9
 _AT_BOUND = 1e-6
 # As good as no prior, in z.
@@ -384,6 +386,8 @@ def whiteness_of(problem: Problem, residual: Float64[np.ndarray, "N"]) -> dict[s
         memory = memory_of(pieces)
         rms = problem.unscaled_rms(np.concatenate(pieces), int(column))
         noise = rms * noise_level(pieces) / max(float(np.sqrt(np.mean(np.concatenate(pieces) ** 2))), 1e-300)
+        moved = np.concatenate([segment.plan.measured["position"][segment.counts, column] for segment, _ in blocks])
+        noise = max(noise, _RESOLVED * float(np.std(moved)))
         correlation_s = (memory - 1.0) * step_s
         white = memory < 2.0 or rms < _NOISE * noise
         what = f"{joints[column]}: what is left ({rms:.3g})"

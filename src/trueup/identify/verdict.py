@@ -17,8 +17,8 @@ FIT_STATUSES: tuple[FitStatus, ...] = get_args(FitStatus)
 _SHOWN_CORRELATION = 0.3
 # Times the noise of the measurement, above which something is left that the model lacks.
 _UNEXPLAINED = 1.3
-# A logged signal that is simulated this much worse than before.
-_WORSE = 1.1
+# A logged signal that is simulated this much worse than before, by at least this share of what it does.
+_WORSE, _VISIBLE = 1.1, 0.01
 # Starts that disagree: the data leave something open, or the search depends on luck.
 _DISAGREEMENT: dict[str, FitStatus] = {"not-unique": "not-identifiable", "local-minima": "not-converged"}
 
@@ -33,6 +33,7 @@ class Evidence:
         whiteness: joint -> what is left.
         errors: run -> split -> error of the position.
         signals: signal -> joint -> error of the nominal and of the fitted model.
+        size: signal -> joint -> standard deviation of what was measured.
         chosen_by_user: whether the configuration says what is fitted.
         torque_seen: whether torques entered the fit.
     """
@@ -42,6 +43,7 @@ class Evidence:
     whiteness: Mapping[str, Whiteness]
     errors: Mapping[str, Mapping[str, Estimate]]
     signals: Mapping[str, Mapping[str, tuple[float, float]]]
+    size: Mapping[str, Mapping[str, float]]
     chosen_by_user: bool
     torque_seen: bool
 
@@ -129,7 +131,7 @@ def _of_signals(evidence: Evidence) -> _Judged | None:
         f"{signal} of {joint} ({before:.3g} -> {after:.3g})"
         for signal, own in evidence.signals.items()
         for joint, (before, after) in own.items()
-        if after > _WORSE * before
+        if after > max(_WORSE * before, before + _VISIBLE * evidence.size[signal][joint])
     ]
     if not worse:
         return None

@@ -129,7 +129,7 @@ class Quantity:
         search = self.search
         if self.sized is None or not place:
             return search
-        large = self.sized(nominal.size(place.rpartition(":")[2]))
+        large = self.sized(nominal.size(split_motion_target(place)[1] if self.of == "motion" else place))
         if search.transform == "log":
             start = search.start * large
             return replace(search, start=start, low=_LEAST * start, high=_MOST * large, span=1.0 / _LEAST)
