@@ -40,7 +40,12 @@ class JointMap:
 
     def __post_init__(self) -> None:
         """Refuse names that stand twice."""
-        for side, names in (("robot", self.joints), ("log", (*self.log_joints, *self.ignore))):
+        commanded = tuple((rule.command or rule).log for rule in self.rules)
+        for side, names in (
+            ("robot", self.joints),
+            ("log", (*self.log_joints, *self.ignore)),
+            ("command", (*commanded, *self.ignore)),
+        ):
             if len(set(names)) != len(names):
                 raise NameMismatch(
                     f"a {side} joint occurs twice in the joint map", left=names, right=sorted(set(names))

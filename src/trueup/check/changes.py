@@ -320,7 +320,9 @@ def _unit(looked: Looked, joints: tuple[int, ...], own: dict[int, Unit], side: S
         side,
         f"{'is' if len(joints) == 1 else 'are'} logged in {name} {_in(side)}",
         units={(one, joint): unit for one in sides for joint, unit in own.items()},
-        freedom=0.3 + max(_against(looked, joint, unit) for joint, unit in own.items()),
+        freedom=0.3
+        + max(_against(looked, joint, unit) for joint, unit in own.items())
+        + _of_range(next(iter(own.values()))),
         value=next(iter(own.values())).si,
     )
 
@@ -331,6 +333,11 @@ def _against(looked: Looked, joint: int, unit: Unit) -> float:
     if math.isnan(rate) or abs(rate - 1.0) < _SAME_RATE or abs(rate * unit.si - 1.0) < _SAME_RATE:
         return 0.0
     return _OTHER_RATE
+
+
+def _of_range(unit: Unit) -> float:
+    """A plain unit is likelier than counts and shares of a range, which may come to the same number."""
+    return 0.0 if unit.scale == 1.0 else 0.1
 
 
 def _scaled(looked: Looked, joint: int, slope: float) -> Iterator[Proposal]:
@@ -358,7 +365,9 @@ def _scaled(looked: Looked, joint: int, slope: float) -> Iterator[Proposal]:
                 side,
                 says,
                 units={(side, joint): unit},
-                freedom=(0.2 if sign > 0 else 0.5) + (_against(looked, joint, unit) if side == "measured" else 0.0),
+                freedom=(0.2 if sign > 0 else 0.5)
+                + (_against(looked, joint, unit) if side == "measured" else 0.0)
+                + _of_range(unit),
                 value=sign * unit.si,
             )
 
@@ -436,6 +445,11 @@ def _permutations(looked: Looked) -> Iterator[Proposal]:
     yield _swap(looked, order, "command")
     # The measured columns in the order of the commands.
     yield _swap(looked, {source: joint for joint, source in order.items()}, "measured")
+
+
+def follows(looked: Looked, joint: int) -> float:
+    """Share of a joint's motion that a straight line over its own command explains."""
+    return _line(looked, joint, joint)[2]
 
 
 def _line(looked: Looked, joint: int, source: int) -> tuple[float, float, float]:

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from scipy.ndimage import minimum_filter1d
 
+from trueup.check.changes import Looked, follows
 from trueup.check.evidence import loss
 from trueup.check.reading import yaml_lines
 from trueup.check.setting import Setting, percent, where
@@ -25,6 +26,8 @@ _REST_SPEED, _SLOW, _MOST_AT_REST, _LEAST_AT_REST = 5e-3, 0.01, 60, 20
 _PAYLOADS_KG = np.geomspace(0.02, 30.0, 23)
 # Of the joints that move, for it to be the log of another robot.
 _HALF_WAY = 0.5
+# A line over the command explains this much of a motion that follows it at all.
+_FOLLOWS = 0.3
 
 
 def floating_base(setting: Setting) -> Iterator[Finding]:
@@ -275,6 +278,9 @@ def another_robot(setting: Setting) -> Iterator[Finding]:
     moved = where(np.isfinite(score.left))
     servo = setting.signal != "torque"
     lost = [joint for joint in moved if score.left[joint] > (0.5 if servo else 0.9)] if servo or evidence.sure else []
+    if servo:  # a soft servo with much friction goes where it is told, and not as far
+        looked = Looked(evidence, reading, score, ())
+        lost = [joint for joint in lost if follows(looked, joint) < _FOLLOWS]
     out = [joint for joint in moved if score.outside[joint] > 0.3 and score.beyond[joint] > 0.2]
     if moved and (len(lost) >= max(1, _HALF_WAY * len(moved)) or len(out) >= max(1, _HALF_WAY * len(moved))):
         words = []

@@ -22,6 +22,8 @@ _FOLLOWED, _MOVED = 0.05, 0.15
 _EXPLAINED, _UNEXPLAINED, _MUCH_LESS = 0.75, 0.4, 0.25
 # What a motor's torque may leave where positions were far out of range.
 _SENSIBLE = 0.5
+# Where a joint was explained not at all and leaves so many times less now, more may be left: of a servo, of a motor.
+_NOTHING, _BY_FAR, _NEARLY, _MOSTLY = 0.7, 8.0, 0.12, 0.3
 # Another explanation that is nearly as good, in the logarithm of what is left.
 _RIVAL = 0.7
 _AGREE = 0.8
@@ -48,6 +50,7 @@ class Accepted:
         after: score with it.
         others: the same change of another series that explains as much; and other changes that do.
         joints: those that it makes better.
+        far: whether these were far out of their range before.
     """
 
     proposal: Proposal
@@ -56,6 +59,7 @@ class Accepted:
     after: Score
     others: tuple[Proposal, ...]
     joints: tuple[int, ...]
+    far: bool
 
 
 def nominal(evidence: Evidence) -> Reading:
@@ -66,18 +70,36 @@ def nominal(evidence: Evidence) -> Reading:
 def accepted(evidence: Evidence, reading: Reading, lengths: Sequence[str]) -> tuple[list[Accepted], Reading]:
     """The changes, and how the logs are read with all that are certain."""
     found: list[Accepted] = []
+    sure = reading
     for _ in range(_ROUNDS):
         score = evidence.score(reading)
         best = _best(Looked(evidence, reading, score, tuple(lengths)))
         if best is None:
             break
         found.append(best)
-        if best.severity != "certain":
+        if best.severity != "certain" and not best.far:
             break
         reading = best.proposal.reading
         if best.proposal.kind not in ("delay", "control-mode"):
             reading = _usual_lag(evidence, reading)
-    return found, reading
+    # What brought joints back into their range is certain once the rest is right, too.
+    last = evidence.score(reading)
+    for place, one in enumerate(found):
+        if one.far and one.severity == "likely" and _sensible(evidence, one.proposal, last, np.array(one.joints)):
+            found[place] = replace(one, severity="certain")
+    if all(one.severity == "certain" for one in found):
+        return found, reading
+    doubtful = next(place for place, one in enumerate(found) if one.severity != "certain")
+    found = found[: doubtful + 1]
+    return found, found[doubtful - 1].proposal.reading if doubtful else sure
+
+
+def _sensible(evidence: Evidence, proposal: Proposal, score: Score, own: np.ndarray) -> bool:
+    """Whether joints that are back in their range also do about what they are told."""
+    servo = evidence.followed(proposal.reading) != "torque"
+    if not evidence.sure and not servo:
+        return True
+    return bool(score.left[own].max() < (LOST if servo else _SENSIBLE))
 
 
 def _usual_lag(evidence: Evidence, reading: Reading) -> Reading:
@@ -124,9 +146,12 @@ def _best(looked: Looked) -> Accepted | None:
         severity = _severity(looked, proposal, after, better)
         if severity is None:
             continue
-        if rivals and severity == "certain":
+        # Of changes of one kind that are as good (which joint of two is mirrored?) one is needed.
+        if severity == "certain" and any(other.kind != proposal.kind for other in rivals):
             severity = "likely"
-        return Accepted(proposal, severity, _permuted(before, proposal.order), after, (*same, *rivals[:2]), better)
+        ordered = _permuted(before, proposal.order)
+        far = proposal.kind == "unit" and _far_outside(ordered, after, np.array(better))
+        return Accepted(proposal, severity, ordered, after, (*same, *rivals[:2]), better, far)
     return None
 
 
@@ -182,10 +207,12 @@ def _severity(looked: Looked, proposal: Proposal, after: Score, better: tuple[in
     left, was = after.left[own], before.left[own]
     share, had = _share(after)[own], _share(before)[own]
     servo = evidence.followed(proposal.reading) != "torque"
-    sensible = left.max() < (LOST if servo else _SENSIBLE) or (servo and not evidence.sure)
     if proposal.kind == "unit" and _far_outside(before, after, own):
-        return "certain" if sensible else "likely"
-    if servo and was.max() > LOST and left[was > LOST].max() < _FOLLOWED:
+        return "certain" if _sensible(evidence, proposal, after, own) else "likely"
+    plain = bool(np.any((was > _NOTHING) & (left * _BY_FAR < was)))
+    if plain and left.max() < (_NEARLY if servo else _MOSTLY):
+        strong = True  # it explained nothing, and explains nearly all now
+    elif servo and was.max() > LOST and left[was > LOST].max() < _FOLLOWED:
         strong = bool(np.all(left[was > LOST] < _CERTAIN * was[was > LOST]))
     elif not servo and left.max() < _MOVED:
         strong = bool(np.max(was / (left + _LEAST)) > 1.0 / _CERTAIN) and share.max() > _EXPLAINED
