@@ -20,9 +20,9 @@ from trueup.robots import RobotSpec
 from trueup.robots.friction import LAWS
 
 _LAWS = {name: tuple(number.name for number in law.numbers if number.excite) for name, law in LAWS.items() if law.tried}
-# Closed loop: the servo holds the joint near its command, so whole motions can be compared.
 # Gains are what somebody had to invent; masses are what CAD has weighed, and stay near it.
 _WEIGHED = {"prior_std": 0.1}
+# Closed loop: the servo holds the joint near its command, so whole motions can be compared.
 _SERVO_FIT: Mapping[str, Any] = {
     **dict.fromkeys(("delay_s", "kp", "kv", "damping", "frictionloss", "armature", "torque_offset"), "all"),
     "mass": _WEIGHED,
