@@ -286,7 +286,7 @@ def judged(problem, solution, errors=None):
         "nominal": {"val": Estimate(2.0, "rad", 1.9, 2.1)},
         "fitted": {"val": Estimate(1.0, "rad", 0.9, 1.1)},
     }
-    return verdict(Evidence(solution, items, left, errors, {}, chosen_by_user=True, torque_seen=True), ())
+    return verdict(Evidence(solution, items, left, errors, {}, {}, chosen_by_user=True, torque_seen=True), ())
 
 
 def test_the_test_motions_decide_nothing_about_the_status(small):

@@ -127,11 +127,13 @@ class Nominal:
         simulator: of the nominal model.
         spec: the model, editable, with all that is held in simulations; copy it before writing.
         holding: what that is.
+        hard_friction: as given.
     """
 
     def __init__(self, robot: RobotSpec, path: Path, *, hard_friction: bool = True) -> None:
         self.path = path
         self.given = robot
+        self.hard_friction = hard_friction
         self.spec = load_spec(path, shapes=robot.simulation.contacts)
         name_bodies(self.spec)
         self.simulator = MujocoSimulator.from_spec(self.spec, robot, origin=path)

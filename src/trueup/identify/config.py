@@ -48,6 +48,8 @@ _TORQUE_MODELS = {
 }
 # Over longer than this, open-loop motion has no usable slope.
 _OPEN_LOOP_S = 0.5
+# Weighed by its own noise.
+AUTO = "auto"
 _CHOICE_KEYS = ("targets", "shared", "start", "low", "high", "prior_std", "frozen")
 
 
@@ -142,7 +144,7 @@ class IdentifyConfig:
             joints (or bodies), as with a delay that lies in the bus.
         models: name -> further quantities, tried one after the other on top of what has been kept so far; kept if
             they make motions better that were not fitted (val). The default for the controller if not given.
-        signals: signal -> weight of the residual.
+        signals: signal -> weight of the residual, or `auto` to weigh it by its own noise where it is logged.
         joints: joint -> weight; unnamed joints have 1, unscored ones 0.
         data: which parts of the logs.
         solver: how to search.
@@ -151,7 +153,7 @@ class IdentifyConfig:
 
     fit: Mapping[str, Any] = field(default_factory=dict)
     models: Mapping[str, tuple[str, ...]] | None = None
-    signals: Mapping[str, float] = field(default_factory=lambda: {"position": 1.0})
+    signals: Mapping[str, Any] = field(default_factory=lambda: {"position": 1.0, "torque": AUTO})
     joints: Mapping[str, float] = field(default_factory=dict)
     data: DataChoice = field(default_factory=DataChoice)
     solver: SolverChoice = field(default_factory=SolverChoice)
@@ -164,8 +166,16 @@ class IdentifyConfig:
         for extra in (self.models or {}).values():
             for name in extra:
                 quantity(name)
-        if not self.signals.get("position"):
+        for name, weight in self.signals.items():
+            if isinstance(weight, bool) or not (isinstance(weight, int | float) or weight == AUTO):
+                raise ConfigError(f"signals: {name}", got=repr(weight), expected=f"a number, or {AUTO}")
+        if not self.weights.get("position"):
             raise ConfigError("signals must weigh position", got=dict(self.signals), expected="position: 1.0")
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Signal -> weight, of those that have a number."""
+        return {name: float(weight) for name, weight in self.signals.items() if weight != AUTO}
 
     @staticmethod
     def load(path: Path) -> IdentifyConfig:

@@ -19,8 +19,9 @@ DECIDED = 10.0
 _MATTERS = 0.5
 # Of a change that is extrapolated to a time step of zero, this share is unknown.
 _UNSURE = 0.25
-# Steps towards the minimum of another way.
+# Steps towards the minimum of a way, and the shares of each that are tried.
 _CHORDS = 3
+_SHARES = np.array([1.0, 0.3])
 # Linearized changes further than this, in z, are only known to be large.
 _LINEAR = 1.0
 
@@ -111,9 +112,9 @@ def alternative(
     """Compare the present way with another one by a few simulations.
 
     With r the residual at z, J the derivatives of the present way and L the precision of the prior, the minimum of
-    |r + J^T d|^2 + w |z + d - mean|_L^2 is at d = -(J J^T + w L)^-1 (J r + w L (z - mean)). One such step says how far
-    the present fit is from its own minimum; several, each from the residual of the other way where the last has led,
-    go to that of the other, since both have nearly the same derivatives (a chord method).
+    |r + J^T d|^2 + w |z + d - mean|_L^2 is at d = -(J J^T + w L)^-1 (J r + w L (z - mean)). Both ways have nearly the
+    same derivatives. So a few such steps, each from the residual where the last has led, bring either way to its own
+    minimum (a chord method), and the two are compared there.
 
     Args:
         problem: the fit as it is simulated now.
@@ -132,28 +133,30 @@ def alternative(
     weight = noise_of(problem, residual).weight
     inverse = np.linalg.pinv(jacobian @ jacobian.T + weight * precision, hermitian=True)
 
-    def step(place: Float64[np.ndarray, "P"], own: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "P"]:
-        move = -inverse @ (jacobian @ own + weight * precision @ (place - mean))
-        return np.asarray(np.clip(place + np.clip(move, -_LINEAR, _LINEAR), low, high) - place)
-
     def cost(place: Float64[np.ndarray, "P"], own: Float64[np.ndarray, "N"]) -> float:
         return float(own @ own + weight * (place - mean) @ precision @ (place - mean))
+
+    def descended(simulated: Problem, own: Float64[np.ndarray, "N"]) -> tuple[Float64[np.ndarray, "P"], np.ndarray]:
+        place = z
+        for _ in range(_CHORDS):
+            move = -inverse @ (jacobian @ own + weight * precision @ (place - mean))
+            steps = np.outer(_SHARES, np.clip(move, -_LINEAR, _LINEAR))
+            places = np.clip(place + steps, low, high)
+            tried = simulated.residuals(places)
+            costs = [cost(*pair) if np.isfinite(pair[1]).all() else np.inf for pair in zip(places, tried, strict=True)]
+            best = int(np.argmin(costs))
+            if costs[best] >= cost(place, own):
+                break
+            place, own = places[best], tried[best]
+        return place, own
 
     found = other.residuals(z[None])[0]
     if found.shape != residual.shape or not np.isfinite(found).all():
         return None
-    first = step(z, residual)
-    best, left = z, found
-    for _ in range(_CHORDS):
-        place = best + step(best, left)
-        tried = other.residuals(place[None])[0]
-        if not np.isfinite(tried).all() or cost(place, tried) >= cost(best, left):
-            break
-        best, left = place, tried
-    present = cost(z + first, residual + first @ jacobian)
-    there = cost(best, left)
-    least = noise_of(problem, left if there < present else residual).weight
-    return Alternative(way, best - z - first, float((present - there) / max(least, 1e-300)))
+    (here, mine), (there, theirs) = descended(problem, residual), descended(other, found)
+    present, instead = cost(here, mine), cost(there, theirs)
+    least = noise_of(problem, theirs if instead < present else mine).weight
+    return Alternative(way, there - here, float((present - instead) / max(least, 1e-300)))
 
 
 def finer(now: Discretization) -> Discretization:

@@ -18,7 +18,7 @@ from trueup.core.ray_workers import Cluster
 from trueup.core.time_limit import TimeLimit
 from trueup.errors import NotIdentifiable, TrueupError
 from trueup.identify.candidate import Nominal
-from trueup.identify.config import IdentifyConfig, make_parameters
+from trueup.identify.config import AUTO, IdentifyConfig, make_parameters
 from trueup.identify.discretization import (
     DECIDED,
     Alternative,
@@ -46,6 +46,7 @@ from trueup.identify.uncertainty import (
     unexplained,
     whiteness_of,
 )
+from trueup.identify.window_starts import WindowStarts, window_starts
 
 # A richer model must make motions that it was not fitted to better by this share.
 _WORTH = 0.01
@@ -53,6 +54,11 @@ _WORTH = 0.01
 _ROUGH = 0.005
 # What is left is the noise of the measurement up to this ratio.
 EXPLAINED = 1.1
+# A logged torque is that of the motors, in Nm, where the simulated one explains this share of it, times a factor within
+# these bounds: with a position fit, the scale of all torques is only as good as the model's masses.
+_HEARD, _SAME_UNIT = 0.5, (0.5, 2.0)
+# No torque is simulated better than to this share of its size.
+_SURE_OF_TORQUE = 1e-3
 # Shares of a time limit at which the base model ends, no richer one is begun, these end, and the best one ends.
 _BASE, _LAST_BEGIN, _RICHER, _BEST = 0.5, 0.65, 0.75, 0.9
 
@@ -100,7 +106,11 @@ class ModelSearch:
         self.notes = () if nominal.robot.payload else _payload_note(self._train)
         self._signal = nominal.robot.controller.signal
         self.seen = excitation_of(self._train, nominal.robot.scored_joints, self._signal, nominal.commanded_limits)
-        self._weights = Weights(self.config.signals, self.config.joints)
+        self._weights = Weights(self.config.weights, self.config.joints)
+        self._torque_said = ""
+        # Where windows begin, for each way to simulate, with parameters of these values.
+        self._starts: dict[Discretization, Mapping[Segment, WindowStarts]] = {}
+        self._place: Mapping[str, float] = {}
         self._settings = self.config.solver.settings(seed)
         self._timestep_s = nominal.simulator.timestep_s
         self._own = self.way = Discretization(command=nominal.robot.replay.command)
@@ -119,8 +129,11 @@ class ModelSearch:
         fit = dict(self.config.fit)
         # Before anything richer is tried: other models would make up for a wrong step, or timing, with their numbers.
         best = self._timed(fit, rough=bool(models))
-        best = self._braked(best, fit, rough=bool(models), limit=self._until(_BASE))
-        best = self._settled(best, fit, rough=bool(models), limit=self._until(_BASE))
+        self._begun_at(best.solution.values)
+        rough, limit = bool(models), self._until(_BASE)
+        best = self._heard(best, fit, rough=rough, limit=limit)
+        best = self._settled(best, fit, rough=rough, limit=limit)
+        best = self._braked(best, fit, rough=rough, limit=limit)
         tried = [best]
         if self._explained(best):
             # Nothing is left that a richer model could explain.
@@ -147,7 +160,8 @@ class ModelSearch:
         if self._limit is not None and self._limit.over:
             return best, tried
         settled = self._settled(best, fit, left_out=self._frozen(best), limit=self._limit)
-        certain = self._certain(settled)
+        self._begun_at(settled.solution.values)
+        certain = self._certain(self._heard(settled, fit, left_out=self._frozen(settled), limit=self._limit))
         self._finer = self._compared(certain)
         # Its numbers are those of the robot, and not of a time step.
         low, high = certain.solution.parameters.bounds
@@ -232,7 +246,7 @@ class ModelSearch:
     @property
     def torque_seen(self) -> bool:
         """Whether the logs' torques enter the residual, or drive the robot."""
-        return self._signal == "torque" or bool(self.config.signals.get("torque"))
+        return self._signal == "torque" or bool(self._weights.signals.get("torque"))
 
     @property
     def why(self) -> str:
@@ -259,6 +273,7 @@ class ModelSearch:
             "window_s": self.config.data.window_s,
             "replay_window_s": self.nominal.robot.replay.window_s,
             "samples": self._problem(ParameterSet(())).size,
+            **({"torque_weights": dict(self._weights.own["torque"])} if self._weights.own else {}),
             "flagged": self._flagged,
             "refused": self._refused,
         }
@@ -277,7 +292,8 @@ class ModelSearch:
     @property
     def ways_in_words(self) -> tuple[str, ...]:
         """How the fit simulates otherwise than the robot's description says."""
-        return in_words(self.way, self._own, self._timestep_s)
+        said = in_words(self.way, self._own, self._timestep_s)
+        return (*said, self._torque_said) if self._torque_said else said
 
     def _simulated(self, way: Discretization) -> tuple[Nominal, list[Segment]]:
         """The model and the pieces of the logs for one way to simulate them."""
@@ -297,7 +313,19 @@ class ModelSearch:
         nominal, segments = self._simulated(way)
         # The derivatives of the larger step serve as well, and take a fraction of the time.
         coarse = self._problem(parameters, replace(way, divisor=1)) if way.divisor > 1 else None
-        return Problem(nominal, parameters, segments, weights=self._weights, jobs=self._jobs, coarse=coarse)
+        problem = Problem(nominal, parameters, segments, weights=self._weights, jobs=self._jobs, coarse=coarse)
+        if self.config.data.window_s is not None:
+            if way not in self._starts:
+                own = problem.parameters.at(
+                    {name: self._place[name] for name in parameters.names if name in self._place}
+                )
+                self._starts[way] = window_starts(problem, own.start)
+            problem.starts = self._starts[way]
+        return problem
+
+    def _begun_at(self, values: Mapping[str, float]) -> None:
+        """Where windows begin is looked for again, with these parameters."""
+        self._starts, self._place = {}, values
 
     def _timed(self, fit: Mapping[str, Any], *, rough: bool) -> TriedModel:
         """The base model, with the command held between its stamps or moving on, whichever explains the logs better.
@@ -368,9 +396,7 @@ class ModelSearch:
         self._scorer = Scorer(self.nominal, self.usable, jobs=self._jobs, seed=self._seed)
         return self._further(best, fit, "finer", left_out, rough=rough, limit=limit)
 
-    def _braked(
-        self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None
-    ) -> TriedModel:
+    def _braked(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
         """The same model with dry friction as soft as the model has it, if the logs say so: those of simulations do."""
         friction = [item for item in best.solution.parameters if item.quantity == "frictionloss"]
         own = self.nominal.model.dof_frictionloss.any()
@@ -387,6 +413,58 @@ class ModelSearch:
         self.way = other.way
         self._scorer = Scorer(self.nominal, self.usable, jobs=self._jobs, seed=self._seed)
         return self._further(best, fit, "soft friction", (), rough=rough, limit=limit)
+
+    def _heard(
+        self,
+        best: TriedModel,
+        fit: Mapping[str, Any],
+        *,
+        left_out: Sequence[str] = (),
+        rough: bool = False,
+        limit: TimeLimit | None = None,
+    ) -> TriedModel:
+        """The same model with a logged torque beside the position, each joint's by what the present fit leaves of it.
+
+        Weights by residuals are those of least squares whose variances are not known, found by iteration. They begin
+        low, since a fit to positions alone leaves the scale of all torques to the model's masses.
+        """
+        if self._signal == "torque" or self.config.signals.get("torque") != AUTO:
+            return best
+        found, base = best.solution, self.config.weights
+        _, segments = self._simulated(self.way)
+        both = Weights({**base, "torque": 1.0}, self.config.joints)
+        problem = Problem(self.nominal, found.parameters, segments, weights=both, jobs=self._jobs)
+        blocks = list(problem.by_segment(problem.residuals(found.z[None])[0] / problem.scale))
+        rows = [
+            (values, segment.plan.measured["torque"][segment.rows("torque", problem.columns)][:, problem.columns])
+            for segment, signal, values in blocks
+            if signal == "torque"
+        ]
+        if not rows:
+            return best
+        names = [self.nominal.robot.joint_names[column] for column in problem.columns]
+        joint_weights = np.array([self.config.joints.get(name, 1.0) for name in names])
+        left, measured = (np.concatenate(own) for own in zip(*rows, strict=True))
+        left = left / joint_weights
+        size = np.maximum(np.sqrt(np.mean(measured**2, axis=0)), 1e-300)
+        one, other = ((left + measured) / size).ravel(), (measured / size).ravel()
+        factor = float(one @ other) / max(float(one @ one), 1e-300)
+        explained = 1.0 - float(np.mean((factor * one - other) ** 2)) / max(float(np.mean(other**2)), 1e-300)
+        if not (explained > _HEARD and _SAME_UNIT[0] < factor < _SAME_UNIT[1]):
+            self._weights = Weights(base, self.config.joints)
+            self._torque_said = (
+                "the logged torque is not used: the best multiple of the simulated one "
+                f"({factor:.3g} times) explains {max(0.0, 100 * explained):.0f} % of it; has it another sign, unit or "
+                "place? (signals: {torque: …} weighs it nevertheless)"
+            )
+            return best
+        away = np.maximum(np.sqrt(np.mean(left**2, axis=0)), _SURE_OF_TORQUE * size)
+        positions = np.concatenate([values for _, signal, values in blocks if signal == "position"])
+        usual = float(np.sqrt(np.mean(positions**2)))
+        own = {name: usual / float(std) for name, std in zip(names, away, strict=True)}
+        self._weights = replace(both, own={"torque": own})
+        self._torque_said = "the logged torque is weighed, each joint's by what the fit leaves of it"
+        return self._further(best, fit, "with torque", left_out, rough=rough, limit=limit)
 
     def _compared(self, item: TriedModel, way: Discretization | None = None) -> Alternative | None:
         """What another way, or a finer time step, would find."""
@@ -426,7 +504,9 @@ class ModelSearch:
         if begun is not None:
             problem = self._problem(off_bounds(parameters.at({item.name: item.value for item in begun})))
         elif start is None:
-            problem = self._started(self._problem(parameters), limit)
+            started = self._started(self._problem(parameters), limit).parameters
+            self._begun_at({item.name: item.value for item in started})
+            problem = self._problem(started)
         else:
             problem = self._problem(off_bounds(parameters.at(start.values)))
             # From a good place there may be nothing left to gain, which is no reason to search everywhere.

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from queue import SimpleQueue
 
 import mujoco
@@ -20,6 +20,7 @@ from trueup.errors import ConfigError
 from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.quantities import motion_target, quantity, split_motion_target
 from trueup.identify.segments import Segment
+from trueup.identify.window_starts import WindowStarts
 from trueup.sim import MujocoSimulator
 
 # Simulated states that one task holds at a time: some 100 MB.
@@ -33,10 +34,17 @@ class Weights:
     Attributes:
         signals: signal -> weight of one standard unit [1/rad, s/rad or 1/Nm]; position alone by default.
         joints: joint name -> weight; joints that are not named have 1, unscored joints 0.
+        own: signal -> joint name -> further weight of this signal, 1 where it is not named.
     """
 
     signals: Mapping[str, float]
     joints: Mapping[str, float]
+    own: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def of(self, signal: str, joints: Sequence[str]) -> Float64[np.ndarray, "J"]:
+        """The weights of one signal of these joints."""
+        own = self.own.get(signal, {})
+        return self.signals[signal] * np.array([own.get(joint, 1.0) for joint in joints])
 
 
 class Problem:
@@ -54,6 +62,8 @@ class Problem:
         jobs: threads.
         coarse: the same logs simulated with a larger time step, of which derivatives are taken; None takes those of
             the simulation itself.
+        starts: where windows begin, and what of the residual a change of that explains, which is left out of it; by
+            segment, those that are not named begin as they were measured.
 
     Attributes:
         columns: of the joints that enter the residual.
@@ -72,8 +82,9 @@ class Problem:
         weights: Weights | None = None,
         jobs: int = 1,
         coarse: Problem | None = None,
+        starts: Mapping[Segment, WindowStarts] | None = None,
     ) -> None:
-        self.nominal, self.coarse = nominal, coarse
+        self.nominal, self.coarse, self.starts = nominal, coarse, starts or {}
         self.parameters = parameters
         self.segments = tuple(segments)
         self.jobs = jobs
@@ -134,9 +145,23 @@ class Problem:
     def with_parameters(self, parameters: ParameterSet) -> Problem:
         """The same logs and weights for other parameters; the count of evaluations goes on."""
         coarse = None if self.coarse is None else self.coarse.with_parameters(parameters)
-        other = Problem(self.nominal, parameters, self.segments, weights=self.weights, jobs=self.jobs, coarse=coarse)
+        other = Problem(
+            self.nominal,
+            parameters,
+            self.segments,
+            weights=self.weights,
+            jobs=self.jobs,
+            coarse=coarse,
+            starts=self.starts,
+        )
         other.evaluations, other.seconds = self.evaluations, self.seconds
         return other
+
+    def with_starts(self, starts: Mapping[Segment, WindowStarts]) -> Problem:
+        """The same with other starts of the windows, simulated at its own time step alone."""
+        return Problem(
+            self.nominal, self.parameters, self.segments, weights=self.weights, jobs=self.jobs, starts=starts
+        )
 
     def candidate(self, values: Mapping[str, float]) -> Candidate:
         """A model with these values written into it; parameters that are not named keep their start."""
@@ -270,8 +295,10 @@ class Problem:
         plan = task.segment.plan
         windows = plan.starts.size
         zeros = np.array([self._zeros(candidates[row], task.segment.episode_id) for row in task.rows])
+        starts = self.starts.get(task.segment)
         requests = [
-            _shifted(plan.request(candidates[row].delays), zero) for row, zero in zip(task.rows, zeros, strict=True)
+            _shifted(plan.request(candidates[row].delays), zero, starts)
+            for row, zero in zip(task.rows, zeros, strict=True)
         ]
         request = RolloutRequest(
             position=np.concatenate([own.position for own in requests]),
@@ -289,9 +316,11 @@ class Problem:
             if signal == "position":
                 simulated = simulated - zeros[:, None, :]
             residual = (simulated - plan.measured[signal])[:, counted][:, :, self.columns]
-            residual *= self.weights.signals[signal] * self._joint_weights[self.columns] * self.scale
+            own = self.weights.of(signal, self.nominal.robot.joint_names) * self._joint_weights
+            residual *= own[self.columns] * self.scale
             blocks.append(residual.reshape(task.rows.size, -1))
-        return np.concatenate(blocks, axis=1)
+        residuals = np.concatenate(blocks, axis=1)
+        return residuals if starts is None else starts.without(residuals)
 
 
 # Payload [kg] -> a model of each candidate, None where MuJoCo refuses it.
@@ -329,8 +358,12 @@ def _compile(candidate: Candidate, payload_kg: float) -> mujoco.MjModel | None:
     return model
 
 
-def _shifted(request: RolloutRequest, zeros: Float64[np.ndarray, "J"]) -> RolloutRequest:
-    """The same motion as an encoder would have told it that reads right."""
+def _shifted(request: RolloutRequest, zeros: Float64[np.ndarray, "J"], starts: WindowStarts | None) -> RolloutRequest:
+    """The same motion as an encoder would have told it that reads right, from the starts that are known."""
+    if starts is not None:
+        request = replace(
+            request, position=request.position + starts.position, velocity=request.velocity + starts.velocity
+        )
     if not np.any(zeros):
         return request
     command = dict(request.command)

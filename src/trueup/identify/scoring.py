@@ -134,7 +134,7 @@ class Scorer:
         return own.pop() if len(own) == 1 else "mixed"
 
     def size(self, split: str) -> dict[str, dict[str, float]]:
-        """Logged signal -> scored joint -> standard deviation of what was measured on one split [unit of the signal]."""
+        """Logged signal -> scored joint -> standard deviation of what was measured on one split [its unit]."""
         robot, found = self._nominal.robot, {}
         for name in ("position", "velocity", "torque"):
             rows = [own.plan.measured[name] for own in self._segments[split] if name in own.plan.measured]
