@@ -15,7 +15,7 @@ from trueup.core.episode import Episode
 from trueup.core.fit_result import ModelRow
 from trueup.core.parameters import ParameterSet
 from trueup.core.ray_workers import Cluster
-from trueup.core.time_limit import TimeLimit
+from trueup.core.time_limit import OutOfTime, TimeLimit
 from trueup.errors import NotIdentifiable, TrueupError
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import AUTO, IdentifyConfig, make_parameters
@@ -59,8 +59,9 @@ EXPLAINED = 1.1
 _HEARD, _SAME_UNIT = 0.5, (0.5, 2.0)
 # No torque is simulated better than to this share of its size.
 _SURE_OF_TORQUE = 1e-3
-# Shares of a time limit at which the base model ends, no richer one is begun, these end, and the best one ends.
-_BASE, _LAST_BEGIN, _RICHER, _BEST = 0.5, 0.65, 0.75, 0.9
+# Shares of a time limit at which the base model ends, no richer one is begun, these end, the best one ends, and what
+# makes its intervals certain.
+_BASE, _LAST_BEGIN, _RICHER, _BEST, _SURE = 0.4, 0.55, 0.65, 0.75, 0.95
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +136,7 @@ class ModelSearch:
         best = self._settled(best, fit, rough=rough, limit=limit)
         best = self._braked(best, fit, rough=rough, limit=limit)
         tried = [best]
-        if self._explained(best):
+        if self._explained(best) and not _over(self._until(_BEST)):
             # Nothing is left that a richer model could explain.
             models = {}
             best = self._further(best, fit, "to the end", (), limit=self._until(_BEST))
@@ -152,16 +153,14 @@ class ModelSearch:
             tried.append(self._try(joined, richer, best.solution, left_out=idle, rough=True, limit=limit))
             if _better(tried[-1], best):
                 best, fit = tried[-1], richer
-        if models:
+        if models and not _over(self._until(_BEST)):
             # What the richer models have brought, and changes nothing either, goes; the motion stays as it is.
             idle = [*idle, *(name for name in self._idle(best) if name not in idle)]
             finished = self._to_the_end(best, fit, idle)
             tried[tried.index(best)] = best = finished
-        if self._limit is not None and self._limit.over:
-            return best, tried
-        settled = self._settled(best, fit, left_out=self._frozen(best), limit=self._limit)
+        settled = self._settled(best, fit, left_out=self._frozen(best), limit=self._until(_BEST))
         self._begun_at(settled.solution.values)
-        certain = self._certain(self._heard(settled, fit, left_out=self._frozen(settled), limit=self._limit))
+        certain = self._certain(self._heard(settled, fit, left_out=self._frozen(settled), limit=self._until(_BEST)))
         self._finer = self._compared(certain)
         # Its numbers are those of the robot, and not of a time step.
         low, high = certain.solution.parameters.bounds
@@ -206,7 +205,12 @@ class ModelSearch:
         """The same model with verified derivatives, at the minimum that these see."""
         found, problem = item.solution, self.problem_of(item)
         search = Search(problem, self._settings, Stopwatch(), checkpoint=None, on_progress=None)
-        solution = replace(found, **search.certain(found.z))
+        try:
+            with problem.ending(self._until(_SURE)):
+                solution = replace(found, **search.certain(found.z))
+        except OutOfTime:
+            self.short_of_time.append(item.row.name)
+            return replace(item, solution=replace(found, solver={**found.solver, "stop": "time"}))
         return replace(item, solution=solution, val=self._on_val(solution))
 
     def scored_row(self, item: TriedModel, *, chosen: bool) -> ModelRow:
@@ -334,7 +338,7 @@ class ModelSearch:
         """
         limit = self._until(_BASE)
         best = self._try("base", fit, rough=rough, limit=limit)
-        if not self._between_stamps:
+        if not self._between_stamps or _over(limit):
             return best
         other = Discretization(command="linear" if self.way.command == "held" else "held")
         before, self.way = self.way, other
@@ -389,6 +393,8 @@ class ModelSearch:
         limit: TimeLimit | None = None,
     ) -> TriedModel:
         """The same model, fitted with a quarter of the time step if numbers depend on it and the data do not object."""
+        if _over(limit):
+            return best
         self._finer = self._compared(best)
         if self._finer is None or not self._finer.matters(self.way, self.posterior_of(best).std):
             return best
@@ -400,7 +406,7 @@ class ModelSearch:
         """The same model with dry friction as soft as the model has it, if the logs say so: those of simulations do."""
         friction = [item for item in best.solution.parameters if item.quantity == "frictionloss"]
         own = self.nominal.model.dof_frictionloss.any()
-        if not own and not any(best.solution.values[item.name] > 0.0 for item in friction):
+        if _over(limit) or (not own and not any(best.solution.values[item.name] > 0.0 for item in friction)):
             return best
         other = self._compared(best, replace(self.way, rigid=False))
         if other is None or other.gain < -DECIDED:
@@ -428,7 +434,7 @@ class ModelSearch:
         Weights by residuals are those of least squares whose variances are not known, found by iteration. They begin
         low, since a fit to positions alone leaves the scale of all torques to the model's masses.
         """
-        if self._signal == "torque" or self.config.signals.get("torque") != AUTO:
+        if self._signal == "torque" or self.config.signals.get("torque") != AUTO or _over(limit):
             return best
         found, base = best.solution, self.config.weights
         _, segments = self._simulated(self.way)
@@ -467,10 +473,15 @@ class ModelSearch:
         return self._further(best, fit, "with torque", left_out, rough=rough, limit=limit)
 
     def _compared(self, item: TriedModel, way: Discretization | None = None) -> Alternative | None:
-        """What another way, or a finer time step, would find."""
+        """What another way, or a finer time step, would find; None where it cannot be simulated, or no time is left."""
         found, problem, way = item.solution, self.problem_of(item), way or finer(self.way)
-        residual = problem.residuals(found.z[None])[0]
-        return alternative(problem, found.z, residual, found.jacobian, self._problem(found.parameters, way), way)
+        other, limit = self._problem(found.parameters, way), self._until(_SURE)
+        try:
+            with problem.ending(limit), other.ending(limit):
+                residual = problem.residuals(found.z[None])[0]
+                return alternative(problem, found.z, residual, found.jacobian, other, way)
+        except OutOfTime:
+            return None
 
     def _frozen(self, item: TriedModel) -> list[str]:
         return [parameter.name for parameter in item.solution.parameters if parameter.frozen]
@@ -598,6 +609,10 @@ class ModelSearch:
         weight = noise_of(problem, found.residual).weight
         idle = idle_names(problem, found.jacobian, weight)
         return idle if len(idle) < len(found.parameters.free) else []
+
+
+def _over(limit: TimeLimit | None) -> bool:
+    return limit is not None and limit.over
 
 
 def _payload_note(logs: Sequence[Episode]) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from queue import SimpleQueue
 
@@ -126,7 +126,8 @@ class Problem:
         before = self._limit, self._kept_for
         self._limit, self._kept_for = limit, keep
         try:
-            yield
+            with nullcontext() if self.coarse is None else self.coarse.ending(limit, keep=keep):
+                yield
         finally:
             self._limit, self._kept_for = before
 
