@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -88,6 +90,58 @@ def test_a_finer_truth_is_found_and_its_numbers_lie_in_their_intervals(pendulum)
         assert found[name].value == pytest.approx(pendulum.truth[name], rel=0.1)
 
 
+def in_intervals(found, truth):
+    """The numbers that are called determined, and which of them do not hold the truth."""
+    known = [item for item in found.parameters if item.identified == "yes" and item.name in truth]
+    return known, [item for item in known if not item.interval[0] <= truth[item.name] <= item.interval[1]]
+
+
+def test_a_logged_torque_tells_the_scale_of_all_torques(tmp_path):
+    pendulum = pendulum_logs(tmp_path, torque=True, mass=0.6)
+    fit = dict.fromkeys(("kp", "kv", "frictionloss", "armature"), "all") | {"mass": {"prior_std": 0.1}}
+    found = identify(
+        pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
+    ).result
+    known, missed = in_intervals(found, pendulum.truth)
+    assert {"kp[j]", "mass[link]"} <= {item.name for item in known}
+    assert not missed
+    assert found["mass[link]"].value == pytest.approx(0.6, rel=0.02)
+    assert any("torque is weighed" in line for line in found.statements)
+    mirrored = [
+        replace(
+            log, measured=replace(log.measured, signals={**log.measured.signals, "torque": -log.measured["torque"]})
+        )
+        for log in pendulum.episodes["train"]
+    ]
+    logs = {"train": mirrored, "val": pendulum.episodes["val"]}
+    other = identify(logs, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})).result
+    assert any("torque is not used" in line for line in other.statements)
+    assert other["kp[j]"].identified != "yes" or in_intervals(other, pendulum.truth)[1] == []
+
+
+def test_windows_begin_where_the_motion_that_follows_says(tmp_path):
+    pendulum = pendulum_logs(tmp_path, driven=True)
+    fit = dict.fromkeys(("damping", "frictionloss", "armature"), "all") | {"mass": {"prior_std": 0.1}}
+    found = identify(
+        pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
+    ).result
+    assert found.whiteness["j"].rms < 1.1 * 3e-4  # the noise of the encoder
+    known, missed = in_intervals(found, pendulum.truth)
+    assert known
+    assert not missed
+
+
+def test_friction_that_creeps_is_told_from_friction_that_holds(tmp_path):
+    fit = dict.fromkeys(("kp", "kv", "frictionloss", "armature"), "all")
+    for soft in (True, False):
+        pendulum = pendulum_logs(tmp_path, soft=soft, frictionloss=0.4)
+        found = identify(
+            pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
+        ).result
+        assert any("creeps" in line for line in found.statements) == soft
+        assert found["frictionloss[j]"].value == pytest.approx(0.4, rel=0.03)
+
+
 def test_third_differences_show_the_noise_and_not_what_moves_slowly():
     rng = np.random.default_rng(0)
     slow = 3.0 * np.sin(np.arange(4000) / 60.0)
@@ -95,13 +149,14 @@ def test_third_differences_show_the_noise_and_not_what_moves_slowly():
     assert noise_level([np.zeros(2)]) == 0.0
 
 
-def test_a_step_is_extrapolated_to_zero_where_data_do_not_object():
+def test_numbers_are_those_of_the_finer_step_where_data_do_not_object():
     shift = np.array([0.3, -0.1])
     now, way = Discretization(4), Discretization(8)
     open_ = Alternative(way, shift, gain=0.0)
-    np.testing.assert_allclose(open_.to_step_zero(now), 2.0 * shift)
+    np.testing.assert_allclose(open_.change(now), shift)
     np.testing.assert_allclose(open_.unknown(now), 0.5 * shift)
-    assert Alternative(way, shift, gain=-100.0).to_step_zero(now) == 0.0
+    assert Alternative(way, shift, gain=-100.0).change(now) == 0.0
+    assert open_.change(Discretization()) == 0.0
     assert Alternative(Discretization(4), shift, gain=0.0).matters(Discretization(), np.array([0.1, 1.0]))
     assert not Alternative(Discretization(4), shift, gain=0.0).matters(Discretization(), np.array([1.0, 1.0]))
     assert not Alternative(Discretization(4), shift, gain=-100.0).matters(Discretization(), np.array([0.1, 1.0]))

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from trueup.identify.problem import Problem
+from trueup.errors import DataError
+from trueup.identify.search import Search
 from trueup.identify.uncertainty import noise_of, precision_of
 from trueup.robots import CommandTiming, RobotSpec
 
@@ -17,13 +18,6 @@ _QUARTER = 4
 DECIDED = 10.0
 # A number that a quarter of the time step moves by more than this many of its standard deviations is worth it.
 _MATTERS = 0.5
-# Of a change that is extrapolated to a time step of zero, this share is unknown.
-_UNSURE = 0.25
-# Steps towards the minimum of a way, and the shares of each that are tried.
-_CHORDS = 3
-_SHARES = np.array([1.0, 0.3])
-# Linearized changes further than this, in z, are only known to be large.
-_LINEAR = 1.0
 
 
 @dataclass(frozen=True)
@@ -74,22 +68,20 @@ class Alternative:
         moved = np.max(np.abs(self.shift) / np.maximum(std, 1e-12), initial=0.0)
         return bool(now.divisor == 1 and self._possible and moved > _MATTERS)
 
-    def to_step_zero(self, now: Discretization) -> Float64[np.ndarray, "P"] | float:
-        """How the estimate would change from the present step to one of zero, in z (Richardson's extrapolation).
-
-        The error of a step h is taken as proportional to h, so that of a change d from h to h / k there is d k / (k -
-        1) in all. Nothing at the model's own step, and where the data prefer the present one.
-        """
-        if now.divisor == 1 or not self._possible:
-            return 0.0
-        ratio = self.way.divisor / now.divisor
-        return np.asarray(self.shift * ratio / (ratio - 1.0))
+    def change(self, now: Discretization) -> Float64[np.ndarray, "P"] | float:
+        """How the estimate changes to the finer step, in z; nothing at the model's own step, or where data object."""
+        return self.shift if now.divisor > 1 and self._possible else 0.0
 
     def unknown(self, now: Discretization) -> Float64[np.ndarray, "P"] | float:
-        """What is not known of the change by the time step, in z: a quarter of what was extrapolated, or all of it."""
+        """One standard deviation of what is not known of the change by the time step, in z.
+
+        The error of a step h is proportional to h: from h to h / k, a number changes by (1 - 1 / k) of what is left to
+        a step of zero. Where the finer step halves the present one and is taken, as much again is left, half of which is
+        one standard deviation; at the model's own step, all of the change is.
+        """
         if not self._possible:
             return 0.0
-        return _UNSURE * self.to_step_zero(now) if now.divisor > 1 else self.shift
+        return 0.5 * self.shift if now.divisor > 1 else self.shift
 
     @property
     def _possible(self) -> bool:
@@ -102,61 +94,46 @@ def probability(gain: float) -> float:
 
 
 def alternative(
-    problem: Problem,
+    search: Search,
+    other: Search,
     z: Float64[np.ndarray, "P"],
-    residual: Float64[np.ndarray, "N"],
     jacobian: Float64[np.ndarray, "P N"],
-    other: Problem,
     way: Discretization,
+    *,
+    begun: Float64[np.ndarray, "P"] | None = None,
 ) -> Alternative | None:
     """Compare the present way with another one by a few simulations.
 
-    With r the residual at z, J the derivatives of the present way and L the precision of the prior, the minimum of
-    |r + J^T d|^2 + w |z + d - mean|_L^2 is at d = -(J J^T + w L)^-1 (J r + w L (z - mean)). Both ways have nearly the
-    same derivatives. So a few such steps, each from the residual where the last has led, bring either way to its own
-    minimum (a chord method), and the two are compared there.
+    Both have nearly the same derivatives. With these, corrected by what each step shows, either way is brought to its
+    own minimum, and the two are compared there.
 
     Args:
-        problem: the fit as it is simulated now.
-        z: best parameters, (P,).
-        residual: at z, (N,).
-        jacobian: at z, (P, N).
+        search: the fit as it is simulated now.
         other: the same fit simulated the other way.
-        way: what that is.
+        z: best parameters, (P,).
+        jacobian: at z, (P, N).
+        way: the other way.
+        begun: where that is searched from, (P,); z if None.
 
     Returns:
         None where the other simulation fails or has other samples.
     """
-    mean, _ = problem.parameters.prior
-    low, high = problem.parameters.bounds
-    precision = precision_of(problem.parameters)
-    weight = noise_of(problem, residual).weight
-    inverse = np.linalg.pinv(jacobian @ jacobian.T + weight * precision, hermitian=True)
-
-    def cost(place: Float64[np.ndarray, "P"], own: Float64[np.ndarray, "N"]) -> float:
-        return float(own @ own + weight * (place - mean) @ precision @ (place - mean))
-
-    def descended(simulated: Problem, own: Float64[np.ndarray, "N"]) -> tuple[Float64[np.ndarray, "P"], np.ndarray]:
-        place = z
-        for _ in range(_CHORDS):
-            move = -inverse @ (jacobian @ own + weight * precision @ (place - mean))
-            steps = np.outer(_SHARES, np.clip(move, -_LINEAR, _LINEAR))
-            places = np.clip(place + steps, low, high)
-            tried = simulated.residuals(places)
-            costs = [cost(*pair) if np.isfinite(pair[1]).all() else np.inf for pair in zip(places, tried, strict=True)]
-            best = int(np.argmin(costs))
-            if costs[best] >= cost(place, own):
-                break
-            place, own = places[best], tried[best]
-        return place, own
-
-    found = other.residuals(z[None])[0]
-    if found.shape != residual.shape or not np.isfinite(found).all():
+    mean, _ = search.problem.parameters.prior
+    precision = precision_of(search.problem.parameters)
+    try:
+        (here, mine), (there, theirs) = (
+            search.polished(z, jacobian),
+            other.polished(z if begun is None else begun, jacobian),
+        )
+    except DataError:
         return None
-    (here, mine), (there, theirs) = descended(problem, residual), descended(other, found)
-    present, instead = cost(here, mine), cost(there, theirs)
-    least = noise_of(problem, theirs if instead < present else mine).weight
-    return Alternative(way, there - here, float((present - instead) / max(least, 1e-300)))
+    noise = noise_of(search.problem, mine).weight, noise_of(other.problem, theirs).weight
+    present, instead = (
+        float(own @ own + max(noise) * (place - mean) @ precision @ (place - mean))
+        for place, own in ((here, mine), (there, theirs))
+    )
+    least = noise[1] if instead < present else noise[0]
+    return Alternative(way, there - here, (present - instead) / max(least, 1e-300))
 
 
 def finer(now: Discretization) -> Discretization:

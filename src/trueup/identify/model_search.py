@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64
 
 from trueup.core.episode import Episode
 from trueup.core.fit_result import ModelRow
@@ -134,6 +135,7 @@ class ModelSearch:
         rough, limit = bool(models), self._until(_BASE)
         best = self._heard(best, fit, rough=rough, limit=limit)
         best = self._settled(best, fit, rough=rough, limit=limit)
+        best = self._retimed(best, fit, rough=rough, limit=limit)
         best = self._braked(best, fit, rough=rough, limit=limit)
         tried = [best]
         if self._explained(best) and not _over(self._until(_BEST)):
@@ -164,7 +166,7 @@ class ModelSearch:
         self._finer = self._compared(certain)
         # Its numbers are those of the robot, and not of a time step.
         low, high = certain.solution.parameters.bounds
-        change = 0.0 if self._finer is None else self._finer.to_step_zero(self.way)
+        change = 0.0 if self._finer is None else self._finer.change(self.way)
         z = np.clip(certain.solution.z + change, low, high)
         certain = replace(certain, solution=replace(certain.solution, z=z))
         tried[tried.index(best)] = certain
@@ -342,10 +344,8 @@ class ModelSearch:
             return best
         other = Discretization(command="linear" if self.way.command == "held" else "held")
         before, self.way = self.way, other
-        # A held command is late by half of the time between two.
-        later = 0.5 * self._period_s * (1.0 if other.command == "linear" else -1.0)
         begun = best.solution.parameters
-        delays = {item.name: item.value + later for item in begun.free if item.quantity == "delay_s"}
+        delays = {item.name: item.value + self._later for item in begun.free if item.quantity == "delay_s"}
         tried = self._try(f"base, {other.command}", fit, begun=begun.at(delays), rough=rough, limit=limit)
         samples = noise_of(self.problem_of(tried), tried.solution.residual).effective
         gain = 2.0 * samples * float(np.log(best.solution.rms / max(tried.solution.rms, 1e-300)))
@@ -361,6 +361,25 @@ class ModelSearch:
             return replace(tried, row=replace(tried.row, name="base"), val=self._on_val(tried.solution))
         self.way = before
         return best
+
+    def _retimed(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
+        """The same model with the other timing of the command, if that is better after all: with a step that is settled."""
+        if self.way.divisor == 1 or not self._between_stamps or _over(limit):
+            return best
+        way = replace(self.way, command="linear" if self.way.command == "held" else "held")
+        free = best.solution.parameters.free
+        later = np.array([-self._later / item.scale * (item.quantity == "delay_s") for item in free])
+        low, high = best.solution.parameters.bounds
+        self._undecided.clear()
+        return self._chosen(best, fit, way, begun=np.clip(best.solution.z + later, low, high), rough=rough, limit=limit)
+
+    @property
+    def _later(self) -> float:
+        """By how much delays of the present timing are longer than those of the other one [s].
+
+        A held command is late by half of the time between two.
+        """
+        return 0.5 * self._period_s * (1.0 if self.way.command == "linear" else -1.0)
 
     @property
     def _between_stamps(self) -> bool:
@@ -408,17 +427,33 @@ class ModelSearch:
         own = self.nominal.model.dof_frictionloss.any()
         if _over(limit) or (not own and not any(best.solution.values[item.name] > 0.0 for item in friction)):
             return best
-        other = self._compared(best, replace(self.way, rigid=False))
+        return self._chosen(best, fit, replace(self.way, rigid=False), rough=rough, limit=limit)
+
+    def _chosen(
+        self,
+        best: TriedModel,
+        fit: Mapping[str, Any],
+        way: Discretization,
+        *,
+        begun: Float64[np.ndarray, "P"] | None = None,
+        rough: bool,
+        limit: TimeLimit | None,
+    ) -> TriedModel:
+        """The same model simulated another way, if that explains the logs better."""
+        other = self._compared(best, way, begun)
         if other is None or other.gain < -DECIDED:
             return best
+        found = best.solution
         if other.gain < DECIDED:
             shift = probability(other.gain) ** 0.5 * other.shift
-            names = [item.name for item in best.solution.parameters.free]
+            names = [item.name for item in found.parameters.free]
             self._undecided.append(dict(zip(names, shift.tolist(), strict=True)))
             return best
-        self.way = other.way
+        self.way = way
         self._scorer = Scorer(self.nominal, self.usable, jobs=self._jobs, seed=self._seed)
-        return self._further(best, fit, "soft friction", (), rough=rough, limit=limit)
+        low, high = found.parameters.bounds
+        moved = replace(best, solution=replace(found, z=np.clip(found.z + other.shift, low, high)))
+        return self._further(moved, fit, "another way", (), rough=rough, limit=limit)
 
     def _heard(
         self,
@@ -472,14 +507,18 @@ class ModelSearch:
         self._torque_said = "the logged torque is weighed, each joint's by what the fit leaves of it"
         return self._further(best, fit, "with torque", left_out, rough=rough, limit=limit)
 
-    def _compared(self, item: TriedModel, way: Discretization | None = None) -> Alternative | None:
+    def _compared(
+        self, item: TriedModel, way: Discretization | None = None, begun: Float64[np.ndarray, "P"] | None = None
+    ) -> Alternative | None:
         """What another way, or a finer time step, would find; None where it cannot be simulated, or no time is left."""
-        found, problem, way = item.solution, self.problem_of(item), way or finer(self.way)
-        other, limit = self._problem(found.parameters, way), self._until(_SURE)
+        found, way, limit = item.solution, way or finer(self.way), self._until(_SURE)
+        now, other = self.problem_of(item), self._problem(found.parameters, way)
+        searches = [
+            Search(problem, self._settings, Stopwatch(), checkpoint=None, on_progress=None) for problem in (now, other)
+        ]
         try:
-            with problem.ending(limit), other.ending(limit):
-                residual = problem.residuals(found.z[None])[0]
-                return alternative(problem, found.z, residual, found.jacobian, other, way)
+            with now.ending(limit), other.ending(limit):
+                return alternative(*searches, found.z, found.jacobian, way, begun=begun)
         except OutOfTime:
             return None
 

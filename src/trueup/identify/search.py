@@ -160,6 +160,21 @@ class Search:
         """
         return self._derivatives(GaussNewtonState(z)).central_jacobian(_CERTAIN_STEP)
 
+    def polished(
+        self, z: Float64[np.ndarray, "P"], jacobian: Float64[np.ndarray, "P N"]
+    ) -> tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]]:
+        """The minimum that given derivatives lead to from z, (P,), and the residual there, (N,).
+
+        Raises:
+            DataError: the model cannot be simulated at z, or has other samples.
+        """
+        newton = self._derivatives(GaussNewtonState(z))
+        if newton.begin().shape != jacobian.shape[1:]:
+            raise DataError("other samples", got=newton.begin().size, expected=jacobian.shape[1])
+        newton.polish(jacobian)
+        assert newton.residual is not None
+        return newton.state.z, newton.residual
+
     def certain(self, z: Float64[np.ndarray, "P"]) -> dict[str, Any]:
         """`z`, `residual`, `jacobian` and `rms` of a solution with verified derivatives, at the minimum that these see.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,9 @@ _POSITION, _VELOCITY = 1e-4, 1e-3
 # A direction of a start that changes the motion by less than this share of the others (the speed of a joint that
 # sticks, say) is left.
 _LEAST = 1e-3
-_ROUNDS = 2
+# Steps to the best starts, the shares of each that are tried, and how many standard deviations of its measurement a
+# start may easily be away from it.
+_ROUNDS, _SHARES, _EASILY = 3, (1.0, 0.3), 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +36,7 @@ class WindowStarts:
 
     position: Float64[np.ndarray, "W J"]
     velocity: Float64[np.ndarray, "W J"]
-    pieces: tuple[tuple[Int[np.ndarray, "M"], Float64[np.ndarray, "M K"]], ...] = ()
+    pieces: tuple[tuple[Int[np.ndarray, "_"], Float64[np.ndarray, "_ _"]], ...] = ()
 
     def without(self, residuals: Float64[np.ndarray, "C N"]) -> Float64[np.ndarray, "C N"]:
         """Residuals of the segment without what a change of the starts explains of them."""
@@ -52,6 +54,9 @@ def window_starts(problem: Problem, z: Float64[np.ndarray, "P"]) -> dict[Segment
     others, and since it changes this window alone, it is eliminated: with r the residual of a window and S = dr/dx,
     the residual of the best start is r - S (S^T S)^-1 S^T r, which is linear in r.
 
+    Dry friction makes S itself depend on x. So S is that of the best start, found by a few steps of Gauss-Newton, each
+    window's taken where it explains the window better.
+
     Source: Golub, Pereyra 1973, "The differentiation of pseudo-inverses and nonlinear least squares problems whose
     variables separate"; multiple shooting with free states as by Bock 1983, "Recent advances in parameter
     identification techniques for ODE".
@@ -63,38 +68,68 @@ def window_starts(problem: Problem, z: Float64[np.ndarray, "P"]) -> dict[Segment
     Returns:
         Starts by segment; of none whose motion cannot be simulated.
     """
-    joints = len(problem.nominal.robot.joint_names)
-    shifts = {segment: np.zeros((2, segment.plan.starts.size, joints)) for segment in problem.segments}
-    found: dict[Segment, WindowStarts] = {}
-    for last in range(_ROUNDS):
-        base = _residuals(problem, z, shifts)
-        slopes = []
-        for kind, step in enumerate((_POSITION, _VELOCITY)):
-            for joint in range(joints):
-                moved = {segment: own.copy() for segment, own in shifts.items()}
-                for own in moved.values():
-                    own[kind, :, joint] += step
-                slopes.append((_residuals(problem, z, moved) - base) / step)
-        sensitivity = np.stack(slopes, axis=1)
-        if not np.isfinite(sensitivity).all() or not np.isfinite(base).all():
+    windows = _windows(problem)
+    shifts = {segment: np.zeros((2, segment.plan.starts.size, _joints(problem))) for segment in problem.segments}
+    known = {segment: _known(segment) for segment in problem.segments}
+    for _ in range(_ROUNDS):
+        base, sensitivity = _slopes(problem, z, shifts)
+        if not np.isfinite(base).all() or not np.isfinite(sensitivity).all():
             return {}
-        begin = 0
-        for segment, window in _windows(problem).items():
-            rows = slice(begin, begin + window.size)
-            begin += window.size
-            pieces, own = [], shifts[segment]
+        variance = float(np.mean(base**2))
+        moves = {}
+        for segment, rows, window in _placed(windows):
+            moves[segment] = np.zeros_like(shifts[segment])
             for number in range(segment.plan.starts.size):
                 mine = np.flatnonzero(window == number)
-                left, sizes, right = np.linalg.svd(sensitivity[rows][mine], full_matrices=False)
-                kept = sizes > _LEAST * sizes.max(initial=0.0)
-                if not kept.any():
-                    continue
+                slope, left = sensitivity[rows][mine], base[rows][mine]
+                held = np.diag(variance / (_EASILY * known[segment]) ** 2)
+                pull = held @ shifts[segment][:, number].ravel()
+                step = -np.linalg.solve(slope.T @ slope + held, slope.T @ left + pull)
+                moves[segment][:, number] = step.reshape(2, -1)
+        for share in _SHARES:
+            tried = {segment: own + share * moves[segment] for segment, own in shifts.items()}
+            found = _residuals(problem, z, tried)
+            for segment, rows, window in _placed(windows):
+                before, after = (np.bincount(window, own[rows] ** 2, segment.plan.starts.size) for own in (base, found))
+                better = np.flatnonzero(after < before)
+                shifts[segment][:, better] = tried[segment][:, better]
+                moves[segment][:, better] = 0.0
+    _, sensitivity = _slopes(problem, z, shifts)
+    if not np.isfinite(sensitivity).all():
+        return {}
+    starts = {}
+    for segment, rows, window in _placed(windows):
+        pieces = []
+        for number in range(segment.plan.starts.size):
+            mine = np.flatnonzero(window == number)
+            left, sizes, _ = np.linalg.svd(sensitivity[rows][mine], full_matrices=False)
+            kept = sizes > _LEAST * sizes.max(initial=0.0)
+            if kept.any():
                 pieces.append((mine, left[:, kept]))
-                if last < _ROUNDS - 1:
-                    change = -(right[kept].T / sizes[kept]) @ (left[:, kept].T @ base[rows][mine])
-                    own[:, number] += change.reshape(2, joints)
-            found[segment] = WindowStarts(own[0], own[1], tuple(pieces))
-    return found
+        starts[segment] = WindowStarts(*shifts[segment], tuple(pieces))
+    return starts
+
+
+def _joints(problem: Problem) -> int:
+    return len(problem.nominal.robot.joint_names)
+
+
+def _known(segment: Segment) -> Float64[np.ndarray, "K"]:
+    """How well the start of a window is measured: standard deviations of its positions, then of its velocities, (2 J,).
+
+    White noise of variance s^2 has third differences of variance 20 s^2, and slopes over two samples of s^2 / (2 T^2).
+    """
+    measured = segment.plan.measured
+
+    def noise(values: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.nanmean(np.diff(values.astype(np.float64), 3, axis=0) ** 2, axis=0) / 20.0)
+
+    position = np.maximum(noise(measured["position"]), _POSITION)
+    if "velocity" in measured:
+        velocity = noise(measured["velocity"])
+    else:
+        velocity = position / (np.sqrt(2.0) * float(np.median(np.diff(measured.time_s))))
+    return np.concatenate([position, np.maximum(velocity, _VELOCITY)])
 
 
 def _residuals(
@@ -102,6 +137,28 @@ def _residuals(
 ) -> Float64[np.ndarray, "N"]:
     starts = {segment: WindowStarts(position, velocity) for segment, (position, velocity) in shifts.items()}
     return np.asarray(problem.with_starts(starts).residuals(z[None])[0])
+
+
+def _slopes(
+    problem: Problem, z: Float64[np.ndarray, "P"], shifts: Mapping[Segment, Float64[np.ndarray, "2 W J"]]
+) -> tuple[Float64[np.ndarray, "N"], Float64[np.ndarray, "N K"]]:
+    """The residual, and its derivatives by positions and then velocities of the starts."""
+    base, slopes = _residuals(problem, z, shifts), []
+    for kind, step in enumerate((_POSITION, _VELOCITY)):
+        for joint in range(_joints(problem)):
+            moved = {segment: own.copy() for segment, own in shifts.items()}
+            for own in moved.values():
+                own[kind, :, joint] += step
+            slopes.append((_residuals(problem, z, moved) - base) / step)
+    return base, np.stack(slopes, axis=1)
+
+
+def _placed(windows: Mapping[Segment, Int[np.ndarray, "M"]]) -> Iterator[tuple[Segment, slice, Int[np.ndarray, "M"]]]:
+    """Each segment with its place in the residual, and the window of each of its rows."""
+    begin = 0
+    for segment, window in windows.items():
+        yield segment, slice(begin, begin + window.size), window
+        begin += window.size
 
 
 def _windows(problem: Problem) -> dict[Segment, Int[np.ndarray, "M"]]:
