@@ -76,8 +76,8 @@ class Alternative:
         """One standard deviation of what is not known of the change by the time step, in z.
 
         The error of a step h is proportional to h: from h to h / k, a number changes by (1 - 1 / k) of what is left to
-        a step of zero. Where the finer step halves the present one and is taken, as much again is left, half of which is
-        one standard deviation; at the model's own step, all of the change is.
+        a step of zero. Where the finer step halves the present one and is taken, as much again is left, and half of
+        that is one standard deviation; at the model's own step, all of the change is.
         """
         if not self._possible:
             return 0.0
@@ -120,11 +120,9 @@ def alternative(
     """
     mean, _ = search.problem.parameters.prior
     precision = precision_of(search.problem.parameters)
+    begun = z if begun is None else begun
     try:
-        (here, mine), (there, theirs) = (
-            search.polished(z, jacobian),
-            other.polished(z if begun is None else begun, jacobian),
-        )
+        (here, mine), (there, theirs) = search.polished(z, jacobian), other.polished(begun, jacobian)
     except DataError:
         return None
     noise = noise_of(search.problem, mine).weight, noise_of(other.problem, theirs).weight

@@ -363,7 +363,7 @@ class ModelSearch:
         return best
 
     def _retimed(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
-        """The same model with the other timing of the command, if that is better after all: with a step that is settled."""
+        """The same model with the other timing of the command, if that is better with a step that is settled."""
         if self.way.divisor == 1 or not self._between_stamps or _over(limit):
             return best
         way = replace(self.way, command="linear" if self.way.command == "held" else "held")
@@ -513,12 +513,12 @@ class ModelSearch:
         """What another way, or a finer time step, would find; None where it cannot be simulated, or no time is left."""
         found, way, limit = item.solution, way or finer(self.way), self._until(_SURE)
         now, other = self.problem_of(item), self._problem(found.parameters, way)
-        searches = [
+        one, two = (
             Search(problem, self._settings, Stopwatch(), checkpoint=None, on_progress=None) for problem in (now, other)
-        ]
+        )
         try:
             with now.ending(limit), other.ending(limit):
-                return alternative(*searches, found.z, found.jacobian, way, begun=begun)
+                return alternative(one, two, found.z, found.jacobian, way, begun=begun)
         except OutOfTime:
             return None
 

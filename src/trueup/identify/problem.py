@@ -158,6 +158,12 @@ class Problem:
         other.evaluations, other.seconds = self.evaluations, self.seconds
         return other
 
+    def alone(self) -> Problem:
+        """The same with derivatives at its own time step, and its limit of time."""
+        other = self.with_starts(self.starts)
+        other._limit, other._kept_for = self._limit, self._kept_for  # noqa: SLF001 - it is of the same class
+        return other
+
     def with_starts(self, starts: Mapping[Segment, WindowStarts]) -> Problem:
         """The same with other starts of the windows, simulated at its own time step alone."""
         return Problem(

@@ -42,7 +42,7 @@ _STEP = ("evaluations", "cost", "seconds")
 _CERTAIN_STEP = 0.004
 # Descents to the minimum of verified derivatives, at most; after how many of them these are taken anew; and the promise
 # of a further one that is not worth it, in observations.
-_POLISHED, _AGAIN, _SETTLED = 9, 3, 0.3
+_POLISHED, _FINISHED, _AGAIN, _SETTLED = 9, 3, 3, 0.3
 
 
 class Stopwatch:
@@ -178,28 +178,41 @@ class Search:
     def certain(self, z: Float64[np.ndarray, "P"]) -> dict[str, Any]:
         """`z`, `residual`, `jacobian` and `rms` of a solution with verified derivatives, at the minimum that these see.
 
+        Where derivatives were those of a larger time step, they lead near the minimum, and those of the step itself to
+        it: along what motions hardly show, the difference would count.
+
         Args:
             z: where a search has ended, (P,).
 
         Raises:
             DataError: the model cannot be simulated there.
         """
+        search = self
+        newton, jacobian = self._settled(z, _POLISHED)
+        if self.problem.coarse is not None:
+            search = Search(self.problem.alone(), self.settings, self.clock, checkpoint=None, on_progress=None)
+            newton, jacobian = search._settled(newton.state.z, _FINISHED)
+        assert newton.residual is not None
+        jacobian = verified(search.problem, newton.state.z, jacobian, self._weight(newton.residual))
+        counted, factor = as_least_squares(self.problem, newton.residual, self._loss(newton.residual))
+        rms = float(np.linalg.norm(newton.residual))
+        return {"z": newton.state.z, "residual": counted, "jacobian": jacobian * factor, "rms": rms}
+
+    def _settled(self, z: Float64[np.ndarray, "P"], rounds: int) -> tuple[GaussNewton, Float64[np.ndarray, "P N"]]:
+        """A search at the minimum near z, and derivatives that agree with its last steps."""
         newton = self._derivatives(GaussNewtonState(z))
         jacobian = newton.central_jacobian(_CERTAIN_STEP)
         assert newton.residual is not None
         weight = self._weight(newton.residual)
-        for number in range(_POLISHED):
+        for number in range(rounds):
             # What cancels at one place does not at the next: derivatives are mended before each descent.
             jacobian = verified(self.problem, newton.state.z, jacobian, weight, quick=True)
             if number and newton.promised(jacobian) * newton.state.cost < _SETTLED * weight:
                 break
             moved = newton.polish(jacobian)
-            again = number % _AGAIN == _AGAIN - 1
+            again = number % _AGAIN == _AGAIN - 1 and number < rounds - 1
             jacobian = newton.central_jacobian(_CERTAIN_STEP) if again else moved
-        jacobian = verified(self.problem, newton.state.z, jacobian, weight)
-        counted, factor = as_least_squares(self.problem, newton.residual, self._loss(newton.residual))
-        rms = float(np.linalg.norm(newton.residual))
-        return {"z": newton.state.z, "residual": counted, "jacobian": jacobian * factor, "rms": rms}
+        return newton, jacobian
 
     def at_minimum(self, descent: Descent) -> bool:
         """Whether Gauss-Newton ended at a minimum that its derivatives can see.

@@ -106,7 +106,7 @@ def window_starts(problem: Problem, z: Float64[np.ndarray, "P"]) -> dict[Segment
             kept = sizes > _LEAST * sizes.max(initial=0.0)
             if kept.any():
                 pieces.append((mine, left[:, kept]))
-        starts[segment] = WindowStarts(*shifts[segment], tuple(pieces))
+        starts[segment] = WindowStarts(shifts[segment][0], shifts[segment][1], tuple(pieces))
     return starts
 
 
@@ -122,7 +122,7 @@ def _known(segment: Segment) -> Float64[np.ndarray, "K"]:
     measured = segment.plan.measured
 
     def noise(values: np.ndarray) -> np.ndarray:
-        return np.sqrt(np.nanmean(np.diff(values.astype(np.float64), 3, axis=0) ** 2, axis=0) / 20.0)
+        return np.asarray(np.sqrt(np.nanmean(np.diff(values.astype(np.float64), 3, axis=0) ** 2, axis=0) / 20.0))
 
     position = np.maximum(noise(measured["position"]), _POSITION)
     if "velocity" in measured:
