@@ -161,7 +161,6 @@ class ModelSearch:
             finished = self._to_the_end(best, fit, idle)
             tried[tried.index(best)] = best = finished
         settled = self._settled(best, fit, left_out=self._frozen(best), limit=self._until(_BEST))
-        self._begun_at(settled.solution.values)
         certain = self._certain(self._heard(settled, fit, left_out=self._frozen(settled), limit=self._until(_BEST)))
         self._finer = self._compared(certain)
         # Its numbers are those of the robot, and not of a time step.
@@ -213,6 +212,8 @@ class ModelSearch:
         except OutOfTime:
             self.short_of_time.append(item.row.name)
             return replace(item, solution=replace(found, solver={**found.solver, "stop": "time"}))
+        self._begun_at(solution.values)
+        self._starts[self.way] = problem.starts
         return replace(item, solution=solution, val=self._on_val(solution))
 
     def scored_row(self, item: TriedModel, *, chosen: bool) -> ModelRow:
@@ -579,6 +580,7 @@ class ModelSearch:
             took_s = max(took_s, prepared_s + solution.solver["seconds"])  # before an interruption, too
         if solution.solver["stop"] == "time":
             self.short_of_time.append(name)
+        self._begun_at(solution.values)
         if start is not None and "remark" in start.solver:
             # It holds for all that goes on from there.
             solution = replace(solution, solver={"remark": start.solver["remark"], **solution.solver})

@@ -20,7 +20,7 @@ from trueup.errors import ConfigError
 from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.quantities import motion_target, quantity, split_motion_target
 from trueup.identify.segments import Segment
-from trueup.identify.window_starts import WindowStarts
+from trueup.identify.window_starts import WindowStarts, window_starts
 from trueup.sim import MujocoSimulator
 
 # Simulated states that one task holds at a time: some 100 MB.
@@ -157,6 +157,14 @@ class Problem:
         )
         other.evaluations, other.seconds = self.evaluations, self.seconds
         return other
+
+    def restart(self, z: Float64[np.ndarray, "P"]) -> bool:
+        """Look again where windows begin, near where they do, with these parameters; whether there are any."""
+        if self.starts:
+            self.starts = window_starts(self, z, self.starts)
+        if self.coarse is not None:
+            self.coarse.restart(z)
+        return bool(self.starts)
 
     def alone(self) -> Problem:
         """The same with derivatives at its own time step, and its limit of time."""

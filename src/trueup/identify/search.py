@@ -43,6 +43,8 @@ _CERTAIN_STEP = 0.004
 # Descents to the minimum of verified derivatives, at most; after how many of them these are taken anew; and the promise
 # of a further one that is not worth it, in observations.
 _POLISHED, _FINISHED, _AGAIN, _SETTLED = 9, 3, 3, 0.3
+# How often windows begin anew while another way to simulate is brought to its minimum.
+_RESTARTS = 3
 
 
 class Stopwatch:
@@ -137,6 +139,8 @@ class Search:
             try:
                 with self.problem.ending(self._limit, keep=state.z.size):  # derivatives at its end
                     search.step()
+                    if not search.done and self.problem.restart(state.z):
+                        search.renew()
             except OutOfTime:
                 state.reason, state.square = "time", search.square
             if self._left_s() <= 0 and not search.done:
@@ -172,6 +176,10 @@ class Search:
         if newton.begin().shape != jacobian.shape[1:]:
             raise DataError("other samples", got=newton.begin().size, expected=jacobian.shape[1])
         newton.polish(jacobian)
+        for _ in range(_RESTARTS):
+            if self.problem.restart(newton.state.z):
+                newton.renew()
+                newton.polish(jacobian)
         assert newton.residual is not None
         return newton.state.z, newton.residual
 
@@ -192,6 +200,7 @@ class Search:
         if self.problem.coarse is not None:
             search = Search(self.problem.alone(), self.settings, self.clock, checkpoint=None, on_progress=None)
             newton, jacobian = search._settled(newton.state.z, _FINISHED)
+            self.problem.starts = search.problem.starts
         assert newton.residual is not None
         jacobian = verified(search.problem, newton.state.z, jacobian, self._weight(newton.residual))
         counted, factor = as_least_squares(self.problem, newton.residual, self._loss(newton.residual))
@@ -205,6 +214,8 @@ class Search:
         assert newton.residual is not None
         weight = self._weight(newton.residual)
         for number in range(rounds):
+            if number and self.problem.restart(newton.state.z):
+                newton.renew()
             # What cancels at one place does not at the next: derivatives are mended before each descent.
             jacobian = verified(self.problem, newton.state.z, jacobian, weight, quick=True)
             if number and newton.promised(jacobian) * newton.state.cost < _SETTLED * weight:

@@ -46,7 +46,9 @@ class WindowStarts:
         return left
 
 
-def window_starts(problem: Problem, z: Float64[np.ndarray, "P"]) -> dict[Segment, WindowStarts]:
+def window_starts(
+    problem: Problem, z: Float64[np.ndarray, "P"], begun: Mapping[Segment, WindowStarts] | None = None
+) -> dict[Segment, WindowStarts]:
     """The starts of all windows that explain the logs best, with the parameters z.
 
     A window begins in the measured state, whose velocity is a difference of two noisy positions: at 100 Hz and 0.3
@@ -64,14 +66,22 @@ def window_starts(problem: Problem, z: Float64[np.ndarray, "P"]) -> dict[Segment
     Args:
         problem: with windows; its own `starts` do not count.
         z: of the free parameters, (P,).
+        begun: starts that were the best of parameters nearby, from which one step is enough; None begins where it was
+            measured.
 
     Returns:
         Starts by segment; of none whose motion cannot be simulated.
     """
     windows = _windows(problem)
-    shifts = {segment: np.zeros((2, segment.plan.starts.size, _joints(problem))) for segment in problem.segments}
+    begun = begun or {}
+    shifts = {
+        segment: np.stack([begun[segment].position, begun[segment].velocity])
+        if segment in begun
+        else np.zeros((2, segment.plan.starts.size, _joints(problem)))
+        for segment in problem.segments
+    }
     known = {segment: _known(segment) for segment in problem.segments}
-    for _ in range(_ROUNDS):
+    for _ in range(1 if begun else _ROUNDS):
         base, sensitivity = _slopes(problem, z, shifts)
         if not np.isfinite(base).all() or not np.isfinite(sensitivity).all():
             return {}

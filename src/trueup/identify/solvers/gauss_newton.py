@@ -247,6 +247,12 @@ class GaussNewton:
         state.history.append(state.cost)
         self._advance(finished=finished)
 
+    def renew(self) -> None:
+        """Simulate the best parameters again, since the residuals of all have changed; a new Jacobian will be taken."""
+        self.residual, self._latest, self.state.jacobian_z = None, None, None
+        self._start()
+        self.state.square = self.square
+
     def polish(self, jacobian: Float64[np.ndarray, "P N"]) -> Float64[np.ndarray, "P N"]:
         """Go on with given derivatives to the minimum that they see, without holding back where they are small.
 
