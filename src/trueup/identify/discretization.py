@@ -35,6 +35,11 @@ class Discretization:
     command: CommandTiming = "held"
     rigid: bool = True
 
+    @property
+    def retimed(self) -> Discretization:
+        """The same with the other timing of the command."""
+        return replace(self, command="linear" if self.command == "held" else "held")
+
     def of(self, robot: RobotSpec, timestep_s: float) -> RobotSpec:
         """The robot simulated this way; `timestep_s` is the time step that is divided [s]."""
         simulation = robot.simulation
@@ -99,8 +104,6 @@ def alternative(
     z: Float64[np.ndarray, "P"],
     jacobian: Float64[np.ndarray, "P N"],
     way: Discretization,
-    *,
-    begun: Float64[np.ndarray, "P"] | None = None,
 ) -> Alternative | None:
     """Compare the present way with another one by a few simulations.
 
@@ -113,16 +116,14 @@ def alternative(
         z: best parameters, (P,).
         jacobian: at z, (P, N).
         way: the other way.
-        begun: where that is searched from, (P,); z if None.
 
     Returns:
         None where the other simulation fails or has other samples.
     """
     mean, _ = search.problem.parameters.prior
     precision = precision_of(search.problem.parameters)
-    begun = z if begun is None else begun
     try:
-        (here, mine), (there, theirs) = search.polished(z, jacobian), other.polished(begun, jacobian)
+        (here, mine), (there, theirs) = search.polished(z, jacobian), other.polished(z, jacobian)
     except DataError:
         return None
     noise = noise_of(search.problem, mine).weight, noise_of(other.problem, theirs).weight

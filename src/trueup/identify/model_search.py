@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
 from trueup.core.episode import Episode
 from trueup.core.fit_result import ModelRow
@@ -58,6 +57,8 @@ EXPLAINED = 1.1
 # A logged torque is that of the motors, in Nm, where the simulated one explains this share of it, times a factor within
 # these bounds: with a position fit, the scale of all torques is only as good as the model's masses.
 _HEARD, _SAME_UNIT = 0.5, (0.5, 2.0)
+# A timing that leaves so many times more is not the better one with a smaller step either.
+_HOPELESS = 3.0
 # No torque is simulated better than to this share of its size.
 _SURE_OF_TORQUE = 1e-3
 # Shares of a time limit at which the base model ends, no richer one is begun, these end, the best one ends, and what
@@ -124,6 +125,8 @@ class ModelSearch:
         self._scorer = Scorer(nominal, self.usable, jobs=jobs, seed=seed)
         self._finer: Alternative | None = None
         self._undecided: list[dict[str, float]] = []
+        # The base model with the other timing of the command.
+        self._rival: TriedModel | None = None
 
     def climb(self) -> tuple[TriedModel, list[TriedModel]]:
         """Fit the base model, then richer ones, then without what the motions do not show; the best, and all."""
@@ -131,7 +134,6 @@ class ModelSearch:
         fit = dict(self.config.fit)
         # Before anything richer is tried: other models would make up for a wrong step, or timing, with their numbers.
         best = self._timed(fit, rough=bool(models))
-        self._begun_at(best.solution.values)
         rough, limit = bool(models), self._until(_BASE)
         best = self._heard(best, fit, rough=rough, limit=limit)
         best = self._settled(best, fit, rough=rough, limit=limit)
@@ -343,36 +345,44 @@ class ModelSearch:
         best = self._try("base", fit, rough=rough, limit=limit)
         if not self._between_stamps or _over(limit):
             return best
-        other = Discretization(command="linear" if self.way.command == "held" else "held")
-        before, self.way = self.way, other
+        now, self.way = self.way, self.way.retimed
         begun = best.solution.parameters
         delays = {item.name: item.value + self._later for item in begun.free if item.quantity == "delay_s"}
-        tried = self._try(f"base, {other.command}", fit, begun=begun.at(delays), rough=rough, limit=limit)
-        samples = noise_of(self.problem_of(tried), tried.solution.residual).effective
-        gain = 2.0 * samples * float(np.log(best.solution.rms / max(tried.solution.rms, 1e-300)))
+        other = self._try(f"base, {self.way.command}", fit, begun=begun.at(delays), rough=rough, limit=limit)
+        return self._better_timed(best, now, other)
+
+    def _retimed(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
+        """The same model with the other timing of the command, if that is better with a step that is settled.
+
+        Where numbers depend on the step, a wrong step may have decided.
+        """
+        rival = self._rival
+        if self.way.divisor == 1 or rival is None or _over(limit):
+            return best
+        now, self.way = self.way, self.way.retimed
+        other = self._further(rival, fit, f"{self.way.command}, finer", (), rough=rough, limit=limit)
+        self._undecided.clear()
+        return self._better_timed(best, now, other)
+
+    def _better_timed(self, best: TriedModel, now: Discretization, other: TriedModel) -> TriedModel:
+        """The better one of two timings: that of the model until now, and the one which it was just fitted with."""
+        samples = noise_of(self.problem_of(other), other.solution.residual).effective
+        gain = 2.0 * samples * float(np.log(best.solution.rms / max(other.solution.rms, 1e-300)))
         if abs(gain) < DECIDED:
-            ends = best.solution, tried.solution
+            ends = best.solution, other.solution
             one, other_one = (
                 {item.name: item.to_z(own.values[item.name]) for item in own.parameters.free} for own in ends
             )
             root = probability(-abs(gain)) ** 0.5
             self._undecided.append({name: root * (other_one[name] - one[name]) for name in one if name in other_one})
-        if gain > 0 and (gain > DECIDED or best.solution.rms > tried.solution.rms):
+        if gain > 0 and (gain > DECIDED or best.solution.rms > other.solution.rms):
+            self._rival = best if other.solution.rms > best.solution.rms / _HOPELESS else None
             self._scorer = Scorer(self.nominal, self.usable, jobs=self._jobs, seed=self._seed)
-            return replace(tried, row=replace(tried.row, name="base"), val=self._on_val(tried.solution))
-        self.way = before
+            return replace(other, row=replace(other.row, name="base"), val=self._on_val(other.solution))
+        self._rival = other if best.solution.rms > other.solution.rms / _HOPELESS else None
+        self.way = now
+        self._begun_at(best.solution.values)
         return best
-
-    def _retimed(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
-        """The same model with the other timing of the command, if that is better with a step that is settled."""
-        if self.way.divisor == 1 or not self._between_stamps or _over(limit):
-            return best
-        way = replace(self.way, command="linear" if self.way.command == "held" else "held")
-        free = best.solution.parameters.free
-        later = np.array([-self._later / item.scale * (item.quantity == "delay_s") for item in free])
-        low, high = best.solution.parameters.bounds
-        self._undecided.clear()
-        return self._chosen(best, fit, way, begun=np.clip(best.solution.z + later, low, high), rough=rough, limit=limit)
 
     @property
     def _later(self) -> float:
@@ -436,12 +446,11 @@ class ModelSearch:
         fit: Mapping[str, Any],
         way: Discretization,
         *,
-        begun: Float64[np.ndarray, "P"] | None = None,
         rough: bool,
         limit: TimeLimit | None,
     ) -> TriedModel:
         """The same model simulated another way, if that explains the logs better."""
-        other = self._compared(best, way, begun)
+        other = self._compared(best, way)
         if other is None or other.gain < -DECIDED:
             return best
         found = best.solution
@@ -508,9 +517,7 @@ class ModelSearch:
         self._torque_said = "the logged torque is weighed, each joint's by what the fit leaves of it"
         return self._further(best, fit, "with torque", left_out, rough=rough, limit=limit)
 
-    def _compared(
-        self, item: TriedModel, way: Discretization | None = None, begun: Float64[np.ndarray, "P"] | None = None
-    ) -> Alternative | None:
+    def _compared(self, item: TriedModel, way: Discretization | None = None) -> Alternative | None:
         """What another way, or a finer time step, would find; None where it cannot be simulated, or no time is left."""
         found, way, limit = item.solution, way or finer(self.way), self._until(_SURE)
         now, other = self.problem_of(item), self._problem(found.parameters, way)
@@ -519,7 +526,7 @@ class ModelSearch:
         )
         try:
             with now.ending(limit), other.ending(limit):
-                return alternative(one, two, found.z, found.jacobian, way, begun=begun)
+                return alternative(one, two, found.z, found.jacobian, way)
         except OutOfTime:
             return None
 

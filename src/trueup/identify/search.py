@@ -139,7 +139,7 @@ class Search:
             try:
                 with self.problem.ending(self._limit, keep=state.z.size):  # derivatives at its end
                     search.step()
-                    if not search.done and self.problem.restart(state.z):
+                    if not state.reason and self.problem.restart(state.z):
                         search.renew()
             except OutOfTime:
                 state.reason, state.square = "time", search.square
