@@ -19,8 +19,12 @@ DECIDED = 10.0
 _MATTERS = 0.5
 # Of a change that is extrapolated to a time step of zero, this share is unknown.
 _UNSURE = 0.25
-# Steps towards the minimum of another way.
-_CHORDS = 3
+# Steps towards the minimum of another way, at most. Where the data do not ask for more, a step goes about this far, in
+# z, and one that leads upwards is tried again with a share of it: along numbers that make up for each other,
+# derivatives hold next to where they were taken only.
+_CHORDS, _REACH, _SHORTER = 10, 0.1, 0.3
+# Steps that lower twice the logarithmic likelihood by less than this are the last.
+_SETTLED = 0.5
 # Linearized changes further than this, in z, are only known to be large.
 _LINEAR = 1.0
 
@@ -110,7 +114,9 @@ def alternative(
     With r the residual at z, J the derivatives of the present way and L the precision of the prior, the minimum of
     |r + J^T d|^2 + w |z + d - mean|_L^2 is at d = -(J J^T + w L)^-1 (J r + w L (z - mean)). One such step says how far
     the present fit is from its own minimum; several, each from the residual of the other way where the last has led,
-    go to that of the other, since both have nearly the same derivatives (a chord method).
+    go to that of the other, since both have nearly the same derivatives (a chord method). These are damped as by a
+    prior of standard deviation 0.1 around where they begin, a narrower one where that leads upwards (Levenberg's
+    method), so that they follow a curved valley of numbers that make up for each other instead of leaving it.
 
     Args:
         problem: the fit as it is simulated now.
@@ -127,11 +133,16 @@ def alternative(
     low, high = problem.parameters.bounds
     precision = precision_of(problem.parameters)
     weight = noise_of(problem, residual).weight
-    inverse = np.linalg.pinv(jacobian @ jacobian.T + weight * precision, hermitian=True)
+    normal = jacobian @ jacobian.T + weight * precision
 
-    def step(place: Float64[np.ndarray, "P"], own: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "P"]:
+    def step(
+        place: Float64[np.ndarray, "P"], own: Float64[np.ndarray, "N"], reach: float = np.inf
+    ) -> Float64[np.ndarray, "P"]:
+        inverse = np.linalg.pinv(normal + weight / reach**2 * np.eye(z.size), hermitian=True)
         move = -inverse @ (jacobian @ own + weight * precision @ (place - mean))
-        return np.asarray(np.clip(place + np.clip(move, -_LINEAR, _LINEAR), low, high) - place)
+        # Shortened as a whole: numbers that make up for each other go together.
+        move *= min(1.0, _LINEAR / max(float(np.abs(move).max()), 1e-300))
+        return np.asarray(np.clip(place + move, low, high) - place)
 
     def cost(place: Float64[np.ndarray, "P"], own: Float64[np.ndarray, "N"]) -> float:
         return float(own @ own + weight * (place - mean) @ precision @ (place - mean))
@@ -140,13 +151,17 @@ def alternative(
     if found.shape != residual.shape or not np.isfinite(found).all():
         return None
     first = step(z, residual)
-    best, left = z, found
+    best, left, reach = z, found, _REACH
     for _ in range(_CHORDS):
-        place = best + step(best, left)
+        place = best + step(best, left, reach)
         tried = other.residuals(place[None])[0]
-        if not np.isfinite(tried).all() or cost(place, tried) >= cost(best, left):
-            break
+        gained = cost(best, left) - cost(place, tried)
+        if not gained > 0.0:  # NaN where the simulation fails
+            reach *= _SHORTER
+            continue
         best, left = place, tried
+        if gained < _SETTLED * weight:
+            break
     present = cost(z + first, residual + first @ jacobian)
     there = cost(best, left)
     least = noise_of(problem, left if there < present else residual).weight
