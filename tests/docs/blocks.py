@@ -98,6 +98,7 @@ OTHER_DATA = {
         r"warning: status",
         r"  next: ",
     ),
+    "selftest": (r"note: to determine", r"\d+ of \d+ numbers"),
 }
 
 

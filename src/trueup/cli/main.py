@@ -28,6 +28,7 @@ from trueup.cli import (
     record,
     replay,
     report,
+    selftest,
 )
 from trueup.cli.console import out, problem
 from trueup.core.workers import wait_briefly
@@ -47,6 +48,7 @@ for module in (
     gap,
     check,
     identify,
+    selftest,
     augment,
     compensate,
     policy,

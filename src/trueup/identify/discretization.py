@@ -102,6 +102,7 @@ def alternative(
     search: Search,
     other: Search,
     z: Float64[np.ndarray, "P"],
+    residual: Float64[np.ndarray, "N"],
     jacobian: Float64[np.ndarray, "P N"],
     way: Discretization,
 ) -> Alternative | None:
@@ -114,6 +115,7 @@ def alternative(
         search: the fit as it is simulated now.
         other: the same fit simulated the other way.
         z: best parameters, (P,).
+        residual: at z, (N,).
         jacobian: at z, (P, N).
         way: the other way.
 
@@ -122,13 +124,14 @@ def alternative(
     """
     mean, _ = search.problem.parameters.prior
     precision = precision_of(search.problem.parameters)
+    weight = noise_of(search.problem, residual).weight
     try:
-        (here, mine), (there, theirs) = search.polished(z, jacobian), other.polished(z, jacobian)
+        (here, mine), (there, theirs) = (own.polished(z, jacobian, weight) for own in (search, other))
     except DataError:
         return None
     noise = noise_of(search.problem, mine).weight, noise_of(other.problem, theirs).weight
     present, instead = (
-        float(own @ own + max(noise) * (place - mean) @ precision @ (place - mean))
+        float(own @ own + weight * (place - mean) @ precision @ (place - mean))
         for place, own in ((here, mine), (there, theirs))
     )
     least = noise[1] if instead < present else noise[0]

@@ -526,7 +526,7 @@ class ModelSearch:
         )
         try:
             with now.ending(limit), other.ending(limit):
-                return alternative(one, two, found.z, found.jacobian, way)
+                return alternative(one, two, found.z, found.residual, found.jacobian, way)
         except OutOfTime:
             return None
 

@@ -165,9 +165,14 @@ class Search:
         return self._derivatives(GaussNewtonState(z)).central_jacobian(_CERTAIN_STEP)
 
     def polished(
-        self, z: Float64[np.ndarray, "P"], jacobian: Float64[np.ndarray, "P N"]
+        self, z: Float64[np.ndarray, "P"], jacobian: Float64[np.ndarray, "P N"], weight: float
     ) -> tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]]:
         """The minimum that given derivatives lead to from z, (P,), and the residual there, (N,).
+
+        Args:
+            z: where to begin, (P,).
+            jacobian: derivatives near z, (P, N).
+            weight: variance of one observation at the minimum, which the prior is weighed against.
 
         Raises:
             DataError: the model cannot be simulated at z, or has other samples.
@@ -175,11 +180,11 @@ class Search:
         newton = self._derivatives(GaussNewtonState(z))
         if newton.begin().shape != jacobian.shape[1:]:
             raise DataError("other samples", got=newton.begin().size, expected=jacobian.shape[1])
-        newton.polish(jacobian)
+        newton.polish(jacobian, weight)
         for _ in range(_RESTARTS):
             if self.problem.restart(newton.state.z):
                 newton.renew()
-                newton.polish(jacobian)
+                newton.polish(jacobian, weight)
         assert newton.residual is not None
         return newton.state.z, newton.residual
 

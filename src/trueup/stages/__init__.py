@@ -18,6 +18,7 @@ from trueup.stages.perturbing import robustness
 from trueup.stages.recording import RecordSummary, plans_named, record
 from trueup.stages.replaying import STOCK, ReplaySummary, replay
 from trueup.stages.rigs import CompensatedRig, EngineRig, LabRig, make_rig
+from trueup.stages.selftesting import selftest
 from trueup.stages.sweeping import sweep
 from trueup.stages.timing import time_steps
 
@@ -63,6 +64,7 @@ __all__ = [
     "refuse_wrong",
     "replay",
     "robustness",
+    "selftest",
     "sweep",
     "time_steps",
 ]

@@ -156,7 +156,7 @@ def _commanded(
 
 def _regressed(
     parts: Sequence[_Moved],
-    told: Sequence[Float64[np.ndarray, "T J"]],
+    told: Sequence[Float64[np.ndarray, "_ J"]],
     column: int,
     signal: str,
     gain: float,

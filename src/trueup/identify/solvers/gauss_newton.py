@@ -253,7 +253,7 @@ class GaussNewton:
         self._start()
         self.state.square = self.square
 
-    def polish(self, jacobian: Float64[np.ndarray, "P N"]) -> Float64[np.ndarray, "P N"]:
+    def polish(self, jacobian: Float64[np.ndarray, "P N"], weight: float | None = None) -> Float64[np.ndarray, "P N"]:
         """Go on with given derivatives to the minimum that they see, without holding back where they are small.
 
         Along what the data leave open, a search ends anywhere, since its cost hardly changes; only the prior decides
@@ -261,6 +261,7 @@ class GaussNewton:
 
         Args:
             jacobian: derivatives at the present z, (P, N).
+            weight: of the prior, where the present residual does not tell it; as usual if None.
 
         Returns:
             Derivatives at the new one, in agreement with the steps, (P, N).
@@ -273,7 +274,7 @@ class GaussNewton:
             self._start()
         assert self.residual is not None
         self._loss = self.loss_of(self.residual)
-        weight = self._prior_weight(self.residual)
+        weight = self._prior_weight(self.residual) if weight is None else weight
         state.cost = self._cost(self.residual, state.z, weight)
         for _ in range(_POLISHED):
             move = self._tried(*self._normal(jacobian, weight), _UNDAMPED, weight)
