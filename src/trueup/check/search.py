@@ -219,6 +219,8 @@ def _severity(looked: Looked, proposal: Proposal, after: Score, better: tuple[in
     elif servo and evidence.sure and share.max() > _EXPLAINED:
         joint = int(np.argmax(share))
         strong = bool(had[joint] < _UNEXPLAINED or left[joint] < _MUCH_LESS * was[joint])
+        # What other joints do may have many reasons, such as a base that moves.
+        strong = strong and (not proposal.joints or bool(np.isin(own, proposal.joints).any()))
     elif left.max() < 0.3 or (evidence.sure and share.max() > 0.5):
         strong = False
     else:
