@@ -7,6 +7,8 @@ an interrupted call is continued by the same command. A day for all of them on t
 
 `python -m benchmarks foreign --cases demo_arm,ur5e --seeds 0 --jobs 2` measures some; with `--oracle`, seed 0 of the
 cases of group A is fitted once more with the time step and the timing of commands known, for the widths of intervals.
+Cells that are measured side by side share the cores, but each has the budget of its command for itself: with more jobs
+than one, a large robot may be cut short where it would not be alone.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+import trueup
 from benchmarks import foreign_verdicts as verdicts
 from benchmarks.foreign_cases import CASES, Case
 from benchmarks.foreign_robots import ROBOTS, foreign_folder
@@ -47,6 +50,8 @@ SPLITS = "70/15/15"
 BY_NAME = {case.name: case for case in CASES}
 # Longer than any budget: what takes this long hangs [s].
 _LONGEST_S, _LONGEST_ORACLE_S = 3600.0, 6 * 3600.0
+# Exit code of `trueup` after Ctrl-C.
+_INTERRUPTED = 130
 # Lines of what a command printed that are kept where it left no fit.
 _LAST_LINES = 12
 
@@ -117,16 +122,20 @@ def measure(wanted: Wanted, path: Path = RESULT) -> list[Row]:
         running: dict[Future[dict[str, Any]], tuple[str, str]] = {
             pool.submit(work): (kind, key) for kind, key, work in left
         }
-        for number, future in enumerate(as_completed(running), 1):
-            kind, key = running[future]
-            try:
-                cell = future.result()
-            except Exception:  # the other cells are worth their minutes all the same
-                traceback.print_exc()
-                print(f"{key}: no cell", flush=True)
-                continue
-            keep(path, kind, key, cell)
-            print(f"{number} of {len(left)}: {in_words(kind, key, cell)}", flush=True)
+        try:
+            for number, future in enumerate(as_completed(running), 1):
+                kind, key = running[future]
+                try:
+                    cell = future.result()
+                except Exception:  # the other cells are worth their minutes all the same
+                    traceback.print_exc()
+                    print(f"{key}: no cell", flush=True)
+                    continue
+                keep(path, kind, key, cell)
+                print(f"{number} of {len(left)}: {in_words(kind, key, cell)}", flush=True)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
     return rows(stored(path))
 
 
@@ -176,19 +185,23 @@ def known(name: str, seed: int, *, threads: int) -> dict[str, Any]:
     """
     case, folder = BY_NAME[name], FOLDER / f"{name}-{seed}-known"
     truth, load = _made(case, seed, folder), os.getloadavg()[0]
-    description = yaml.safe_load((folder / "robot.yaml").read_text())
-    timing = "linear" if case.commands == "fast" else "held"
-    description["simulation"] = {"timestep_s": truth["step_s"]}
-    description["replay"] = {**description.get("replay", {}), "command": timing}
-    (folder / "robot.known.yaml").write_text(yaml.safe_dump(description, sort_keys=False))
+    given = {"timestep_s": truth["step_s"], "command": "linear" if case.commands == "fast" else "held"}
+    (folder / "robot.known.yaml").write_text(told((folder / "robot.yaml").read_text(), **given))
     imported = _ran(folder, ("import", "logs", "--splits", SPLITS, "--out", "dataset"), None, _LONGEST_S)
     if imported.code:
         raise RuntimeError(f"trueup import ended with {imported.code}: {imported.said}")
     command = ("identify", "dataset", "--robot", "robot.known.yaml", "--out", "out")
     ended = _ran(folder, command, threads, _LONGEST_ORACLE_S)
     found = found_in(folder / "out", truth, ended.code)
-    given = {"timestep_s": truth["step_s"], "command": timing}
     return {"given": given, **found, **ended.to_json(), **_made_by(load)}
+
+
+def told(description: str, *, timestep_s: float, command: str) -> str:
+    """robot.yaml with the time step, and what acts between two stamps of the command."""
+    tree = yaml.safe_load(description)
+    tree["simulation"] = {**tree.get("simulation", {}), "timestep_s": timestep_s}
+    tree["replay"] = {**tree.get("replay", {}), "command": command}
+    return yaml.safe_dump(tree, sort_keys=False)
 
 
 def about(case: Case, truth: Mapping[str, Any]) -> dict[str, Any]:
@@ -274,12 +287,13 @@ def _made(case: Case, seed: int, folder: Path) -> dict[str, Any]:
 def _ran(folder: Path, command: Sequence[str], threads: int | None, longest_s: float) -> Ended:
     """`trueup` as a process of its own in a folder, with all cores unless cells share them."""
     shared = ("--jobs", str(threads)) if threads not in (None, os.cpu_count()) else ()
+    package = str(Path(trueup.__file__).parents[1])  # this one, wherever the process begins
     began = time.perf_counter()
     try:
         done = subprocess.run(
             [sys.executable, "-m", "trueup", *command, *shared],
             cwd=folder,
-            env={**os.environ, "COLUMNS": "200"},
+            env={**os.environ, "COLUMNS": "200", "PYTHONPATH": package},
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -288,8 +302,11 @@ def _ran(folder: Path, command: Sequence[str], threads: int | None, longest_s: f
         )
     except subprocess.TimeoutExpired:
         return Ended(124, time.perf_counter() - began, f"took more than {longest_s:g} s")
-    (folder / f"{command[0]}.txt").write_text(done.stdout)
-    lines = [line for line in done.stdout.splitlines() if line.strip()]
+    if done.returncode < 0 or done.returncode == _INTERRUPTED:
+        raise RuntimeError(f"trueup {command[0]} was ended from outside ({done.returncode}): that says nothing of it")
+    printed = done.stdout.replace(str(folder.resolve()), ".")
+    (folder / f"{command[0]}.txt").write_text(printed)
+    lines = [line for line in printed.splitlines() if line.strip()]
     return Ended(done.returncode, time.perf_counter() - began, "\n".join(lines[-_LAST_LINES:]))
 
 
