@@ -21,10 +21,9 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -118,7 +117,8 @@ def measure(wanted: Wanted, path: Path = RESULT) -> list[Row]:
                 tasks.append(("oracles", f"{name}/{seed}", partial(known, name, seed, threads=threads)))
     left = [task for task in tasks if wanted.again or task[1] not in result[task[0]]]
     print(f"{len(tasks) - len(left)} of {len(tasks)} cells are there", flush=True)
-    with ProcessPoolExecutor(wanted.jobs, mp_context=get_context("spawn"), max_tasks_per_child=1) as pool:
+    # Threads: what takes long is a process of its own, and Ctrl-C ends those and no more.
+    with ThreadPoolExecutor(wanted.jobs) as pool:
         running: dict[Future[dict[str, Any]], tuple[str, str]] = {
             pool.submit(work): (kind, key) for kind, key, work in left
         }

@@ -293,7 +293,7 @@ def measured(monkeypatch):
 
         return one
 
-    monkeypatch.setattr(foreign, "ProcessPoolExecutor", Here)
+    monkeypatch.setattr(foreign, "ThreadPoolExecutor", Here)
     monkeypatch.setattr(foreign, "closed", made("cells"))
     monkeypatch.setattr(foreign, "known", made("oracles"))
     monkeypatch.setattr(foreign, "foreign_folder", lambda: foreign.RESULT.parent)
