@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from statistics import median
 from typing import Any
@@ -260,6 +260,8 @@ def remarks(result: Mapping[str, Any]) -> Iterator[str]:
     cells = [cell for own in verdicts.of_group(result["cells"], "A").values() for cell in own]
     if cells:
         yield _accused_words(cells)
+    if result["oracles"]:
+        yield _told_words(result["oracles"].values())
     if sums := verdicts.all_sums(cells):
         yield _sum_words(sums)
     yield _machine_words(result)
@@ -277,6 +279,15 @@ def _accused_words(cells: Sequence[Cell]) -> str:
         for item in verdicts.accusations(cell)
     ]
     return f"{said}: {'; '.join(names)}."
+
+
+def _told_words(oracles: Collection[Cell]) -> str:
+    """Whether fits kept to the time step and the timing that they were told."""
+    kept = sum(all(own["fit"].get(key) == value for key, value in own["given"].items()) for own in oracles)
+    return (
+        "A fit looks for a better step and timing also where it is told the right ones: of those that were told, "
+        f"{kept} of\n{len(oracles)} kept to both."
+    )
 
 
 def _sum_words(sums: Sequence[Number]) -> str:

@@ -31,7 +31,8 @@ def whole(*, named=True, wrong=False):
         for name, case in BY_NAME.items()
         for seed in SEEDS
     ]
-    oracles = {f"{name}/0": cell(numbers=[number("kp[a]", (48, 50, 52), 51)]) for name in BY_NAME}
+    told = cell(numbers=[number("kp[a]", (48, 50, 52), 51)], given={"command": "held"})
+    oracles = {f"{name}/0": told for name in BY_NAME}
     return result(*cells, oracles=oracles)
 
 
@@ -116,6 +117,9 @@ def test_remarks_are_about_robots_whose_model_can_be_right():
     )
     assert "Over all 2 joints of such servos the sum is off by 9.1 % (median)" in said
     assert "hold the true one in 2." in said
+    told = [cell(given={"command": command}) for command in ("held", "linear")]
+    said = flat(page.page(result(cell(), oracles={"demo_arm/0": told[0], "ur5e/0": told[1]})))
+    assert "of those that were told, 1 of 2 kept to both." in said
     later = cell(seed=1, made={"machine": "a machine", "git": "aaaa", "created": "2026-11-26T10:00:00+00:00"})
     said = flat(page.page(result(cell(), later)))
     assert "2026-11-25 to 2026-11-26, commit `0123456789`, `aaaa`, which are several." in said
