@@ -483,7 +483,9 @@ class ModelSearch:
             return best
         found, base = best.solution, self.config.weights
         _, segments = self._simulated(self.way)
-        both = Weights({**base, "torque": 1.0}, self.config.joints)
+        delays = {item.target: found.values[item.name] for item in found.parameters if item.quantity == "delay_s"}
+        late = {name: delays.get(name, delays.get("", 0.0)) for name in self.nominal.robot.scored_joints}
+        both = Weights({**base, "torque": 1.0}, self.config.joints, torque_delay_s=late)
         problem = Problem(self.nominal, found.parameters, segments, weights=both, jobs=self._jobs)
         blocks = list(problem.by_segment(problem.residuals(found.z[None])[0] / problem.scale))
         rows = [

@@ -25,6 +25,8 @@ from trueup.sim import MujocoSimulator
 
 # Simulated states that one task holds at a time: some 100 MB.
 _STATES_PER_TASK = 4_000_000
+# Of a difference that shows how a command changes [s].
+_LATER_S = 0.002
 
 
 @dataclass(frozen=True)
@@ -35,11 +37,15 @@ class Weights:
         signals: signal -> weight of one standard unit [1/rad, s/rad or 1/Nm]; position alone by default.
         joints: joint name -> weight; joints that are not named have 1, unscored joints 0.
         own: signal -> joint name -> further weight of this signal, 1 where it is not named.
+        torque_delay_s: joint name -> how late commands act [s]; a torque of these joints is compared without what
+            another moment of its measurement would explain. A drive takes commands faster than they are logged, so a
+            logged torque, read at a moment between two of them, is off by the stiffness times the step of the command.
     """
 
     signals: Mapping[str, float]
     joints: Mapping[str, float]
     own: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    torque_delay_s: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, signal: str, joints: Sequence[str]) -> Float64[np.ndarray, "J"]:
         """The weights of one signal of these joints."""
@@ -107,6 +113,7 @@ class Problem:
             for place in quantity(parameter.quantity).places(nominal, parameter.target)
         ]
         self._rows = {segment: self._counted(segment) for segment in self.segments}
+        self._moments = {segment: self._moment(segment) for segment in self.segments if self.weights.torque_delay_s}
         counts = [(signal, np.count_nonzero(own)) for rows in self._rows.values() for signal, own in rows.items()]
         self.size = int(sum(count for _, count in counts)) * self.columns.size
         positions = sum(count for signal, count in counts if signal == "position")
@@ -142,6 +149,19 @@ class Problem:
         known = [name for name, weight in self.weights.signals.items() if weight and name in segment.plan.measured]
         rows = {name: segment.rows(name, self.columns) for name in known}
         return {name: own for name, own in rows.items() if own.any()}
+
+    def _moment(self, segment: Segment) -> Float64[np.ndarray, "R K"]:
+        """How the torques of a segment change with the moment of their measurement, each of length one or zero."""
+        rows = self._rows[segment].get("torque")
+        if rows is None:
+            return np.zeros((0, self.columns.size))
+        names = self.nominal.robot.joint_names
+        delays = np.array([self.weights.torque_delay_s.get(name, 0.0) for name in names])
+        signal = self.nominal.robot.controller.signal
+        later, sooner = (segment.plan.told(signal, delays + own) for own in (-_LATER_S, _LATER_S))
+        shape = (later - sooner)[rows][:, self.columns]
+        known = np.array([name in self.weights.torque_delay_s for name in names])[self.columns]
+        return np.asarray(shape * known / np.maximum(np.linalg.norm(shape, axis=0), 1e-12))
 
     def with_parameters(self, parameters: ParameterSet) -> Problem:
         """The same logs and weights for other parameters; the count of evaluations goes on."""
@@ -333,6 +353,9 @@ class Problem:
             residual = (simulated - plan.measured[signal])[:, counted][:, :, self.columns]
             own = self.weights.of(signal, self.nominal.robot.joint_names) * self._joint_weights
             residual *= own[self.columns] * self.scale
+            if signal == "torque" and task.segment in self._moments:
+                shape = self._moments[task.segment]
+                residual -= np.einsum("crj,rj->cj", residual, shape)[:, None, :] * shape
             blocks.append(residual.reshape(task.rows.size, -1))
         residuals = np.concatenate(blocks, axis=1)
         return residuals if starts is None else starts.without(residuals)

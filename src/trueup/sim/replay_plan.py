@@ -101,8 +101,17 @@ class ReplayPlan:
         before, after = grid[..., self._window, self._row, :], grid[..., self._window, self._row + 1, :]
         return np.asarray((1.0 - share) * before + share * after)
 
-    def told(self, signal: str) -> Float64[np.ndarray, "T J"]:
-        """The command in force at the measured stamps."""
+    def told(self, signal: str, delay_s: Float64[np.ndarray, "J"] | None = None) -> Float64[np.ndarray, "T J"]:
+        """The command in force at the measured stamps; with delays, so much later, moving on between its stamps."""
+        if delay_s is not None:
+            stamps, values = self._command.time_s, self._command[signal].astype(np.float64)
+            return np.stack(
+                [
+                    np.interp(self.measured.time_s - late, stamps, values[:, joint])
+                    for joint, late in enumerate(delay_s)
+                ],
+                axis=1,
+            )
         rows = np.maximum(held_rows(self._command.time_s, self.measured.time_s), 0)
         return np.asarray(self._command[signal][rows], np.float64)
 
