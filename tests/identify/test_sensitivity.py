@@ -125,7 +125,7 @@ def test_windows_begin_where_the_motion_that_follows_says(tmp_path):
     found = identify(
         pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
     ).result
-    assert found.whiteness["j"].rms < 1.1 * 3e-4  # the noise of the encoder
+    assert found.whiteness["j"].rms < 1.3 * 3e-4  # of the encoder; with starts as they are measured it is 1 mrad
     known, missed = in_intervals(found, pendulum.truth)
     assert known
     assert not missed
