@@ -202,7 +202,7 @@ class ModelSearch:
                 for own in (problem, held_out):
                     for simulated in (own, own.coarse) if own is not None else ():
                         if simulated is not None:
-                            stack.enter_context(simulated.ending(self._limit))
+                            stack.enter_context(simulated.ending(self._until(_BEST)))
                 return suspects_of(problem, held_out, found, self._settings)
         except OutOfTime:
             return None

@@ -211,10 +211,12 @@ class Problem:
 
         Raises:
             DataError: it cannot be simulated.
+            OutOfTime: the time of `ending` is over.
         """
         candidate = self.candidate(self.parameters.values(z))
         found = {}
         for segment in self.segments:
+            self._refuse_late()
             simulators = self._simulators[segment.payload_kg]
             simulator = simulators.get()
             try:
