@@ -99,6 +99,32 @@ class Whiteness:
 
 
 @dataclass(frozen=True)
+class Suspect:
+    """What a model may lack: a cause that no fitted number expresses, and what it would explain.
+
+    Attributes:
+        name: of the cause: `late-feedback`, `integral`, `backlash`, `elastic-joint`, `load-friction`, `warming`,
+            `speed-limit`, `payload`, `mirrored` or `mirrored-measurement`.
+        joints: whose residual it would explain.
+        sizes: one per joint, or a single one [`unit`].
+        unit: of the sizes.
+        train: share of what is left of these joints, beyond the noise of the measurement, on the fitted motions.
+        val: likewise on motions that were not fitted; None without.
+        gain: what it explains there in independent observations of the residual.
+        sentence: the same in words.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    sizes: tuple[float, ...]
+    unit: str
+    train: float
+    val: float | None
+    gain: float
+    sentence: str
+
+
+@dataclass(frozen=True)
 class ModelRow:
     """One model that was tried: which numbers it has, and how well it does on motions it was and was not fitted to.
 
@@ -145,6 +171,7 @@ class FitResult:
             position, with interval.
         signals: logged signal -> joint -> root mean square error of the nominal and of the fitted model, on val, or on
             train without one [unit of the signal].
+        suspects: what the model may lack, the most important first.
         data: what it was fitted to: episodes, pieces, seconds, windows, what was left out and why.
         provenance: versions, git hash, seed, data hash, configuration.
     """
@@ -161,6 +188,7 @@ class FitResult:
     signals: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
     data: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    suspects: tuple[Suspect, ...] = ()
 
     def __getitem__(self, name: str) -> FittedParameter:
         """The parameter of that name.
@@ -219,6 +247,9 @@ class FitResult:
             "signals": {
                 signal: {joint: list(pair) for joint, pair in own.items()} for signal, own in self.signals.items()
             },
+            "suspects": [
+                {**asdict(item), "joints": list(item.joints), "sizes": list(item.sizes)} for item in self.suspects
+            ],
             "data": dict(self.data),
             "provenance": dict(self.provenance),
         }
@@ -263,6 +294,10 @@ class FitResult:
                 signal: {joint: (float(before), float(after)) for joint, (before, after) in own.items()}
                 for signal, own in data.get("signals", {}).items()  # of files that were written before there were any
             },
+            suspects=tuple(
+                Suspect(**{**item, "joints": tuple(item["joints"]), "sizes": tuple(item["sizes"])})
+                for item in data.get("suspects", ())
+            ),
             data=data["data"],
             provenance=data["provenance"],
         )

@@ -19,6 +19,7 @@ from trueup.identify.model_search import ModelSearch
 from trueup.identify.problem import Problem
 from trueup.identify.scoring import Scorer, judged
 from trueup.identify.solution import OnModel
+from trueup.identify.suspects import strange_masses
 from trueup.identify.uncertainty import Posterior, fitted_parameters, open_directions, whiteness_of
 from trueup.identify.verdict import Evidence, correlations, verdict
 from trueup.robots import RobotSpec
@@ -119,6 +120,7 @@ def identify(
         signal: {joint: (error, after[signal][joint]) for joint, error in own.items()} for signal, own in before.items()
     }
     whiteness = whiteness_of(problem, solution.residual)
+    suspects = search.suspects(best)
     evidence = Evidence(
         solution,
         parameters,
@@ -128,10 +130,12 @@ def identify(
         soft.size(judge),
         search.chosen_by_user,
         search.torque_seen,
+        suspects,
+        strange_masses(solution.parameters, solution.values),
     )
-    status, statements = verdict(
-        evidence, (*search.ways_in_words, *search.seen.statements, *search.notes, *_untried(search.untried))
-    )
+    unlooked = () if suspects is not None else ("no time was left to look for what the model lacks",)
+    beforehand = (*search.ways_in_words, *search.seen.statements, *search.notes, *_untried(search.untried), *unlooked)
+    status, statements = verdict(evidence, beforehand)
     result = FitResult(
         status=status,
         statements=statements,
@@ -143,6 +147,7 @@ def identify(
         models=rows,
         errors=errors,
         signals=signals,
+        suspects=suspects or (),
         data={**search.data, "encoder_zeros": search.encoder_zeros(best)},
         provenance=provenance(
             config={"robot": robot.to_dict(), "model": model.name, "identify": search.config.to_json()},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -12,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from trueup.core.episode import Episode
-from trueup.core.fit_result import ModelRow
+from trueup.core.fit_result import ModelRow, Suspect
 from trueup.core.parameters import ParameterSet
 from trueup.core.ray_workers import Cluster
 from trueup.core.time_limit import OutOfTime, TimeLimit
-from trueup.errors import NotIdentifiable, TrueupError
+from trueup.errors import DataError, NotIdentifiable, TrueupError
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import AUTO, IdentifyConfig, make_parameters
 from trueup.identify.discretization import (
@@ -37,6 +38,7 @@ from trueup.identify.segments import Segment, make_segments, usable
 from trueup.identify.solution import OnModel, Solution
 from trueup.identify.solve import solve
 from trueup.identify.start import idle_names, off_bounds, regressed_start, servo_regressed, swept_start
+from trueup.identify.suspects import suspects_of
 from trueup.identify.uncertainty import (
     Posterior,
     noise_of,
@@ -127,6 +129,7 @@ class ModelSearch:
         self._undecided: list[dict[str, float]] = []
         # The base model with the other timing of the command.
         self._rival: TriedModel | None = None
+        self.searched: Solution | None = None
 
     def climb(self) -> tuple[TriedModel, list[TriedModel]]:
         """Fit the base model, then richer ones, then without what the motions do not show; the best, and all."""
@@ -164,6 +167,7 @@ class ModelSearch:
             tried[tried.index(best)] = best = finished
         settled = self._settled(best, fit, left_out=self._frozen(best), limit=self._until(_BEST))
         certain = self._certain(self._heard(settled, fit, left_out=self._frozen(settled), limit=self._until(_BEST)))
+        self.searched = certain.solution
         self._finer = self._compared(certain)
         # Its numbers are those of the robot, and not of a time step.
         low, high = certain.solution.parameters.bounds
@@ -203,6 +207,38 @@ class ModelSearch:
         step = 0.0 if self._finer is None else self._finer.unknown(self.way)
         left = remaining_step(problem, found.z, found.residual, found.jacobian)
         return known.widened([left, *undecided, step * np.ones(found.z.size), unknown])
+
+    def suspects(self, item: TriedModel) -> tuple[Suspect, ...] | None:
+        """What the model may lack; None where no time is left to look for it."""
+        if _over(self._limit):
+            return None
+        found = self.searched or item.solution
+        problem, held_out = self._problem(found.parameters), self._held_out(found.parameters)
+        try:
+            with ExitStack() as stack:
+                for own in (problem, held_out):
+                    for simulated in (own, own.coarse) if own is not None else ():
+                        if simulated is not None:
+                            stack.enter_context(simulated.ending(self._limit))
+                return suspects_of(problem, held_out, found, self._settings)
+        except OutOfTime:
+            return None
+
+    def _held_out(self, parameters: ParameterSet, way: Discretization | None = None) -> Problem | None:
+        """The motions of val, simulated as those of the fit; None without."""
+        way, logs = way or self.way, self.usable.get("val")
+        if not logs:
+            return None
+        nominal, _ = self._simulated(way)
+        try:
+            segments, _ = make_segments(logs, nominal.simulator, self.config.data.rule(nominal.robot, self._seed))
+        except DataError:
+            return None
+        coarse = self._held_out(parameters, replace(way, divisor=1)) if way.divisor > 1 else None
+        problem = Problem(nominal, parameters, segments, weights=self._weights, jobs=self._jobs, coarse=coarse)
+        if self.config.data.window_s is not None:
+            problem.starts = window_starts(problem, problem.parameters.at(self._place).start)
+        return problem
 
     def _certain(self, item: TriedModel) -> TriedModel:
         """The same model with verified derivatives, at the minimum that these see."""
@@ -250,7 +286,7 @@ class ModelSearch:
 
     @property
     def _late(self) -> bool:
-        return self._limit is not None and self._limit.spent >= _BEST
+        return self._limit is not None and self._limit.spent >= _SURE
 
     @property
     def torque_seen(self) -> bool:

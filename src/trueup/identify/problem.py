@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float64, Int
 from trueup.core.parameters import ParameterSet
 from trueup.core.protocols import RolloutRequest
 from trueup.core.time_limit import OutOfTime, TimeLimit
-from trueup.errors import ConfigError
+from trueup.errors import ConfigError, DataError
 from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.quantities import motion_target, quantity, split_motion_target
 from trueup.identify.segments import Segment
@@ -51,6 +51,31 @@ class Weights:
         """The weights of one signal of these joints."""
         own = self.own.get(signal, {})
         return self.signals[signal] * np.array([own.get(joint, 1.0) for joint in joints])
+
+
+# Segment -> what acts on the joints in each simulation step of each window besides their drives, (W, N, J) [Nm or N].
+Forces = Mapping[Segment, Float64[np.ndarray, "_ _ J"]]
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """One segment as a candidate moves through it, on the grid of the simulation.
+
+    Attributes:
+        model: of the candidate, with what it carries there.
+        position: (W, N + 1, J) [rad or m].
+        velocity: (W, N + 1, J).
+        torque: of the drives, (W, N + 1, J) [Nm or N].
+        command: signal -> (W, N, J), as it acts.
+        zeros: what the encoders read too little, (J,) [rad or m].
+    """
+
+    model: mujoco.MjModel
+    position: Float64[np.ndarray, "W N1 J"]
+    velocity: Float64[np.ndarray, "W N1 J"]
+    torque: Float64[np.ndarray, "W N1 J"]
+    command: Mapping[str, Float64[np.ndarray, "W N J"]]
+    zeros: Float64[np.ndarray, "J"]
 
 
 class Problem:
@@ -205,8 +230,14 @@ class Problem:
             write(candidate, place, values.get(parameter.name, parameter.value))
         return candidate
 
-    def residuals(self, z: Float64[np.ndarray, "C P"]) -> Float64[np.ndarray, "C N"]:
+    def residuals(
+        self, z: Float64[np.ndarray, "C P"], forces: Sequence[Forces] | None = None
+    ) -> Float64[np.ndarray, "C N"]:
         """Residuals of C candidates, NaN for those that fail.
+
+        Args:
+            z: free parameters of each candidate.
+            forces: what acts on its joints besides their drives; nothing if None.
 
         Raises:
             OutOfTime: the time of `ending` is over.
@@ -221,10 +252,10 @@ class Problem:
         tasks = list(self._tasks(z.shape[0], models))
         if self.jobs == 1 or len(tasks) == 1:
             for task in tasks:
-                self._run(task, candidates, models, out)
+                self._run(task, candidates, models, out, forces)
         else:
             with ThreadPoolExecutor(self.jobs) as pool:
-                running = [pool.submit(self._run, task, candidates, models, out) for task in tasks]
+                running = [pool.submit(self._run, task, candidates, models, out, forces) for task in tasks]
                 try:
                     for done in running:
                         done.result()
@@ -234,6 +265,32 @@ class Problem:
         self.evaluations += z.shape[0]
         self.seconds += time.perf_counter() - began
         return out
+
+    def courses(self, z: Float64[np.ndarray, "P"]) -> dict[Segment, Course]:
+        """What one candidate does and is told in each simulation step.
+
+        Raises:
+            DataError: it cannot be simulated.
+            OutOfTime: the time of `ending` is over.
+        """
+        candidate = self.candidate(self.parameters.values(z))
+        found = {}
+        for segment in self.segments:
+            self._refuse_late()
+            simulators = self._simulators[segment.payload_kg]
+            simulator = simulators.get()
+            try:
+                zeros = self._zeros(candidate, segment.episode_id)
+                request = _shifted(segment.plan.request(candidate.delays), zeros, self.starts.get(segment))
+                models = [candidate.compile(segment.payload_kg)] * segment.plan.starts.size
+                result = simulator.rollout_candidates(request, models)
+            finally:
+                simulators.put(simulator)
+            if not np.isfinite(result.position).all():
+                raise DataError(f"the simulation of {segment.episode_id!r} diverged")
+            found[segment] = Course(models[0], result.position, result.velocity, result.torque, request.command, zeros)
+        self.evaluations += 1
+        return found
 
     def slopes(self, z: Float64[np.ndarray, "C P"]) -> Float64[np.ndarray, "C N"]:
         """Residuals of C candidates of which differences are taken: those of the larger time step, if there is one."""
@@ -251,6 +308,25 @@ class Problem:
                 size = rows * self.columns.size
                 yield segment, signal, residual[place : place + size].reshape(rows, self.columns.size)
                 place += size
+
+    def shift(self, change: Mapping[Segment, Float64[np.ndarray, "_ J"]]) -> Float64[np.ndarray, "N"]:
+        """What the residual changes by if simulated positions change by this at the measured stamps [rad or m]."""
+        out = np.zeros(self.size)
+        for segment, signal, own in self.by_segment(out):
+            if signal == "position":
+                own[:] = change[segment][self._rows[segment][signal]][:, self.columns] * self._factor(signal)
+        begin = 0
+        for segment in self.segments:
+            size = sum(int(np.count_nonzero(own)) for own in self._rows[segment].values()) * self.columns.size
+            if segment in self.starts:
+                out[begin : begin + size] = self.starts[segment].without(out[None, begin : begin + size])[0]
+            begin += size
+        return out
+
+    def _factor(self, signal: str) -> Float64[np.ndarray, "K"]:
+        """The residual per unit of a signal, by joint."""
+        own = self.weights.of(signal, self.nominal.robot.joint_names) * self._joint_weights
+        return np.asarray(own[self.columns] * self.scale)
 
     def unscaled_rms(self, residual: Float64[np.ndarray, "M"], column: int) -> float:
         """Root mean square of position residuals of one joint in the joint's unit [rad or m]."""
@@ -311,12 +387,14 @@ class Problem:
         candidates: Sequence[Candidate],
         models: _Models,
         out: Float64[np.ndarray, "C N"],
+        forces: Sequence[Forces] | None,
     ) -> None:
         self._refuse_late()
         payload_kg = task.segment.payload_kg
         simulator = self._simulators[payload_kg].get()
         try:
-            out[task.rows, task.begin : task.end] = self._simulate(task, simulator, candidates, models[payload_kg])
+            own = models[payload_kg]
+            out[task.rows, task.begin : task.end] = self._simulate(task, simulator, candidates, own, forces)
         finally:
             self._simulators[payload_kg].put(simulator)
 
@@ -326,6 +404,7 @@ class Problem:
         simulator: MujocoSimulator,
         candidates: Sequence[Candidate],
         models: Sequence[mujoco.MjModel | None],
+        forces: Sequence[Forces] | None,
     ) -> Float64[np.ndarray, "C M"]:
         plan = task.segment.plan
         windows = plan.starts.size
@@ -342,7 +421,8 @@ class Problem:
             gravity=None if (pulls := requests[0].gravity) is None else np.tile(pulls, (len(requests), 1, 1)),
         )
         per_window = [model for row in task.rows if (model := models[row]) is not None for _ in range(windows)]
-        result = simulator.rollout_candidates(request, per_window)
+        force = None if forces is None else np.concatenate([forces[row][task.segment] for row in task.rows])
+        result = simulator.rollout_candidates(request, per_window, force)
         grids = {"position": result.position, "velocity": result.velocity, "torque": result.torque}
         blocks = []
         for signal, counted in self._rows[task.segment].items():
@@ -351,8 +431,7 @@ class Problem:
             if signal == "position":
                 simulated = simulated - zeros[:, None, :]
             residual = (simulated - plan.measured[signal])[:, counted][:, :, self.columns]
-            own = self.weights.of(signal, self.nominal.robot.joint_names) * self._joint_weights
-            residual *= own[self.columns] * self.scale
+            residual *= self._factor(signal)
             if signal == "torque" and task.segment in self._moments:
                 shape = self._moments[task.segment]
                 residual -= np.einsum("crj,rj->cj", residual, shape)[:, None, :] * shape

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import get_args
 
-from trueup.core.fit_result import FitStatus, FittedParameter, Whiteness
+from trueup.core.fit_result import FitStatus, FittedParameter, Suspect, Whiteness
 from trueup.core.parameters import split_name
 from trueup.core.results import Estimate
 from trueup.identify.solution import Solution
@@ -19,6 +19,11 @@ _SHOWN_CORRELATION = 0.3
 _UNEXPLAINED = 1.3
 # A logged signal that is simulated this much worse than before, by at least this share of what it does.
 _WORSE, _VISIBLE = 1.1, 0.01
+# What is looked for where something is left.
+_LOOKED_FOR = (
+    "late feedback, an integral term, backlash, an elastic gear, friction that grows with the load or falls with time, "
+    "a largest speed, a payload and a mirrored joint"
+)
 # Starts that disagree: the data leave something open, or the search depends on luck.
 _DISAGREEMENT: dict[str, FitStatus] = {"not-unique": "not-identifiable", "local-minima": "not-converged"}
 
@@ -36,6 +41,8 @@ class Evidence:
         size: signal -> joint -> standard deviation of what was measured.
         chosen_by_user: whether the configuration says what is fitted.
         torque_seen: whether torques entered the fit.
+        suspects: what explains what is left; None if nobody has looked.
+        masses: what is strange about fitted masses, in words.
     """
 
     solution: Solution
@@ -46,6 +53,8 @@ class Evidence:
     size: Mapping[str, Mapping[str, float]]
     chosen_by_user: bool
     torque_seen: bool
+    suspects: Sequence[Suspect] | None = None
+    masses: str = ""
 
 
 def verdict(evidence: Evidence, beforehand: Sequence[str]) -> tuple[FitStatus, tuple[str, ...]]:
@@ -58,6 +67,7 @@ def verdict(evidence: Evidence, beforehand: Sequence[str]) -> tuple[FitStatus, t
     judged = [
         _of_starts(evidence),
         _of_what_is_left(evidence),
+        _of_suspects(evidence),
         _of_numbers(evidence),
         _of_bounds(evidence),
         _of_signals(evidence),
@@ -98,8 +108,23 @@ def _of_what_is_left(evidence: Evidence) -> _Judged | None:
         "unexplained",
         f"what is left is {ratio:.2g} times the noise of the measurement (most of {joint}: {item.rms:.3g}, noise "
         f"{item.noise or 0.0:.2g}): the model lacks something, and fitted numbers may be off by more than their "
-        "intervals to make up for it",
+        "intervals to make up for it" + _or_else(evidence),
     )
+
+
+def _or_else(evidence: Evidence) -> str:
+    """What is said of a residual for which there is no suspect."""
+    if evidence.suspects is None or evidence.suspects:
+        return ""
+    found = f"; none of {_LOOKED_FOR} explains it"
+    return found + (f". But {evidence.masses}" if evidence.masses else "")
+
+
+def _of_suspects(evidence: Evidence) -> _Judged | None:
+    """What explains more than the model: its numbers are bent, however little is left."""
+    if not evidence.suspects:
+        return None
+    return _Judged("unexplained", "what the model lacks: " + "; ".join(item.sentence for item in evidence.suspects))
 
 
 def _of_numbers(evidence: Evidence) -> _Judged | None:
@@ -176,6 +201,8 @@ def _of_motion(evidence: Evidence) -> list[_Judged]:
 def _remarks(evidence: Evidence) -> list[str]:
     """What the status does not depend on."""
     remarks = []
+    if evidence.masses and not _or_else(evidence):
+        remarks.append(evidence.masses)
     parameters = evidence.parameters
     fitted = {split_name(item.name)[0] for item in parameters if not item.frozen}
     if "kp" in fitted and not evidence.torque_seen:

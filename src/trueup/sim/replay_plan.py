@@ -86,6 +86,11 @@ class ReplayPlan:
         """Simulation steps of the longest window."""
         return self._steps
 
+    @property
+    def grid_s(self) -> Float64[np.ndarray, "W N"]:
+        """When each simulation step of each window begins, on the measured clock [s]."""
+        return np.asarray(self.measured.time_s[self.starts][:, None] + self._ticks() * self._step_s)
+
     def request(self, delay_s: float | tuple[float, ...] | Float64[np.ndarray, "J"] = 0.0) -> RolloutRequest:
         """One row per window; commands act `delay_s` [s] later than their stamps, one number or one per joint."""
         delays = np.broadcast_to(np.asarray(delay_s, dtype=np.float64), (len(self.measured.joints),))
@@ -160,7 +165,7 @@ class ReplayPlan:
         """One joint's command per step; the last delay's is kept, since most candidates of a fit share it."""
         known = self._held.get((signal, joint))
         if known is None or known[0] != delay_s:
-            grid = self.measured.time_s[self.starts][:, None] + self._ticks() * self._step_s
+            grid = self.grid_s
             column = self._command[signal][:, joint].astype(np.float64)
             if self._timing == "linear":
                 values = np.interp(grid - delay_s, self._command.time_s, column)
