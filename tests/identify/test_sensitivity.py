@@ -149,14 +149,12 @@ def test_third_differences_show_the_noise_and_not_what_moves_slowly():
     assert noise_level([np.zeros(2)]) == 0.0
 
 
-def test_numbers_are_those_of_the_finer_step_where_data_do_not_object():
+def test_what_is_unknown_of_a_change_by_the_step_is_half_of_what_is_left():
     shift = np.array([0.3, -0.1])
     now, way = Discretization(4), Discretization(8)
     open_ = Alternative(way, shift, gain=0.0)
-    np.testing.assert_allclose(open_.change(now), shift)
     np.testing.assert_allclose(open_.unknown(now), 0.5 * shift)
-    assert Alternative(way, shift, gain=-100.0).change(now) == 0.0
-    assert open_.change(Discretization()) == 0.0
+    assert Alternative(way, shift, gain=-100.0).unknown(Discretization()) == 0.0
     assert Alternative(Discretization(4), shift, gain=0.0).matters(Discretization(), np.array([0.1, 1.0]))
     assert not Alternative(Discretization(4), shift, gain=0.0).matters(Discretization(), np.array([1.0, 1.0]))
     assert not Alternative(Discretization(4), shift, gain=-100.0).matters(Discretization(), np.array([0.1, 1.0]))

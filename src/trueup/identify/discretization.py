@@ -73,10 +73,6 @@ class Alternative:
         moved = np.max(np.abs(self.shift) / np.maximum(std, 1e-12), initial=0.0)
         return bool(now.divisor == 1 and self._possible and moved > _MATTERS)
 
-    def change(self, now: Discretization) -> Float64[np.ndarray, "P"] | float:
-        """How the estimate changes to the finer step, in z; nothing at the model's own step, or where data object."""
-        return self.shift if now.divisor > 1 and self._possible else 0.0
-
     def unknown(self, now: Discretization) -> Float64[np.ndarray, "P"] | float:
         """One standard deviation of what is not known of the change by the time step, in z.
 
@@ -84,9 +80,9 @@ class Alternative:
         a step of zero. Where the finer step halves the present one and is taken, as much again is left, and half of
         that is one standard deviation; at the model's own step, all of the change is.
         """
-        if not self._possible:
-            return 0.0
-        return 0.5 * self.shift if now.divisor > 1 else self.shift
+        if now.divisor > 1:
+            return 0.5 * self.shift
+        return self.shift if self._possible else 0.0
 
     @property
     def _possible(self) -> bool:

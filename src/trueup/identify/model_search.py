@@ -61,6 +61,8 @@ EXPLAINED = 1.1
 _HEARD, _SAME_UNIT = 0.5, (0.5, 2.0)
 # A timing that leaves so many times more is not the better one with a smaller step either.
 _HOPELESS = 3.0
+# Of what is left with the numbers of another step, so many times as much is still the same fit.
+_ALIKE = 1.3
 # No torque is simulated better than to this share of its size.
 _SURE_OF_TORQUE = 1e-3
 # Shares of a time limit at which the base model ends, no richer one is begun, these end, the best one ends, and what
@@ -169,13 +171,27 @@ class ModelSearch:
         certain = self._certain(self._heard(settled, fit, left_out=self._frozen(settled), limit=self._until(_BEST)))
         self.searched = certain.solution
         self._finer = self._compared(certain)
-        # Its numbers are those of the robot, and not of a time step.
-        low, high = certain.solution.parameters.bounds
-        change = 0.0 if self._finer is None else self._finer.change(self.way)
-        z = np.clip(certain.solution.z + change, low, high)
-        certain = replace(certain, solution=replace(certain.solution, z=z))
+        certain = self._of_finer_step(certain)
         tried[tried.index(best)] = certain
         return certain, tried
+
+    def _of_finer_step(self, item: TriedModel) -> TriedModel:
+        """The same with the numbers of the finer step, which are nearer to the robot's.
+
+        Not where the present step has nothing like the same residual with them: then the model lacks something that
+        its numbers make up for, one way at each step.
+        """
+        found, finer_step = item.solution, self._finer
+        if finer_step is None or finer_step.gain < -DECIDED or self.way.divisor == 1:
+            return item
+        low, high = found.parameters.bounds
+        z = np.clip(found.z + finer_step.shift, low, high)
+        problem = self.problem_of(item)
+        left = float(np.linalg.norm(problem.residuals(z[None])[0]))
+        if not left < _ALIKE * found.rms:
+            self._finer = replace(finer_step, shift=2.0 * finer_step.shift)  # all of it is unknown, and not half
+            return item
+        return replace(item, solution=replace(found, z=z))
 
     def encoder_zeros(self, item: TriedModel) -> dict[str, float]:
         """What single recordings were off by, where that was fitted: `MOTION:JOINT` -> [rad or m]."""
