@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -558,7 +559,8 @@ def test_killed_in_any_step_it_goes_on(recorded, closed, tmp_path, after):
         "      resume=True, watch=Watch(on_step=watch))\n"
     )
     shutil.copy(__file__, tmp_path / "tests_of_closing.py")
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    folders = [str(tmp_path), str(Path(__file__).parent.parent), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, folders))}
     done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False)
     assert done.returncode in (-signal.SIGKILL, 0), done.stderr
     again = quick(data, tmp_path / "out", resume=True)
