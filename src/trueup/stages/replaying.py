@@ -39,9 +39,8 @@ class ReplaySummary:
         failed: episode id -> why it could not be replayed.
         seconds: wall-clock time that it took to make the run, earlier calls included [s].
         replaced: whether there was a run of this label that was made of something else.
-        notes: what of the model is held in the simulation, or swings in it, and what is done with commands that might
-            be meant otherwise.
-        command_notes: the latter, which `gap` does not say.
+        held_notes: what of the model is held in the simulation, or swings in it.
+        command_notes: what is done with commands that might be meant otherwise, which `gap` does not say.
     """
 
     label: str
@@ -50,8 +49,13 @@ class ReplaySummary:
     failed: Mapping[str, TrueupError] = field(default_factory=dict)
     seconds: float = 0.0
     replaced: bool = False
-    notes: tuple[str, ...] = ()
+    held_notes: tuple[str, ...] = ()
     command_notes: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """All that a user should know of how the model is simulated."""
+        return (*self.held_notes, *self.command_notes)
 
 
 def replay(
@@ -179,11 +183,9 @@ def replay(
     if failed and not done and len(missing) == len(wanted):
         name, first = next(iter(failed.items()))
         raise DataError(f"no episode could be replayed, {name!r} because: {first.summary}", hint=first.hint)
-    return ReplaySummary(
-        *(label, done, len(wanted) - len(missing), failed, seconds),
-        notes=(*simulator.holding.notes, *simulator.notes),
-        command_notes=simulator.notes,
-    )
+    kept = len(wanted) - len(missing)
+    held_notes, command_notes = simulator.holding.notes, simulator.notes
+    return ReplaySummary(label, done, kept, failed, seconds, held_notes=held_notes, command_notes=command_notes)
 
 
 def replay_unless_same(
