@@ -29,10 +29,7 @@ simulated at {step_ms:g} ms by code that shares nothing with trueup, in MuJoCo o
   play or springs in the gears, a payload that nobody mentions, a sign that is wrong in the log.
 
 Each is drawn with {seeds} seeds and given to the command as its user would, without any configuration:
-
-```sh
-trueup close logs --robot robot.yaml --out out --until identify --splits 70/15/15
-```
+`trueup close logs --robot robot.yaml --out out --until identify --splits 70/15/15`.
 
 {missing}## The bars
 

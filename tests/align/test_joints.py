@@ -228,9 +228,8 @@ def test_commands_may_be_spoken_of_otherwise_than_measurements():
     radian = np.pi / 180.0
     assert episode.command["position"] == pytest.approx(np.array([[-0.2 * radian, -0.1], [-0.4 * radian, -0.3]]))
     data["joints"]["lift"]["command"]["log"] = "a"
-    doubled, episode = JointMap.from_dict(data), make_episode(series, series)
-    with pytest.raises(NameMismatch, match="occurs twice"):
-        doubled.of_episode(episode)
+    with pytest.raises(NameMismatch, match="command joint occurs twice"):
+        JointMap.from_dict(data)
 
 
 def test_stamps_are_scaled_and_those_of_commands_shifted():

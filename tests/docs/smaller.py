@@ -54,7 +54,7 @@ TABLE = (
     Smaller("gap", {"--jobs": "1"}, "as above", has="--explain"),
     Smaller("compensate train", {"--config": "small/operator.yaml", "--jobs": "1"}, "a training takes an hour"),
     Smaller("compensate train data/slow", {"--config": "small/torques.yaml"}, "the same, of torques"),
-    Smaller("fleet", {"--jobs": "1", "--budget": "4s"}, "as above; without a limit if not given"),
+    Smaller("fleet", {"--jobs": "1", "--budget": "20s"}, "as above; without a limit if not given"),
     Smaller("policy train", {"--config": "small/policy.yaml", "--jobs": "1"}, "a training takes a quarter of an hour"),
     Smaller("policy train", {"--force": ""}, "so few motions leave the identification unsure", has="--randomize runs/"),
     Smaller("policy grid", {"--config": "small/policy.yaml", "--jobs": "1"}, "so does each of a grid"),

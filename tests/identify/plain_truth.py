@@ -17,7 +17,7 @@ PENDULUM = """
 <mujoco><compiler angle="radian"/><option timestep="{step}" integrator="implicitfast" iterations="100"/>
 <worldbody><body name="link"><joint name="j" axis="0 1 0" damping="{damping}" frictionloss="{frictionloss}"
   armature="{armature}"{rigid}/>
-  <inertial pos="0 0 -0.2" mass="{mass}" diaginertia="0.004 0.004 0.0005"/></body></worldbody>
+  <inertial pos="0 0 -0.2" mass="{mass}" diaginertia="{inertia} {inertia} 0.0005"/></body></worldbody>
 <actuator>{actuator}</actuator></mujoco>
 """
 SERVO, MOTOR = '<position name="s" joint="j" kp="{kp}" kv="{kv}"/>', '<motor name="s" joint="j"/>'
@@ -54,7 +54,10 @@ def pendulum_logs(
     kind, rigid, truth = MOTOR if driven else SERVO, "" if soft else RIGID, {**TRUTH, **true}
 
     def written(step_s: float, numbers: Mapping[str, float]) -> str:
-        return PENDULUM.format(step=step_s, rigid=rigid, actuator=kind.format(**numbers), **numbers)
+        # A body that weighs more of the same shape turns as much more heavily, as a fitted mass has it.
+        inertia = 0.008 * numbers["mass"]
+        actuator = kind.format(**numbers)
+        return PENDULUM.format(step=step_s, rigid=rigid, actuator=actuator, inertia=inertia, **numbers)
 
     path.write_text(written(0.002 if driven else 0.005, MODEL))
     command = "torque" if driven else "position"

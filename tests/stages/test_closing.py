@@ -456,8 +456,8 @@ def test_what_was_asked_for_comes_before_its_explanation(data, tmp_path, monkeyp
     watch = Watch(on_step=begun.append)
     done = quick(data, tmp_path / "out", until="identify", watch=watch)
     assert begun == ["replay", "gap", "check", "identify", "explain"]
-    assert [step.name for step in done.result.steps] == ["replay", "gap", "explain", "identify"]
-    assert [step.status for step in done.result.steps] == ["done"] * 4
+    assert [step.name for step in done.result.steps] == ["replay", "gap", "check", "explain", "identify"]
+    assert [step.status for step in done.result.steps] == ["done"] * 5
     # Without time for the fit there is none to explain, however much is left.
     left = {"identify": 0.0, "explain": 1000.0}
     monkeypatch.setattr(Budget, "of", lambda _, step: TimeLimit.after(left[step]))

@@ -193,8 +193,9 @@ def _better(looked: Looked, proposal: Proposal, after: Score) -> tuple[int, ...]
         ratio = (after.left[joint] + _LEAST) / (before.left[joint] + _LEAST)
         if ratio < _TOLD or (before.outside[joint] > 0.2 and after.outside[joint] < 0.02 and ratio < 1.5):
             found.append(joint)
-    # What a joint's position is counts for those before it, too.
-    if not found and proposal.joints and proposal.side != "command":
+    # What a joint's position is counts for those before it, too. Which way one counts that stands still is not seen.
+    seen = proposal.kind != "sign" or not set(proposal.joints).isdisjoint(looked.moved)
+    if not found and proposal.joints and proposal.side != "command" and seen:
         return tuple(
             joint for joint in looked.moved if (after.left[joint] + _LEAST) / (before.left[joint] + _LEAST) < _TOLD
         )

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from trueup.stages import Identified
 
 # A fit with one of these is no result to build on; everything else is loud but usable.
-UNUSABLE = ("no-better", "not-converged", "signal-worse")
+UNUSABLE = ("no-better", "not-converged")
 
 
 def register(app: typer.Typer) -> None:

@@ -12,8 +12,8 @@ from trueup.identify.search import Search
 from trueup.identify.uncertainty import noise_of, precision_of
 from trueup.robots import CommandTiming, RobotSpec
 
-# The time step is compared with a quarter of it; once it is a quarter, with half of that.
-_QUARTER = 4
+# The time step is compared with a quarter of it; once it is a quarter, with half of that, and at last with this part.
+_QUARTER, _LAST = 4, 32
 # Twice the difference of logarithmic likelihoods above which data have decided between two ways.
 DECIDED = 10.0
 # A number that a quarter of the time step moves by more than this many of its standard deviations is worth it.
@@ -66,12 +66,15 @@ class Alternative:
     def matters(self, now: Discretization, std: Float64[np.ndarray, "P"]) -> bool:
         """Whether a finer step moves a number by more than half of its standard deviation, and data do not object.
 
+        Once the step is a quarter, data have to ask for a finer one: what is left to a step of zero is known by then.
+
         Args:
             now: the present way.
             std: standard deviations of the parameters, (P,), in z.
         """
         moved = np.max(np.abs(self.shift) / np.maximum(std, 1e-12), initial=0.0)
-        return bool(now.divisor == 1 and self._possible and moved > _MATTERS)
+        asked = self._possible if now.divisor == 1 else self.gain > DECIDED and self.way.divisor < _LAST
+        return bool(asked and moved > _MATTERS)
 
     def unknown(self, now: Discretization) -> Float64[np.ndarray, "P"] | float:
         """One standard deviation of what is not known of the change by the time step, in z.

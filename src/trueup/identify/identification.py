@@ -20,7 +20,7 @@ from trueup.identify.problem import Problem
 from trueup.identify.scoring import Scorer, judged
 from trueup.identify.solution import OnModel
 from trueup.identify.suspects import strange_masses
-from trueup.identify.uncertainty import Posterior, fitted_parameters, open_directions, whiteness_of
+from trueup.identify.uncertainty import Posterior, disowned, fitted_parameters, open_directions, whiteness_of
 from trueup.identify.verdict import Evidence, correlations, verdict
 from trueup.robots import RobotSpec
 
@@ -114,6 +114,9 @@ def identify(
     }
     commanded = {split: error for split in soft.splits if (error := soft.command(split)) is not None}
     errors |= {"command": commanded} if commanded else {}
+    seen = "train" if "train" in search.judged else next(iter(search.judged))
+    if seen in commanded and not errors["fitted"][seen].value < commanded[seen].value:
+        parameters = disowned(parameters)
     judge = "val" if "val" in soft.splits else next(iter(soft.splits))
     before, after = soft.signals(ParameterSet(()), {}, judge), search.signals(best, judge)
     signals = {

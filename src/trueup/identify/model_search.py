@@ -474,15 +474,15 @@ class ModelSearch:
         rough: bool = False,
         limit: TimeLimit | None = None,
     ) -> TriedModel:
-        """The same model, fitted with a quarter of the time step if numbers depend on it and the data do not object."""
-        if _over(limit):
-            return best
-        self._finer = self._compared(best)
-        if self._finer is None or not self._finer.matters(self.way, self.posterior_of(best).std):
-            return best
-        self.way = self._finer.way
-        self._scorer = Scorer(self.nominal, self.usable, jobs=self._jobs, seed=self._seed)
-        return self._further(best, fit, "finer", left_out, rough=rough, limit=limit)
+        """The same model, fitted with a finer time step while numbers depend on it and the data do not object."""
+        while not _over(limit):
+            self._finer = self._compared(best)
+            if self._finer is None or not self._finer.matters(self.way, self.posterior_of(best).std):
+                break
+            self.way = self._finer.way
+            self._scorer = Scorer(self.nominal, self.usable, jobs=self._jobs, seed=self._seed)
+            best = self._further(best, fit, "finer", left_out, rough=rough, limit=limit)
+        return best
 
     def _braked(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
         """The same model with dry friction as soft as the model has it, if the logs say so: those of simulations do."""

@@ -162,14 +162,22 @@ class Scorer:
         }
 
     def command(self, split: str) -> Estimate | None:
-        """The error of a commanded position that is taken as the motion; None where another signal is commanded."""
-        if self._nominal.robot.controller.signal != "position":
+        """The error of the command that is taken as the motion: a position, or a velocity's integral from the start.
+
+        None where a torque is commanded.
+        """
+        signal = self._nominal.robot.controller.signal
+        if signal == "torque":
             return None
         joints = [self._nominal.robot.joint_names.index(name) for name in self._nominal.robot.scored_joints]
         rows, names = [], []
         for segment in self._segments[split]:
-            away = segment.plan.told("position") - segment.plan.measured["position"]
-            rows.append(np.sqrt(np.nanmean(away[:, joints] ** 2, axis=0)))
+            plan = segment.plan
+            told, measured = plan.told(signal), plan.measured["position"]
+            if signal == "velocity":
+                moved = np.cumsum(told[:-1] * np.diff(plan.measured.time_s)[:, None], axis=0)
+                told = measured[0] + np.concatenate([np.zeros_like(told[:1]), moved])
+            rows.append(np.sqrt(np.nanmean((told - measured)[:, joints] ** 2, axis=0)))
             names.append(segment.episode_id)
         executed = tuple(self._executed[name] for name in names)
         found = Scores(

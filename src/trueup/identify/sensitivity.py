@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from trueup.core.parameters import ParameterSet
 from trueup.identify.problem import Problem
+from trueup.identify.uncertainty import precision_of
 
 # Directions along which derivatives cancel to less than this share of their size are looked at, the weakest first.
 _CANCELED = 0.3
@@ -15,6 +16,8 @@ _MOST_DIRECTIONS = 12
 # not further than the last; in z of the parameter that moves most.
 _NEAR, _FAR, _FARTHEST = 0.01, 3.0, 1.0
 _ROUNDS = 2
+# The weakest directions along which others follow a move not further than this, in z, and how many times.
+_MOST_FOLLOWED, _CURVED, _FOLLOWED = 6, 0.2, 4
 
 
 def verified(
@@ -37,7 +40,9 @@ def verified(
 
     Then the residual is simulated as far out as it should have changed by three standard deviations: where it changes
     by less than that, in either sense, |r(z + t v) - r(z)| = rho |t J^T v| with rho < 1, the derivatives along v are
-    scaled by rho.
+    scaled by rho. At last the same less far out, where the other parameters follow by steps of Gauss-Newton, since
+    what changes nothing may be a curve: a number is determined only if moving it, with all others free to follow,
+    changes the residual.
 
     Args:
         problem: what is simulated.
@@ -82,15 +87,58 @@ def verified(
             slopes = np.concatenate([slopes, ((changed[0] - changed[1]) / (2 * reach[:, None]))[usable]])
             unit = raw + np.linalg.pinv(known, rcond=1e-6) @ (slopes - known @ raw)
             continue
-        moved = ((places - z)[..., alive] * norms[alive]) @ unit
-        change, promised = (np.linalg.norm(values, axis=2) for values in (changed, moved))
-        # A place that cannot be simulated says nothing against the derivatives, and one on a bound says little.
-        ratio = np.where(np.isfinite(change) & (promised > 0), change / np.maximum(promised, 1e-300), 1.0)
-        kept = np.minimum(1.0, ratio.min(axis=0))
+        kept = _kept(changed, places - z, unit, alive, norms)
         unit = unit - ((1.0 - kept)[:, None] * own).T @ (own @ unit)
+        # What changes nothing may be a curve: from not so far, the others follow.
+        few = slice(0, _MOST_FOLLOWED)
+        moves = (directions * np.minimum(reach, _CURVED / np.abs(directions).max(axis=1))[:, None])[few]
+        kept = _followed(problem, z, weight, unit, own[few], np.stack([moves, -moves]), alive, norms)
+        unit = unit - ((1.0 - kept)[:, None] * own[few]).T @ (own[few] @ unit)
     real = jacobian.copy()
     real[alive] = unit * norms[alive, None]
     return real
+
+
+def _kept(
+    changed: Float64[np.ndarray, "2 K N"],
+    moves: Float64[np.ndarray, "2 K P"],
+    unit: Float64[np.ndarray, "A N"],
+    alive: Int64[np.ndarray, "A"],
+    norms: Float64[np.ndarray, "P"],
+) -> Float64[np.ndarray, "K"]:
+    """Of what derivatives promise of moves, the share that the residual has changed by, the least of both senses."""
+    promised = np.linalg.norm((moves[..., alive] * norms[alive]) @ unit, axis=2)
+    change = np.linalg.norm(changed, axis=2)
+    # A place that cannot be simulated says nothing against the derivatives, and one on a bound says little.
+    ratio = np.where(np.isfinite(change) & (promised > 0), change / np.maximum(promised, 1e-300), 1.0)
+    return np.asarray(np.minimum(1.0, ratio.min(axis=0)))
+
+
+def _followed(
+    problem: Problem,
+    z: Float64[np.ndarray, "P"],
+    weight: float,
+    unit: Float64[np.ndarray, "A N"],
+    own: Float64[np.ndarray, "K A"],
+    moves: Float64[np.ndarray, "2 K P"],
+    alive: Int64[np.ndarray, "A"],
+    norms: Float64[np.ndarray, "P"],
+) -> Float64[np.ndarray, "K"]:
+    """`_kept` of moves along `own` where the other parameters follow across them, as derivatives and prior see it."""
+    prior = np.diag(precision_of(problem.parameters))[alive] / norms[alive] ** 2
+    squares = unit @ unit.T + weight * np.diag(prior)
+    across = [np.eye(row.size) - np.outer(row, row) for row in own]
+    inverses = [np.linalg.pinv(only @ squares @ only, rcond=1e-12, hermitian=True) for only in across]
+    low, high = problem.parameters.bounds
+    places, kept = np.clip(z + moves, low, high), np.ones(len(own))
+    for _ in range(_FOLLOWED):
+        seen = problem.slopes(np.concatenate([z[None], *places]))
+        changed = (seen[1:] - seen[0]).reshape(2, len(own), -1)
+        kept = np.minimum(kept, _kept(changed, moves, unit, alive, norms))
+        steps = [-np.nan_to_num(changed[:, row]) @ unit.T @ inverse for row, inverse in enumerate(inverses)]
+        places[..., alive] += np.stack(steps, axis=1) / norms[alive]
+        places = np.clip(places, low, high)
+    return kept
 
 
 def invariant(parameters: ParameterSet, z: Float64[np.ndarray, "P"]) -> Float64[np.ndarray, "K P"]:

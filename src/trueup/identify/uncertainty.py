@@ -326,6 +326,16 @@ def _fitted(posterior: Posterior, parameter: Parameter, index: int | None, value
     )
 
 
+def disowned(parameters: Sequence[FittedParameter]) -> tuple[FittedParameter, ...]:
+    """The same after a fit that explains nothing: whatever its derivatives say, it has not determined them."""
+    return tuple(
+        item
+        if item.frozen or item.identified == "no"
+        else replace(item, identified="no", sentence="not determined: the fitted model does not explain these motions")
+        for item in parameters
+    )
+
+
 def _bound(parameter: Parameter, z: float) -> str:
     low, high = parameter.to_z(parameter.low), parameter.to_z(parameter.high)
     reach = _AT_BOUND * (high - low)

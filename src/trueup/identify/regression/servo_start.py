@@ -180,13 +180,14 @@ def _regressed(
         used, wanted = terms[rows], error[rows]
         size = np.linalg.norm(used, axis=0) + 1e-12
         scaled = used / size
-        values = lsq_linear(scaled, wanted, bounds=(low, np.inf)).x
+        values = lsq_linear(scaled, wanted, bounds=(low, np.inf), method="bvls").x
         left = wanted - scaled @ values
         variance = _MEMORY * float(left @ left) / np.count_nonzero(rows)
         deviation = np.sqrt(variance * np.linalg.pinv(scaled.T @ scaled, hermitian=True)[0, 0])
         seen = values[0] > _SEEN * deviation
         if not seen:
-            rest = lsq_linear(scaled[:, 1:], wanted - used[:, 0] / gain, bounds=(low[1:], np.inf)).x
+            right = wanted - used[:, 0] / gain
+            rest = lsq_linear(scaled[:, 1:], right, bounds=(low[1:], np.inf), method="bvls").x
             values = np.append(size[0] / gain, rest)
             left = wanted - scaled @ values
         values = values / size
