@@ -8,6 +8,7 @@ from trueup.identify.discretization import Discretization, alternative, finer
 from trueup.identify.problem import Problem
 from trueup.identify.search import Search, Stopwatch
 from trueup.identify.solution import SolveSettings
+from trueup.identify.uncertainty import noise_of
 
 NOISE = 1e-3
 
@@ -51,13 +52,18 @@ def search(problem):
     return Search(problem, SolveSettings(), Stopwatch(), checkpoint=None, on_progress=None)
 
 
+def compared(now, other):
+    z = now.parameters.start
+    weight = noise_of(now, now.residuals(z[None])[0]).weight
+    ends = [search(problem).polished(z, now.jacobian(z), weight) for problem in (now, other)]
+    return alternative(now, other, *ends, weight, finer(Discretization()))
+
+
 @pytest.mark.parametrize("there", [2.2, 1.8, 2.4])
 def test_numbers_that_make_up_for_each_other_do_not_hide_what_a_finer_step_finds(there):
     now, fine = Valley(2.0), Valley(there)
     z = now.parameters.start
-    found = alternative(
-        search(now), search(fine), z, now.residuals(z[None])[0], now.jacobian(z), finer(Discretization())
-    )
+    found = compared(now, fine)
     assert abs(found.gain) < 10.0  # both explain the data
     assert np.exp(z + found.shift).sum() == pytest.approx(there, abs=0.01)
     assert found.matters(Discretization(), np.array([0.05, 0.3]))
@@ -67,8 +73,6 @@ def test_a_way_that_cannot_explain_the_data_is_seen():
     now, other = Valley(2.0), Valley(2.0)
     other._noise = other._noise + 5 * NOISE * np.sin(40 * np.arange(400))
     z = now.parameters.start
-    found = alternative(
-        search(now), search(other), z, now.residuals(z[None])[0], now.jacobian(z), finer(Discretization())
-    )
+    found = compared(now, other)
     assert found.gain < -100.0
     assert not found.matters(Discretization(), np.array([1e-6, 1e-6]))

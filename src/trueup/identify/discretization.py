@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
-from trueup.errors import DataError
-from trueup.identify.search import Search
+from trueup.identify.problem import Problem
 from trueup.identify.uncertainty import noise_of, precision_of
 from trueup.robots import CommandTiming, RobotSpec
 
@@ -98,43 +97,31 @@ def probability(gain: float) -> float:
 
 
 def alternative(
-    search: Search,
-    other: Search,
-    z: Float64[np.ndarray, "P"],
-    residual: Float64[np.ndarray, "N"],
-    jacobian: Float64[np.ndarray, "P N"],
+    now: Problem,
+    other: Problem,
+    here: tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]],
+    there: tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]],
+    weight: float,
     way: Discretization,
-) -> Alternative | None:
-    """Compare the present way with another one by a few simulations.
-
-    Both have nearly the same derivatives. With these, corrected by what each step shows, either way is brought to its
-    own minimum, and the two are compared there.
+) -> Alternative:
+    """Compare the present way with another one, each at its own minimum.
 
     Args:
-        search: the fit as it is simulated now.
+        now: the fit as it is simulated now.
         other: the same fit simulated the other way.
-        z: best parameters, (P,).
-        residual: at z, (N,).
-        jacobian: at z, (P, N).
+        here: parameters and residual at the minimum of `now`, as `Search.polished` has them.
+        there: likewise of `other`.
+        weight: of the prior, the variance of one observation.
         way: the other way.
-
-    Returns:
-        None where the other simulation fails or has other samples.
     """
-    mean, _ = search.problem.parameters.prior
-    precision = precision_of(search.problem.parameters)
-    weight = noise_of(search.problem, residual).weight
-    try:
-        (here, mine), (there, theirs) = (own.polished(z, jacobian, weight) for own in (search, other))
-    except DataError:
-        return None
-    noise = noise_of(search.problem, mine).weight, noise_of(other.problem, theirs).weight
+    mean, _ = now.parameters.prior
+    precision = precision_of(now.parameters)
+    noise = noise_of(now, here[1]).weight, noise_of(other, there[1]).weight
     present, instead = (
-        float(own @ own + weight * (place - mean) @ precision @ (place - mean))
-        for place, own in ((here, mine), (there, theirs))
+        float(own @ own + weight * (place - mean) @ precision @ (place - mean)) for place, own in (here, there)
     )
     least = noise[1] if instead < present else noise[0]
-    return Alternative(way, there - here, (present - instead) / max(least, 1e-300))
+    return Alternative(way, there[0] - here[0], (present - instead) / max(least, 1e-300))
 
 
 def finer(now: Discretization) -> Discretization:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64
 
 from trueup.core.episode import Episode
 from trueup.core.fit_result import ModelRow, Suspect
@@ -129,6 +130,10 @@ class ModelSearch:
         self._scorer = Scorer(nominal, self.usable, jobs=jobs, seed=seed)
         self._finer: Alternative | None = None
         self._undecided: list[dict[str, float]] = []
+        # A solution that was brought to the minimum of the present way, with parameters and residual there.
+        self._minimum: (
+            tuple[Solution, Discretization, tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]]] | None
+        ) = None
         # The base model with the other timing of the command.
         self._rival: TriedModel | None = None
         self.searched: Solution | None = None
@@ -573,15 +578,27 @@ class ModelSearch:
 
     def _compared(self, item: TriedModel, way: Discretization | None = None) -> Alternative | None:
         """What another way, or a finer time step, would find; None where it cannot be simulated, or no time is left."""
-        found, way, limit = item.solution, way or finer(self.way), self._until(_SURE)
+        found, way = item.solution, way or finer(self.way)
         now, other = self.problem_of(item), self._problem(found.parameters, way)
-        one, two = (
-            Search(problem, self._settings, Stopwatch(), checkpoint=None, on_progress=None) for problem in (now, other)
-        )
+        weight = noise_of(now, found.residual).weight
+        # Both have nearly the same derivatives: with these, corrected by what each step shows, each comes to its minimum.
+        if self._minimum is None or self._minimum[0] is not found or self._minimum[1] != self.way:
+            here = self._polished(now, found, weight)
+            self._minimum = (found, self.way, here) if here is not None else None
+        there = self._polished(other, found, weight)
+        if self._minimum is None or there is None:
+            return None
+        return alternative(now, other, self._minimum[2], there, weight, way)
+
+    def _polished(
+        self, problem: Problem, found: Solution, weight: float
+    ) -> tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]] | None:
+        """The minimum of a fit that is simulated in some way, near a solution; None where it cannot be, or in time."""
+        search = Search(problem, self._settings, Stopwatch(), checkpoint=None, on_progress=None)
         try:
-            with now.ending(limit), other.ending(limit):
-                return alternative(one, two, found.z, found.residual, found.jacobian, way)
-        except OutOfTime:
+            with problem.ending(self._until(_SURE)):
+                return search.polished(found.z, found.jacobian, weight)
+        except (DataError, OutOfTime):
             return None
 
     def _frozen(self, item: TriedModel) -> list[str]:

@@ -203,11 +203,14 @@ class Problem:
         other.evaluations, other.seconds = self.evaluations, self.seconds
         return other
 
-    def restart(self, z: Float64[np.ndarray, "P"]) -> bool:
-        """Look again where windows begin, near where they do, with these parameters; whether there are any."""
+    def restart(self, z: Float64[np.ndarray, "P"], *, coarse: bool = True) -> bool:
+        """Look again where windows begin, near where they do, with these parameters; whether there are any.
+
+        With `coarse`, also where those begin whose derivatives are taken.
+        """
         if self.starts:
             self.starts = window_starts(self, z, self.starts)
-        if self.coarse is not None:
+        if coarse and self.coarse is not None:
             self.coarse.restart(z)
         return bool(self.starts)
 

@@ -45,6 +45,8 @@ _CERTAIN_STEP = 0.004
 _POLISHED, _FINISHED, _AGAIN, _SETTLED = 9, 3, 3, 0.3
 # How often windows begin anew while another way to simulate is brought to its minimum.
 _RESTARTS = 3
+# A new look at the starts that lowers the cost by less than so many observations is the last one.
+_GAINED = 1.0
 
 
 class Stopwatch:
@@ -182,9 +184,13 @@ class Search:
             raise DataError("other samples", got=newton.begin().size, expected=jacobian.shape[1])
         newton.polish(jacobian, weight)
         for _ in range(_RESTARTS):
-            if self.problem.restart(newton.state.z):
-                newton.renew()
-                newton.polish(jacobian, weight)
+            before = newton.state.cost
+            if not self.problem.restart(newton.state.z, coarse=False):
+                break
+            newton.renew()
+            newton.polish(jacobian, weight)
+            if before - newton.state.cost < _GAINED * weight:
+                break
         assert newton.residual is not None
         return newton.state.z, newton.residual
 
