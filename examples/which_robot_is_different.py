@@ -1,8 +1,8 @@
 """Which of my robots is not like the others?
 
-Four small arms are recorded, the last of which hears its commands 50 ms late; each is identified by itself, and compared.
-Gains, damping and friction are fitted beside the delay, which would stand for them if they were wrong. A number is
-compared over those arms only whose motions determine it.
+Four small arms are recorded, the last of which hears its commands 50 ms late; each is identified by itself, and
+compared. Gains, damping and friction are fitted beside the delay, which would stand for them if they were wrong. A
+number is compared over those arms only whose motions determine it.
 
     python examples/which_robot_is_different.py OUT
 """

@@ -72,7 +72,6 @@ def test_numbers_that_make_up_for_each_other_do_not_hide_what_a_finer_step_finds
 def test_a_way_that_cannot_explain_the_data_is_seen():
     now, other = Valley(2.0), Valley(2.0)
     other._noise = other._noise + 5 * NOISE * np.sin(40 * np.arange(400))
-    z = now.parameters.start
     found = compared(now, other)
     assert found.gain < -100.0
     assert not found.matters(Discretization(), np.array([1e-6, 1e-6]))

@@ -581,7 +581,7 @@ class ModelSearch:
         found, way = item.solution, way or finer(self.way)
         now, other = self.problem_of(item), self._problem(found.parameters, way)
         weight = noise_of(now, found.residual).weight
-        # Both have nearly the same derivatives: with these, corrected by what each step shows, each comes to its minimum.
+        # Both have nearly the same derivatives: with these, corrected by what steps show, each comes to its minimum.
         if self._minimum is None or self._minimum[0] is not found or self._minimum[1] != self.way:
             here = self._polished(now, found, weight)
             self._minimum = (found, self.way, here) if here is not None else None
