@@ -156,7 +156,9 @@ def _of_signals(evidence: Evidence) -> _Judged | None:
         f"{signal} of {joint} ({before:.3g} -> {after:.3g})"
         for signal, own in evidence.signals.items()
         for joint, (before, after) in own.items()
-        if after > max(_WORSE * before, before + _VISIBLE * evidence.size[signal][joint])
+        # What the nominal model does not explain at all, such as a torque without a sign, cannot become worse.
+        if before < evidence.size[signal][joint]
+        and after > max(_WORSE * before, before + _VISIBLE * evidence.size[signal][joint])
     ]
     if not worse:
         return None
