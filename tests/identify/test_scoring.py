@@ -39,14 +39,16 @@ def test_a_mean_has_no_interval_where_all_recordings_are_of_one_motion():
 
 
 def test_a_velocity_that_is_commanded_is_a_motion_from_the_measured_start(tmp_path):
-    robot, nominal = nominal_of(tmp_path, ControllerSpec("velocity", kv=5.0))
+    _, nominal = nominal_of(tmp_path, ControllerSpec("velocity", kv=5.0))
     (log,) = [Truth(*nominal_of(tmp_path), {}).log(1, seconds=2.0, name="log")]
     time_s = log.measured.time_s
     speed = np.stack([np.sin(3 * time_s), 0.5 * np.cos(2 * time_s)], axis=1)
     path = 0.2 + np.concatenate([np.zeros((1, 2)), np.cumsum(speed[:-1] * np.diff(time_s)[:, None], axis=0)])
     units = {"velocity": ("rad/s", "rad/s")}
     command = replace(log.command, time_s=time_s, signals={"velocity": speed}, units=units)
-    measured = replace(log.measured, signals={"position": path + [0.0, 0.03]}, units={"position": ("rad", "rad")})
+    measured = replace(
+        log.measured, signals={"position": path + np.array([0.0, 0.03])}, units={"position": ("rad", "rad")}
+    )
     off = measured.signals["position"].copy()
     off[1:, 1] += 0.01
     moved = replace(measured, signals={"position": off})

@@ -16,7 +16,7 @@ from trueup.identify.discretization import Alternative, Discretization, probabil
 from trueup.identify.problem import Problem
 from trueup.identify.search import Search, Stopwatch
 from trueup.identify.segments import SegmentRule, make_segments
-from trueup.identify.sensitivity import invariant, verified
+from trueup.identify.sensitivity import invariant, split_shifts, verified
 from trueup.identify.solution import SolveSettings
 from trueup.identify.uncertainty import noise_level, noise_of
 
@@ -50,6 +50,24 @@ def test_torques_and_masses_times_a_factor_are_the_same_motion_and_hold_no_infor
     other = np.zeros_like(z)
     other[0] = 1.0
     assert np.linalg.norm(other @ real) == pytest.approx(np.linalg.norm(other @ jacobian), rel=0.1)
+
+
+def test_the_split_of_damping_between_servo_and_joint_is_not_known(pendulum):
+    problem = problem_of(pendulum, SCALED)
+    z = problem.parameters.at({"kv[j]": 0.999, "damping[j]": 0.001}).start
+    weight = noise_of(problem, problem.residuals(z[None])[0]).weight
+    search = Search(problem, SolveSettings(), Stopwatch(), checkpoint=None, on_progress=None)
+    real = verified(problem, z, search.certain_jacobian(z), weight)
+    (shift,) = split_shifts(problem.parameters, z, real, weight)
+    names = [item.name for item in problem.parameters.free]
+    assert shift[names.index("kv[j]")] == pytest.approx(-1.0 / np.sqrt(12.0), rel=0.01)
+    moved = problem.parameters.values(z + shift)
+    assert moved["damping[j]"] == pytest.approx(0.001 + 1.0 / np.sqrt(12.0), rel=0.01)
+    # Where the data tell the two apart, they are believed.
+    apart = np.zeros_like(real)
+    apart[names.index("kv[j]"), 0] = 1000.0 * np.sqrt(weight)
+    (shift,) = split_shifts(problem.parameters, z, apart, weight)
+    assert shift[names.index("kv[j]")] == pytest.approx(-1e-3, rel=0.01)
 
 
 def test_with_masses_that_are_known_the_scale_is_seen(pendulum):

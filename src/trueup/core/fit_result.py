@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from trueup.core.atomic import read_json, write_json
 from trueup.core.config import read_versioned
@@ -18,7 +18,8 @@ STOCK_ROBOT, FIT_CONFIG = "robot.stock.yaml", "fit.config.yaml"
 
 # From good to bad; the status of a fit is the worst that applies.
 FitStatus = Literal["ok", "unexplained", "not-identifiable", "at-bound", "signal-worse", "not-converged", "no-better"]
-Identified = Literal["yes", "weakly", "no"]
+Identified = Literal["yes", "effective", "weakly", "no"]
+IDENTIFIED: tuple[Identified, ...] = get_args(Identified)
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,8 @@ class FittedParameter:
         high: upper bound.
         interval: 95 % interval; as wide as the prior where the data say nothing.
         at_bound: `low` or `high` if the fit ended on a bound, else empty: the interval means little then.
-        identified: whether the data determine it: `yes`, `weakly` (its interval is wide, or shared with others), `no`
+        identified: whether the data determine it: `yes`, `effective` (they do in this model, which lacks something, so
+            that the robot's own number may be another), `weakly` (its interval is wide, or shared with others), `no`
             (what stands here is the prior).
         prior_share: variance after the fit over variance of the prior, 0 to 1; None without a prior.
         sentence: the same in words, with what to record next.

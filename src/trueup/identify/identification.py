@@ -20,8 +20,15 @@ from trueup.identify.problem import Problem
 from trueup.identify.scoring import Scorer, judged
 from trueup.identify.solution import OnModel
 from trueup.identify.suspects import strange_masses
-from trueup.identify.uncertainty import Posterior, disowned, fitted_parameters, open_directions, whiteness_of
-from trueup.identify.verdict import Evidence, correlations, verdict
+from trueup.identify.uncertainty import (
+    Posterior,
+    disowned,
+    effective,
+    fitted_parameters,
+    open_directions,
+    whiteness_of,
+)
+from trueup.identify.verdict import Evidence, correlations, doubt, verdict
 from trueup.robots import RobotSpec
 
 
@@ -139,6 +146,8 @@ def identify(
     unlooked = () if suspects is not None else ("no time was left to look for what the model lacks",)
     beforehand = (*search.ways_in_words, *search.seen.statements, *search.notes, *_untried(search.untried), *unlooked)
     status, statements = verdict(evidence, beforehand)
+    if why := doubt(evidence):
+        parameters = effective(parameters, why)
     result = FitResult(
         status=status,
         statements=statements,

@@ -36,6 +36,7 @@ from trueup.identify.quantities import quantity
 from trueup.identify.scoring import Scorer, Scores
 from trueup.identify.search import Search, Stopwatch
 from trueup.identify.segments import Segment, make_segments, usable
+from trueup.identify.sensitivity import split_shifts
 from trueup.identify.solution import OnModel, Solution
 from trueup.identify.solve import solve
 from trueup.identify.start import idle_names, off_bounds, regressed_start, servo_regressed, swept_start
@@ -227,7 +228,9 @@ class ModelSearch:
         undecided = [np.array([own.get(item.name, 0.0) for item in found.parameters.free]) for own in self._undecided]
         step = 0.0 if self._finer is None else self._finer.unknown(self.way)
         left = remaining_step(problem, found.z, found.residual, found.jacobian)
-        return known.widened([left, *undecided, step * np.ones(found.z.size), unknown])
+        weight = noise_of(problem, found.residual).weight
+        split = split_shifts(found.parameters, found.z, found.jacobian, weight)
+        return known.widened([left, *undecided, *split, step * np.ones(found.z.size), unknown])
 
     def suspects(self, item: TriedModel) -> tuple[Suspect, ...] | None:
         """What the model may lack; None where no time is left to look for it."""

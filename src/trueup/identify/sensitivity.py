@@ -141,6 +141,44 @@ def _followed(
     return kept
 
 
+def split_shifts(
+    parameters: ParameterSet,
+    z: Float64[np.ndarray, "P"],
+    jacobian: Float64[np.ndarray, "P N"],
+    weight: float,
+) -> list[Float64[np.ndarray, "P"]]:
+    """One standard deviation of how the damping of each position servo may be split into `kv` and `damping`, in z.
+
+    Only the sum counts, unless the drive saturates. Where one of them is small, derivatives by its logarithm are, too,
+    and the other one looks as if it were known alone. Nothing is known of the split: each share of the sum is as
+    likely as any other, with a standard deviation of sum / sqrt(12), or as the data say if they say more. That they do
+    not show damping at all, so that it was left out, does not tell that there is none.
+
+    Args:
+        parameters: of the fit.
+        z: best estimate, (P,).
+        jacobian: verified, at z, (P, N).
+        weight: variance of one independent observation.
+    """
+    free = parameters.free
+    index = {item.name: number for number, item in enumerate(free)}
+    values = parameters.values(z)
+    found = []
+    for item in free:
+        pair = f"damping[{item.target}]"
+        if item.quantity != "kv" or pair not in values or f"kp[{item.target}]" not in values:
+            continue
+        mine, its, shift = values[item.name], values[pair], np.zeros(z.size)
+        width = (mine + its) / np.sqrt(12.0)
+        if pair in index:
+            slope = jacobian[index[pair]] / max(its, 1e-300) - jacobian[index[item.name]] / max(mine, 1e-300)
+            width = min(width, float(np.sqrt(weight / max(float(slope @ slope), 1e-300))))
+            shift[index[pair]] = np.log1p(width / max(its, 1e-300))
+        shift[index[item.name]] = -width / max(mine, width)
+        found.append(shift)
+    return found
+
+
 def invariant(parameters: ParameterSet, z: Float64[np.ndarray, "P"]) -> Float64[np.ndarray, "K P"]:
     """Directions along which the equations of motion say that little or nothing changes, in z, (K, P).
 

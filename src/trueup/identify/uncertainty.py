@@ -336,6 +336,16 @@ def disowned(parameters: Sequence[FittedParameter]) -> tuple[FittedParameter, ..
     )
 
 
+def effective(parameters: Sequence[FittedParameter], why: str) -> tuple[FittedParameter, ...]:
+    """The same after a fit whose model lacks something: what the data determine is no property of the robot."""
+    return tuple(
+        replace(item, identified="effective", sentence=f"effective value: the data determine it, but {why}")
+        if item.identified == "yes" and not item.frozen
+        else item
+        for item in parameters
+    )
+
+
 def _bound(parameter: Parameter, z: float) -> str:
     low, high = parameter.to_z(parameter.low), parameter.to_z(parameter.high)
     reach = _AT_BOUND * (high - low)

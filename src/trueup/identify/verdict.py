@@ -83,6 +83,19 @@ def verdict(evidence: Evidence, beforehand: Sequence[str]) -> tuple[FitStatus, t
     return status, tuple(text for text in (*first, *beforehand, *rest, *remarks) if text)
 
 
+def doubt(evidence: Evidence) -> str:
+    """Why numbers that the data determine need not be the robot's, in a few words; empty if nothing is known of it."""
+    if evidence.solution.solver["stop"] != "converged":
+        return "the search did not end"
+    if evidence.suspects:
+        return "the model lacks something: " + ", ".join(item.name.replace("-", " ") for item in evidence.suspects)
+    if (ratio := unexplained(evidence.whiteness)) > _UNEXPLAINED:
+        return f"what is left is {ratio:.2g} times the noise"
+    if _of_signals(evidence) is not None:
+        return "a logged signal became worse"
+    return "it makes motions no better" if any(item.status != "ok" for item in _of_motion(evidence)) else ""
+
+
 @dataclass(frozen=True)
 class _Judged:
     """One thing that was looked at, and what it makes of the status."""

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from trueup.core.fit_result import FitResult, FittedParameter
+from trueup.core.fit_result import IDENTIFIED, FitResult, FittedParameter
 from trueup.report.numbers import plain, plural, significant
 
 CAUSES = ("delay", "gains", "friction", "gravity", "inertia")
 # How sure a parameter is, from good to bad: sign and words, so that color is never the only cue.
 KINDS = {
     "yes": ("●", "determined"),
+    "effective": ("◐", "effective value"),
     "weakly": ("◆", "weakly determined"),
     "zero": ("○", "ended on zero"),
     "no": ("✕", "not determined"),
@@ -103,10 +104,11 @@ def sure_sentence(fit: FitResult) -> str:
     free = fit.free
     if not free:
         return "No parameter was fitted."
-    counts = {kind: sum(item.identified == kind for item in free) for kind in ("yes", "weakly", "no")}
-    rest = [f"{counts['weakly']} weakly"] if counts["weakly"] else []
+    counts = {kind: sum(item.identified == kind for item in free) for kind in IDENTIFIED}
+    rest = [f"{counts['effective']} as effective values"] if counts["effective"] else []
+    rest += [f"{counts['weakly']} weakly"] if counts["weakly"] else []
     rest += [f"{counts['no']} not at all"] if counts["no"] else []
-    which = f"{counts['yes']} of {plural(len(free), 'parameter')}, {' and '.join(rest)}"
+    which = f"{counts['yes']} of {plural(len(free), 'parameter')}, {listed(rest)}"
     if not rest:
         which = "the parameter that was fitted" if len(free) == 1 else f"all {plural(len(free), 'parameter')}"
     kinds = [kind_of(item) for item in free]

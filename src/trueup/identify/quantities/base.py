@@ -109,7 +109,9 @@ class Quantity:
         low, high = search.low, search.high
         if search.transform == "log":
             value = max(value, search.start, low)
-            low, high = max(low, value / search.span), min(high, value * search.span)
+            # A model may say much more than a joint of this size can have.
+            least = min(value, search.start) if self.sized is not None and search.start > 0 else value
+            low, high = max(low, least / search.span), min(high, value * search.span)
         if said is not None and (said > 0.0 or search.transform == "linear"):
             low, high = min(low, said), max(high, said)
         return Parameter(
