@@ -13,7 +13,7 @@ SAID = {
     "what_has_the_model_wrong.py": (["OUT"], ["kp[", "determined: yes", "fitted:"]),
     "correct_in_a_control_loop.py": ([], ["300 steps", "Nm"]),
     "train_in_a_corrected_simulator.py": (["150"], ["150 steps of training", "ok"]),
-    "which_robot_is_different.py": (["OUT"], ["delay_s[", "unlike: arm-4"]),
+    "which_robot_is_different.py": (["OUT"], ["delay_s: ", "unlike: arm-4"]),
     "from_arrays_to_a_dataset.py": (["OUT"], ["motion/00003: 400 samples at 100 Hz"]),
 }
 
