@@ -463,6 +463,7 @@ def test_what_was_asked_for_comes_before_its_explanation(data, tmp_path, monkeyp
     monkeypatch.setattr(Budget, "of", lambda _, step: TimeLimit.after(left[step]))
     none = quick(data, tmp_path / "none", until="identify", budget_s=1000.0)
     assert [(step.name, step.status) for step in none.result.steps[2:]] == [
+        ("check", "done"),
         ("explain", "left out"),
         ("identify", "left out"),
     ]

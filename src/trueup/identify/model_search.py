@@ -65,6 +65,10 @@ _HEARD, _SAME_UNIT = 0.5, (0.5, 2.0)
 _HOPELESS = 3.0
 # Of what is left with the numbers of another step, so many times as much is still the same fit.
 _ALIKE = 1.3
+# Shares of a drive's lag that its delay may have been taken for, or has taken.
+_EXCHANGED = (-1.0, -0.5, 0.3, 0.6, 0.9)
+# Of an armature, the share that is left at least.
+_LEAST_KEPT = 0.2
 # No torque is simulated better than to this share of its size.
 _SURE_OF_TORQUE = 1e-3
 # Shares of a time limit at which the base model ends, no richer one is begun, these end, the best one ends, and what
@@ -146,6 +150,7 @@ class ModelSearch:
         # Before anything richer is tried: other models would make up for a wrong step, or timing, with their numbers.
         best = self._timed(fit, rough=bool(models))
         rough, limit = bool(models), self._until(_BASE)
+        best = self._exchanged(best, fit, rough=rough, limit=limit)
         best = self._heard(best, fit, rough=rough, limit=limit)
         best = self._settled(best, fit, rough=rough, limit=limit)
         best = self._retimed(best, fit, rough=rough, limit=limit)
@@ -443,6 +448,62 @@ class ModelSearch:
         self.way = now
         self._begun_at(best.solution.values)
         return best
+
+    def _exchanged(
+        self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None
+    ) -> TriedModel:
+        """The same model from where delays have taken a part of the drives' lag, or given some of theirs to it.
+
+        A position servo with I q'' + d q' = kp (u - q), d = kv + damping, lags by a = d / kp, and in slow motions a lag
+        is a lag: a search that made up for a delay with damping stands in a long valley, whose bottom it does not see.
+        To the second order in frequency, exp(-t s) / (1 + a' s + b' s^2) is 1 / (1 + a s + b s^2) for a' = a - t and
+        b' = b - a t + t^2 / 2, with b = I / kp. So part of a lag is tried as delay, with the inertia that belongs to it
+        and with the present one, and each joint takes what is best for it.
+        """
+        if _over(limit):
+            return best
+        found, problem = best.solution, self.problem_of(best)
+        values, free = found.values, {item.name: item for item in found.parameters.free}
+
+        def placed(shares: Mapping[str, tuple[float, bool]]) -> Float64[np.ndarray, "P"]:
+            other = dict(values)
+            for joint, (share, inertia) in shares.items():
+                late = share * lags[joint]
+                other[f"delay_s[{joint}]"] += late
+                for name in (f"kv[{joint}]", f"damping[{joint}]"):
+                    other[name] = (1.0 - share) * values.get(name, 0.0)
+                name = f"armature[{joint}]"
+                if inertia and name in values:
+                    change = values[f"kp[{joint}]"] * (0.5 * late**2 - lags[joint] * late)
+                    other[name] = max(values[name] + change, _LEAST_KEPT * values[name])
+            return found.parameters.at(
+                {name: float(np.clip(other[name], item.low, item.high)) for name, item in free.items()}
+            ).start
+
+        lags = {}
+        for joint in self.nominal.robot.joint_names:
+            lag = sum(values.get(f"{name}[{joint}]", 0.0) for name in ("kv", "damping"))
+            if f"delay_s[{joint}]" in free and values.get(f"kp[{joint}]", 0.0) > 0.0 and lag > 0.0:
+                lags[joint] = lag / values[f"kp[{joint}]"]
+        ways = [(0.0, False), *((share, inertia) for share in _EXCHANGED for inertia in (True, False))]
+        tried = problem.residuals(np.array([placed(dict.fromkeys(lags, way)) for way in ways]))
+        squares = np.nan_to_num([self._by_joint(problem, row) for row in tried], nan=np.inf)
+        names = [self.nominal.robot.joint_names[column] for column in problem.columns]
+        chosen = {
+            name: ways[number]
+            for name, number in zip(names, np.argmin(squares, axis=0), strict=True)
+            if name in lags and number
+        }
+        z = placed(chosen)
+        if not chosen or not float(np.sum(problem.residuals(z[None]) ** 2)) < (1.0 - _ROUGH) * found.rms**2:
+            return best
+        place = replace(best, solution=replace(found, z=z))
+        return self._further(place, fit, "lags for delays", (), rough=rough, limit=limit)
+
+    @staticmethod
+    def _by_joint(problem: Problem, residual: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "J"]:
+        """Squares of a residual, summed up by joint."""
+        return np.sum([np.sum(own**2, axis=0) for _, _, own in problem.by_segment(residual)], axis=0)
 
     @property
     def _later(self) -> float:
