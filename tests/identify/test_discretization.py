@@ -1,10 +1,15 @@
 """Two ways to simulate the same logs are compared by steps that stay in the valley of what the data determine."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from identify.plain_truth import pendulum_logs
 from trueup.core.parameters import Parameter, ParameterSet
+from trueup.identify import IdentifyConfig, Nominal
 from trueup.identify.discretization import Discretization, alternative, finer
+from trueup.identify.model_search import ModelSearch
 from trueup.identify.problem import Problem
 from trueup.identify.search import Search, Stopwatch
 from trueup.identify.solution import SolveSettings
@@ -75,3 +80,33 @@ def test_a_way_that_cannot_explain_the_data_is_seen():
     found = compared(now, other)
     assert found.gain < -100.0
     assert not found.matters(Discretization(), np.array([1e-6, 1e-6]))
+
+
+def test_a_delay_that_was_taken_for_damping_is_given_back(tmp_path):
+    pendulum = pendulum_logs(tmp_path)
+    late_s = 0.03
+    logs = {
+        split: [replace(log, command=replace(log.command, time_s=log.command.time_s - late_s)) for log in own]
+        for split, own in pendulum.episodes.items()
+    }
+    fit = dict.fromkeys(("delay_s", "kp", "kv", "frictionloss", "armature"), "all")
+    config = IdentifyConfig(fit=fit, models={})
+    search = ModelSearch(
+        Nominal(pendulum.robot, pendulum.model), logs, config, jobs=1, seed=0, checkpoints=None, on_progress=None
+    )
+    best = search._try("base", fit)
+    found = best.solution
+    assert found.values["delay_s[j]"] == pytest.approx(late_s, abs=0.003)
+    # As far along the valley as a search gets that takes all of it for damping, and for the inertia that belongs to it.
+    kp, total = found.values["kp[j]"], found.values["kv[j]"] + 0.1
+    changed = {
+        "delay_s[j]": 0.0,
+        "kv[j]": found.values["kv[j]"] + kp * late_s,
+        "armature[j]": found.values["armature[j]"] + kp * late_s**2 / 2 + total * late_s,
+    }
+    z = found.parameters.at({**found.values, **changed}).start
+    (row,) = search.problem_of(best).residuals(z[None])
+    valley = replace(best, solution=replace(found, z=z, residual=row, rms=float(np.linalg.norm(row))))
+    back = search._exchanged(valley, fit, rough=False, limit=None)
+    assert back.solution.rms < 1.01 * found.rms
+    assert back.solution.values["delay_s[j]"] == pytest.approx(late_s, abs=0.003)

@@ -67,6 +67,8 @@ _HOPELESS = 3.0
 _ALIKE = 1.3
 # Shares of a drive's lag that its delay may have been taken for, or has taken.
 _EXCHANGED = (-1.0, -0.5, 0.3, 0.6, 0.9)
+# How often, at most; each time a search follows.
+_EXCHANGES = 3
 # Of an armature, the share that is left at least.
 _LEAST_KEPT = 0.2
 # No torque is simulated better than to this share of its size.
@@ -150,7 +152,10 @@ class ModelSearch:
         # Before anything richer is tried: other models would make up for a wrong step, or timing, with their numbers.
         best = self._timed(fit, rough=bool(models))
         rough, limit = bool(models), self._until(_BASE)
-        best = self._exchanged(best, fit, rough=rough, limit=limit)
+        for _ in range(_EXCHANGES):
+            before, best = best, self._exchanged(best, fit, rough=rough, limit=limit)
+            if best is before:
+                break
         best = self._heard(best, fit, rough=rough, limit=limit)
         best = self._settled(best, fit, rough=rough, limit=limit)
         best = self._retimed(best, fit, rough=rough, limit=limit)
