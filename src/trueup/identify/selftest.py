@@ -419,8 +419,9 @@ def verdicts(fit: FitResult, parameters: ParameterSet, values: Mapping[str, floa
         off = abs(item.to_z(own.value) - here) / half
         slack = _DIGITS_LOST * max(1.0, abs(here))
         verdict: SelftestVerdict = "open"
-        if own.identified == "yes":
-            verdict = "recovered" if low - slack <= here <= high + slack else "missed"
+        if own.identified in ("yes", "effective"):
+            inside = low - slack <= here <= high + slack
+            verdict = "recovered" if inside else "missed" if own.identified == "yes" else "open"
         rows.append(
             DrawnNumber(
                 *(item.name, item.unit, truth, item.nominal, own.value, own.interval, verdict, own.sentence, excite),
