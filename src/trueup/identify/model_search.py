@@ -508,7 +508,7 @@ class ModelSearch:
     @staticmethod
     def _by_joint(problem: Problem, residual: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "J"]:
         """Squares of a residual, summed up by joint."""
-        return np.sum([np.sum(own**2, axis=0) for _, _, own in problem.by_segment(residual)], axis=0)
+        return np.asarray(np.sum([np.sum(own**2, axis=0) for _, _, own in problem.by_segment(residual)], axis=0))
 
     @property
     def _later(self) -> float:
