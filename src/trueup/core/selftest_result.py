@@ -30,8 +30,8 @@ class DrawnNumber:
         value: what was fitted, or kept; None where the fit has left the number out.
         interval: 95 % interval of the fit; likewise.
         verdict: `recovered` (the fit says that it is determined, or has an effective value, and the interval holds the
-            truth), `missed` (it is said to be determined, and the interval does not), or `open` (the motions determine it
-            weakly or not at all, or an effective value is not the true one).
+            truth), `missed` (it is said to be determined, and the interval does not), or `open` (the motions determine
+            it weakly or not at all, or an effective value is not the true one).
         sentence: what the fit says of it.
         excite: which motion shows it; `{target}` stands for the joint or body.
         off: distance of the fitted value from the truth, in half widths of the interval, on the scale of the fit; None
