@@ -143,7 +143,7 @@ def test_mj1344_without_a_torque_no_mass_is_determined(fits):
 
 def test_mj3284_single_masses_of_a_planar_arm(fits):
     robot, model, truth = case(fits, "mj3284")
-    commands = sines(2, 1200, 0.005, size=np.array([1.5, 0.6]), fastest=2.0)
+    commands = sines(2, 1200, 0.005, size=np.array([1.5, 0.6]), fastest=2.0, motions=4)
     plain = mujoco.MjModel.from_xml_path(str(fits / "threads" / "mj3284" / "truth.xml"))
     logs = simulated(plain, "torque", commands, hold=5)
     fit = dict.fromkeys(("damping", "frictionloss", "armature", "mass"), "all")
@@ -206,7 +206,7 @@ def test_a_command_that_moves_between_its_stamps_is_told_from_one_that_is_held(f
     changed = model.read_text().replace('damping=".1" armature=".01"', 'damping=".3" armature=".02" frictionloss=".1"')
     plain = mujoco.MjModel.from_xml_string(changed)
     hold = 1 if moving else 5
-    commands = sines(2, 5000 // hold, hold * plain.opt.timestep, size=0.35, fastest=2.0)
+    commands = sines(2, 5000 // hold, hold * plain.opt.timestep, size=0.35, fastest=2.0, motions=4)
     logs = simulated(plain, "position", commands, hold=hold)
     found = identify(logs, robot, model).result
     values = {"damping": 0.3, "armature": 0.02, "frictionloss": 0.1}
