@@ -68,19 +68,29 @@ LONG = (
     "policy_grid",
     "ros2_hour",
     "close",
+    "foreign",
 )
 NAMES = SHORT + LONG
+# What has options of its own, which stand behind its name.
+WITH_OPTIONS = ("foreign",)
 
 
 def main() -> None:
     """Print one table per benchmark as it ends, then one of all; leave with 1 if a figure misses its limit."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks",
+        description=__doc__,
+        epilog="foreign has options of its own: --cases A,B --seeds 0,1 --jobs N --oracle --again.",
+        allow_abbrev=False,
+    )
     parser.add_argument("names", nargs="*", metavar="NAME", help="of a benchmark; without one, all but trainings")
     parser.add_argument("--anew", action="store_true", help="trainings, too: a day")
     parser.add_argument("--rows", type=Path, metavar="FILE", help="also store the figures as JSON")
     parser.add_argument("--kept", action="store_true", help="measure only what has no figures yet")
     parser.add_argument("--table", action="store_true", help="measure nothing: the table of what is there")
-    options = parser.parse_args()
+    options, own = parser.parse_known_args()
+    if own and (len(options.names) != 1 or options.names[0] not in WITH_OPTIONS):
+        parser.error(f"unrecognized arguments: {' '.join(own)}")
     if unknown := sorted(set(options.names) - set(NAMES)):
         parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(NAMES)}")
     if options.table:
@@ -93,7 +103,7 @@ def main() -> None:
         if options.kept and known(name) is not None:
             continue
         try:
-            rows[name] = _run(name)
+            rows[name] = _run(name, *own)
         except Exception:  # the others are worth their hours all the same
             traceback.print_exc()
             broken.append(name)
@@ -110,10 +120,10 @@ def main() -> None:
         sys.exit("; ".join(said))
 
 
-def _run(name: str) -> list[Row]:
+def _run(name: str, *own: str) -> list[Row]:
     """In a process of its own: threads, cores and memory that one benchmark has settled are not those of the next."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return pool.submit(measured, name).result()
+        return pool.submit(measured, name, own).result()
 
 
 if __name__ == "__main__":

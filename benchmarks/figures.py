@@ -60,9 +60,10 @@ def known(name: str, path: Path = PATH) -> dict[str, Any] | None:
     return {"created": made["created"], "git": made["git"], "rows": [asdict(row) for row in found]}
 
 
-def measured(name: str) -> list[Row]:
-    """Run a benchmark."""
-    rows: list[Row] = import_module(f"benchmarks.{name}").run()
+def measured(name: str, options: Sequence[str] = ()) -> list[Row]:
+    """Run a benchmark, with options if it has any."""
+    module = import_module(f"benchmarks.{name}")
+    rows: list[Row] = module.run_with(options) if options else module.run()
     return rows
 
 

@@ -32,6 +32,7 @@ ARROWS = {
     "policy": {"augment", "deploy", "identify", "measure", "robots", "sim"},
     "zoo": {"augment"},
     "ros2": {"deploy"},
+    "check": {"align", "measure", "robots", "sim"},
     "report": {"measure"},
     "stages": {
         "dataset",
@@ -42,6 +43,7 @@ ARROWS = {
         "lab",
         "record",
         "identify",
+        "check",
         "deploy",
         "augment",
         "compensate",
@@ -59,6 +61,7 @@ ARROWS = {
             "lab",
             "record",
             "identify",
+            "check",
             "deploy",
             "augment",
             "compensate",

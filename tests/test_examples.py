@@ -10,10 +10,10 @@ EXAMPLES = Path(__file__).parent.parent / "examples"
 # File -> its words on the command line, and what it must say.
 SAID = {
     "how_large_is_the_gap.py": (["OUT"], ["mujoco/stock:", "on test", "report:"]),
-    "what_has_the_model_wrong.py": (["OUT"], ["kp[", "determined: yes", "fitted:"]),
+    "what_has_the_model_wrong.py": (["OUT"], ["kp[", "determined: effective", "fitted:"]),
     "correct_in_a_control_loop.py": ([], ["300 steps", "Nm"]),
     "train_in_a_corrected_simulator.py": (["150"], ["150 steps of training", "ok"]),
-    "which_robot_is_different.py": (["OUT"], ["delay_s[", "unlike: arm-4"]),
+    "which_robot_is_different.py": (["OUT"], ["delay_s: ", "unlike: arm-4"]),
     "from_arrays_to_a_dataset.py": (["OUT"], ["motion/00003: 400 samples at 100 Hz"]),
 }
 

@@ -17,6 +17,7 @@ NAMES = {
     "augment": "learned-corrections.md",
     "streaming": "step-times.md",
     "acceptance": "acceptance.md",
+    "foreign": "verdict-worth.md",
 }
 # Results that make a section of a page that is otherwise written by hand.
 PARTS = {

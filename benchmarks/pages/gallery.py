@@ -209,17 +209,18 @@ def _of_fit(folder: Path) -> dict[str, Any]:
 
 
 def _of_fleet(folder: Path) -> dict[str, Any]:
-    rows = [
-        {"name": f"{unit['name']}, {name}", "value": _milli(own["value"]), "low": None, "high": None}
-        for unit in read_json(folder / "fleet" / "fleet.json")["units"]
-        for name, own in unit["parameters"].items()
-    ]
+    delays = {
+        unit["name"]: unit["parameters"]["delay_s"] for unit in read_json(folder / "fleet" / "fleet.json")["units"]
+    }
     return {
         "kind": "intervals",
-        "title": "Delay of each arm, joint by joint",
+        "title": "Delay of each arm",
         "unit": "ms",
-        "rows": rows,
-        "legend": "dot: fitted",
+        "rows": [
+            {"name": name, **{key: _milli(own[key]) for key in ("value", "low", "high")}}
+            for name, own in delays.items()
+        ],
+        "legend": "dot and line: fitted, 95 % interval",
     }
 
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from trueup.dataset import Dataset as Dataset
     from trueup.report import write_report as write_report
     from trueup.robots import load_robot as load_robot
+    from trueup.stages import check_setup as check_setup
     from trueup.stages import close as close
     from trueup.stages import demo_dataset as demo_dataset
     from trueup.stages import fit as fit
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 _WHERE = {
     "Dataset": "trueup.dataset",
+    "check_setup": "trueup.stages",
     "close": "trueup.stages",
     "demo_dataset": "trueup.stages",
     "fit": "trueup.stages",
@@ -36,6 +38,7 @@ _WHERE = {
 
 __all__ = [
     "Dataset",
+    "check_setup",
     "close",
     "demo_dataset",
     "fit",

@@ -169,3 +169,9 @@ class BarNotMet(TrueupError):
     """A bar given with `--fail-above` was not met."""
 
     exit_code = 3
+
+
+class SetupWrong(TrueupError):
+    """Logs, robot.yaml and model certainly do not fit together; nothing was fitted."""
+
+    exit_code = 3

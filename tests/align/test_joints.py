@@ -211,6 +211,40 @@ def test_dictionary_round_trip_is_plain_json():
     assert JointMap.from_dict({"joints": {"a": {}}}) == JointMap.identity(("a",))
 
 
+def test_commands_may_be_spoken_of_otherwise_than_measurements():
+    """A joint that counts the other way round in commands only, in degrees, under the name of another."""
+    data = {
+        "joints": {
+            "lift": {"log": "a", "command": {"log": "b", "sign": -1, "log_unit": "deg"}},
+            "elbow": {"log": "b", "sign": -1, "offset": 0.5, "command": {"log": "a", "offset": 0.0}},
+        }
+    }
+    joint_map = JointMap.from_dict(json.loads(json.dumps(data)))
+    assert joint_map.to_dict() == data
+    assert JointMap.from_dict(joint_map.to_dict()) == joint_map
+    series = make_series(np.arange(2.0), ("a", "b"), position=[[0.1, 0.2], [0.3, 0.4]])
+    episode = joint_map.of_episode(make_episode(series, series))
+    assert episode.measured["position"] == pytest.approx(np.array([[0.1, 0.3], [0.3, 0.1]]))
+    radian = np.pi / 180.0
+    assert episode.command["position"] == pytest.approx(np.array([[-0.2 * radian, -0.1], [-0.4 * radian, -0.3]]))
+    data["joints"]["lift"]["command"]["log"] = "a"
+    with pytest.raises(NameMismatch, match="command joint occurs twice"):
+        JointMap.from_dict(data)
+
+
+def test_stamps_are_scaled_and_those_of_commands_shifted():
+    data = {"joints": {"a": {"log": "a"}}, "clock": {"scale": 0.001, "command_shift_s": -0.3}}
+    joint_map = JointMap.from_dict(data)
+    assert joint_map.to_dict() == data
+    series = make_series(np.array([0.0, 10.0, 20.0]), ("a",), position=[[0.1], [0.2], [0.3]])
+    episode = joint_map.of_episode(make_episode(series, series))
+    assert episode.measured.time_s == pytest.approx([0.0, 0.01, 0.02])
+    assert episode.command.time_s == pytest.approx([-0.3, -0.29, -0.28])
+    for clock, word in (({"scale": 0.0}, "scale > 0"), ({"scale": "1"}, "numbers"), ({"skew": 1.0}, "unknown keys")):
+        with pytest.raises(ConfigError, match=word):
+            JointMap.from_dict({**data, "clock": clock})
+
+
 def test_what_was_measured_stands_for_a_command_that_was_not_recorded():
     rules = (JointRule("a", "x", sign=-1), JointRule("b", "y"))
     measured = make_series([0.0, 0.1], ("y", "x"), position=[[0, 1], [2, 3]], torque=[[4.0, 5.0], [6.0, 7.0]])

@@ -9,6 +9,10 @@ ELSEWHERE = {
         "core, errors": "tests/test_architecture.py::test_every_part_has_an_arrow_and_stands_in_the_architecture_page"
     },
     "augmentation": {"[python]": "tests/docs/test_augmentation_docs.py::test_the_python_of_the_page_runs"},
+    "check": {
+        "error: shoulder": "tests/stages/test_checking.py::test_the_page_shows_what_is_printed",
+        "[json]": "tests/stages/test_checking.py::test_the_page_shows_what_is_printed",
+    },
     "compensation-online": {"[python]": "tests/docs/test_compensation_online.py::test_the_python_of_the_page_runs"},
     "extending": {
         "[text]": "tests/docs/test_extending.py::test_the_format_is_detected_and_read",
@@ -96,6 +100,7 @@ OTHER_DATA = {
         r"warning: status",
         r"  next: ",
     ),
+    "selftest": (r"note: to determine", r"\d+ of \d+ numbers"),
 }
 
 

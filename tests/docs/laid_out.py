@@ -220,6 +220,12 @@ LAID = {
     "real-robots": {"logs/so101_sage": so101, "logs/dfki_double_pendulum_A0": pendulum},
     "robots": {"logs/dfki_double_pendulum_A0": pendulum},
     "runtime": {"models/panda-rt": network},
+    "selftest": {
+        "data/arm": demo_data,
+        "logs/arm": demo_logs,
+        "arm.yaml": demo_robot,
+        "fit.yaml": text(smaller.FILES["identify.yaml"]),
+    },
 }
 
 # What it takes to be there further down.

@@ -67,12 +67,20 @@ TABLE = (
     ),
     Smaller("deploy run", {"--late-ms": "10000"}, "a machine that tests run on is late", has="--real-time"),
     Smaller("doctor", {"--seconds": "0.3"}, "5 seconds if not given", has="--realtime"),
+    Smaller("selftest", {"--jobs": "1", "--config": "small/gains.yaml"}, "each is a fit"),
+    Smaller("selftest", {"--seeds": "2"}, "as above", has="--seeds"),
     Smaller("design", {"--evaluations": "5", "--duration": "3", "--jobs": "1"}, "each simulates all parameters"),
 )
 
 FILES = {
     "identify.yaml": """
 fit: {frictionloss: {shared: true}}
+models: {}
+data: {budget_s: 4.0}
+solver: {max_iterations: 4, max_evaluations: 20, tolerance: 0.03}
+""",
+    "gains.yaml": """
+fit: {kp: {shared: true}}
 models: {}
 data: {budget_s: 4.0}
 solver: {max_iterations: 4, max_evaluations: 20, tolerance: 0.03}

@@ -102,3 +102,19 @@ def test_points_and_rods_are_bodies_for_mujoco_too(seed, points):
     assert found.mass == body.mass
     np.testing.assert_allclose(found.com, body.com, atol=1e-12)
     np.testing.assert_allclose(found.inertia, body.inertia, atol=1e-12)
+
+
+def test_a_plate_stays_possible_whatever_its_mass(tmp_path):
+    """The largest moment of a plate is the sum of the others, which rounding must not put above it."""
+    path = tmp_path / "plate.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="plate"><joint name="j"/>'
+        '<inertial pos="0 0 0" mass="0.6" diaginertia="0.001 0.005 0.004"/></body></worldbody></mujoco>'
+    )
+    model = mujoco.MjModel.from_xml_path(str(path))
+    own = inertial_of(model, "plate")
+    for factor in np.random.default_rng(0).uniform(0.5, 2.0, 200):
+        spec = mujoco.MjSpec.from_file(str(path))
+        apply_inertial(spec, "plate", own.with_mass(0.6 * factor))
+        moments = np.sort(spec.compile().body_inertia[1])
+        np.testing.assert_allclose(moments, factor * np.array([0.001, 0.004, 0.005]), rtol=1e-6)

@@ -91,8 +91,11 @@ def test_a_velocity_servo_is_recovered_by_the_default_fit(tmp_path):
     found = identify(logs, robot, path, config=IdentifyConfig(solver=SETTINGS))
     assert not any(item.name.startswith("kp") for item in found.result.parameters)
     assert found.result["kv[shoulder]"].nominal == 5.0
+    # Only masses tell how large a torque is, and they are taken to be known to 10 % each.
     for joint in JOINTS:
-        covers(found, f"kv[{joint}]", 8.0, share=0.1)
+        item = found.result[f"kv[{joint}]"]
+        assert item.interval[0] < 8.0 < item.interval[1], item
+        assert item.value == pytest.approx(8.0, rel=0.2)
     fitted = found.candidate().compile()
     np.testing.assert_array_equal(fitted.actuator_biasprm[:, 1], 0.0)
     np.testing.assert_allclose(fitted.actuator_gainprm[:, 0], -fitted.actuator_biasprm[:, 2])
@@ -215,7 +218,7 @@ def test_what_the_model_said_is_neither_the_start_nor_the_users(tmp_path):
     said = {item.name: (item.nominal, item.value) for item in make_parameters(fit, nominal)}
     assert said == {
         "damping[a]": (0.0, 0.7),
-        "frictionloss[a]": (0.0, 0.02),
+        "frictionloss[a]": (0.0, pytest.approx(0.02 * nominal.size("a").torque)),
         "kp[a]": (20.0, 33.0),
         "kv[a]": (0.0, 0.1),
     }

@@ -8,6 +8,7 @@ import pytest
 from identify.recovery_cases import Truth, nominal_of
 from trueup.core.parameters import ParameterSet
 from trueup.identify.scoring import Scorer, Scores
+from trueup.robots import ControllerSpec
 
 
 def scores(rmse, executed=()):
@@ -35,6 +36,25 @@ def test_a_mean_has_no_interval_where_all_recordings_are_of_one_motion():
     found = scores([[0.1, 0.2], [0.3, 0.4]], executed=("plan", "plan")).estimate("rad")
     assert (found.value, found.low, found.high) == (pytest.approx(0.25), None, None)
     assert scores([[0.1, 0.2]]).estimate("rad").low is None
+
+
+def test_a_velocity_that_is_commanded_is_a_motion_from_the_measured_start(tmp_path):
+    _, nominal = nominal_of(tmp_path, ControllerSpec("velocity", kv=5.0))
+    (log,) = [Truth(*nominal_of(tmp_path), {}).log(1, seconds=2.0, name="log")]
+    time_s = log.measured.time_s
+    speed = np.stack([np.sin(3 * time_s), 0.5 * np.cos(2 * time_s)], axis=1)
+    path = 0.2 + np.concatenate([np.zeros((1, 2)), np.cumsum(speed[:-1] * np.diff(time_s)[:, None], axis=0)])
+    units = {"velocity": ("rad/s", "rad/s")}
+    command = replace(log.command, time_s=time_s, signals={"velocity": speed}, units=units)
+    measured = replace(
+        log.measured, signals={"position": path + np.array([0.0, 0.03])}, units={"position": ("rad", "rad")}
+    )
+    off = measured.signals["position"].copy()
+    off[1:, 1] += 0.01
+    moved = replace(measured, signals={"position": off})
+    for series, error in ((measured, 0.0), (moved, 0.5 * 0.01)):
+        scorer = Scorer(nominal, {"val": [replace(log, measured=series, command=command)]}, seed=0)
+        assert scorer.command("val").value == pytest.approx(error, rel=0.01, abs=1e-9)
 
 
 def test_a_motion_that_diverged_leaves_no_mean():

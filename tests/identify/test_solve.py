@@ -24,8 +24,8 @@ from trueup.identify.config import SolverChoice, make_parameters
 from trueup.identify.costs import PenalizedSquares, roles_of
 from trueup.identify.solution import Checkpoint, fingerprint_of
 from trueup.identify.solvers import GaussNewtonSettings
-from trueup.identify.uncertainty import fitted_parameters, posterior_of
-from trueup.identify.verdict import verdict
+from trueup.identify.uncertainty import fitted_parameters, posterior_of, whiteness_of
+from trueup.identify.verdict import Evidence, verdict
 
 TARGET = np.array([0.9, -0.7])
 
@@ -278,14 +278,16 @@ def test_the_evolution_strategy_knows_the_joint_of_an_encoder_zero(tmp_path):
 # Several starts
 
 
-def judged(problem, solution, errors=None):
+def judged(problem, solution, errors=None, torque=None):
     posterior = posterior_of(problem, solution.z, solution.residual, solution.jacobian)
     items = fitted_parameters(posterior)
+    left = {name: replace(item, white=True) for name, item in whiteness_of(problem, solution.residual).items()}
     errors = errors or {
         "nominal": {"val": Estimate(2.0, "rad", 1.9, 2.1)},
         "fitted": {"val": Estimate(1.0, "rad", 0.9, 1.1)},
     }
-    return verdict(solution, items, errors, (), chosen_by_user=True, torque_seen=True)
+    signals, size = ({"torque": {"j": torque}}, {"torque": {"j": 1.0}}) if torque else ({}, {})
+    return verdict(Evidence(solution, items, left, errors, signals, size, chosen_by_user=True, torque_seen=True), ())
 
 
 def test_the_test_motions_decide_nothing_about_the_status(small):
@@ -297,6 +299,17 @@ def test_the_test_motions_decide_nothing_about_the_status(small):
     assert any("there is no val split" in line for line in statements)
     errors["fitted"] = {"train": Estimate(2.5, "rad"), "test": Estimate(1.0, "rad")}
     assert judged(problem, solve(problem, SolveSettings()), errors)[0] == "no-better"
+
+
+@pytest.mark.parametrize(
+    ("torque", "status"),
+    [((0.5, 0.4), "ok"), ((0.5, 0.54), "ok"), ((0.5, 0.6), "signal-worse"), ((1e-4, 2e-4), "ok"), ((1.2, 2.0), "ok")],
+)
+def test_a_signal_becomes_worse_only_visibly_and_where_it_was_explained(small, torque, status):
+    problem = Replaced(small, linear(small.size))
+    found, statements = judged(problem, solve(problem, SolveSettings()), torque=torque)
+    assert found == status
+    assert any("torque of j (0.5 -> 0.6)" in line for line in statements) == (status != "ok")
 
 
 def test_starts_that_agree_leave_the_status_alone_and_say_so(small):

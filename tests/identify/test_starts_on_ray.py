@@ -149,7 +149,7 @@ def test_a_worker_with_another_model_is_refused(problem, tmp_path, monkeypatch):
     def there(work, starts, *, begin, with_args, **_):
         (given,) = with_args
         begin(given)  # the same is the same
-        begin(dataclasses.replace(given, model=older))
+        begin(dataclasses.replace(given, problem=dataclasses.replace(given.problem, model=older)))
 
     monkeypatch.setattr(many_starts, "on_ray", there)
     with pytest.raises(ConfigError, match=r"makes of .*older\.xml is not that of the command"):

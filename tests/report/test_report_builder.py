@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from report.run_folders import CLOSE_RUNS, World, make_close, make_gap, make_run, simulate
+from trueup.core.check_result import CHECK_NAME, CheckResult, Finding, Mend
 from trueup.core.results import GapResult
 from trueup.errors import DataError, FormatError, TrueupError
 from trueup.report import build_report, write_report
@@ -69,6 +70,23 @@ def test_tables_show_the_numbers_of_the_result(page, run_folder):
 def test_a_missing_file_leaves_its_section_out(copied, file, section):
     (copied / file).unlink()
     assert sections(build_report(copied)) == [name for name in SECTIONS if name != section]
+
+
+def test_what_the_check_found_stands_below_the_verdict(copied):
+    mend = Mend("robot.yaml", "joints:\n- {name: lift, sign: -1}", "lift counts the other way round")
+    wrong = Finding("sign", "certain", "lift counts <the other way> round.", ("lift",), (mend,))
+    CheckResult((wrong, Finding("idle-joint", "note", "yaw: never moved.", ("yaw",))), 8, ("Whether …",)).save(
+        copied / CHECK_NAME
+    )
+    page = build_report(copied)
+    assert sections(page) == [SECTIONS[0], "setup", *SECTIONS[1:]]
+    assert "2\N{NO-BREAK SPACE}findings in 8\N{NO-BREAK SPACE}motions" in page
+    assert "- {name: lift, sign: -1}" in page
+    assert "lift counts &lt;the other way&gt; round." in page
+    assert "has to be mended" in page
+    # Nothing found, nothing shown.
+    CheckResult((), 8).save(copied / CHECK_NAME)
+    assert sections(build_report(copied)) == SECTIONS
 
 
 def test_the_gap_alone_is_a_report(copied):

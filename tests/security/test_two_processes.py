@@ -62,7 +62,7 @@ COMMANDS = {
 
 
 # A file is there whole, of one or of the other; an export appears as a whole, or is refused since another is there.
-ONE_FILE, WHOLE_OR_NOT = ("report", "experiment", "policy curves"), ("export",)
+ONE_FILE, WHOLE_OR_NOT = ("report", "experiment", "policy curves", "check", "selftest"), ("export",)
 PATIENCE_S = 180  # with a machine that does other things
 
 

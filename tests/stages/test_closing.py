@@ -114,7 +114,13 @@ def test_a_second_call_keeps_what_is_there(closed, tmp_path):
 
 @pytest.mark.parametrize(
     ("until", "last", "rungs"),
-    [("replay", "replay", 0), ("gap", "gap", 2), ("explain", "explain", 2), ("identify", "identify", 3)],
+    [
+        ("replay", "replay", 0),
+        ("gap", "gap", 2),
+        ("check", "check", 2),
+        ("explain", "explain", 2),
+        ("identify", "identify", 3),
+    ],
 )
 def test_it_ends_where_it_was_asked_to_end(data, tmp_path, until, last, rungs):
     done = quick(data, tmp_path / "out", until=until)
@@ -126,7 +132,7 @@ def test_it_ends_where_it_was_asked_to_end(data, tmp_path, until, last, rungs):
     # And goes on from there.
     if until == "explain":
         whole = quick(data, tmp_path / "out", resume=True)
-        assert [step.status for step in whole.result.steps] == ["kept", "done", "kept", "done", "done"]
+        assert [step.status for step in whole.result.steps] == ["kept", "done", "kept", "kept", "done", "done"]
 
 
 def test_logs_are_imported_first(recorded, tmp_path):
@@ -267,13 +273,13 @@ def test_beginning_anew_leaves_nothing_of_another_configuration(closed, tmp_path
     (out / "checkpoints").mkdir()
     first = quick(data, out, config=OTHER, until="gap", overwrite=True)
     assert {step.name: step.status for step in first.result.steps} == {"replay": "done", "gap": "done"}
-    gone = {"fit.json", "identify.yaml", "explain.yaml", "networks", "checkpoints"}
+    gone = {"fit.json", "check.json", "identify.yaml", "explain.yaml", "networks", "checkpoints"}
     assert not gone & {path.name for path in out.iterdir()}
     done = quick(data, out, config=OTHER, resume=True)  # the old networks are not in its way
     assert {step.name: step.status for step in done.result.steps} == {
         "replay": "kept",
         "gap": "done",
-        **dict.fromkeys(("explain", "identify", "augment"), "done"),
+        **dict.fromkeys(("check", "explain", "identify", "augment"), "done"),
     }
     assert IdentifyConfig.load(out / "identify.yaml") == OTHER
 
@@ -359,8 +365,8 @@ def test_a_step_has_its_part_of_what_is_left(monkeypatch):
     assert budget.of("explain").left_s == pytest.approx(20.0 * 0.15 / 0.2)
     assert Budget(None, STEPS).of("explain") is None
     # Who asks for less gives the rest more.
-    assert Budget(100.0, STEPS[:5]).of("identify").left_s == pytest.approx(100.0 * 0.5 / 0.7)
-    assert Budget(100.0, STEPS[:4]).of("explain").left_s == pytest.approx(100.0 * 0.15 / 0.2)
+    assert Budget(100.0, STEPS[:6]).of("identify").left_s == pytest.approx(100.0 * 0.5 / 0.7)
+    assert Budget(100.0, STEPS[:5]).of("explain").left_s == pytest.approx(100.0 * 0.15 / 0.2)
 
 
 @given(
@@ -395,7 +401,7 @@ def test_what_was_asked_for_is_not_left_out_so_as_to_end_early(monkeypatch):
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     for replay_s, part_s in ((10.0, 25.0 * 0.5 / 0.7), (19.0, 6.0), (20.0, 6.0), (30.0, 0.0)):
         now[0] = 0.0
-        budget = Budget(60.0, STEPS[:5])
+        budget = Budget(60.0, STEPS[:6])
         budget.took(replay_s=replay_s, measure_s=4.0)
         now[0] += replay_s + 4.0
         assert budget.of("identify").left_s == pytest.approx(part_s, abs=1e-6), replay_s
@@ -435,7 +441,7 @@ def test_with_little_time_less_motion_is_fitted(recorded):
 
 def test_with_no_time_it_ends_all_the_same(data, tmp_path):
     done = quick(data, tmp_path / "out", config=None, methods=("realeasy-rt",), budget_s=0.001)
-    assert [step.status for step in done.result.steps] == ["done", "done", "left out", "left out", "left out"]
+    assert [step.status for step in done.result.steps] == ["done", "done", "done", "left out", "left out", "left out"]
     assert [rung.name for rung in done.ladder.rungs] == ["command", "stock"]
     assert "no time was left" in build_report(tmp_path / "out")
     assert lacking(done) == [f"no time was left for {step}" for step in ("explain", "identify", "augment")]
@@ -449,14 +455,15 @@ def test_what_was_asked_for_comes_before_its_explanation(data, tmp_path, monkeyp
     begun = []
     watch = Watch(on_step=begun.append)
     done = quick(data, tmp_path / "out", until="identify", watch=watch)
-    assert begun == ["replay", "gap", "identify", "explain"]
-    assert [step.name for step in done.result.steps] == ["replay", "gap", "explain", "identify"]
-    assert [step.status for step in done.result.steps] == ["done"] * 4
+    assert begun == ["replay", "gap", "check", "identify", "explain"]
+    assert [step.name for step in done.result.steps] == ["replay", "gap", "check", "explain", "identify"]
+    assert [step.status for step in done.result.steps] == ["done"] * 5
     # Without time for the fit there is none to explain, however much is left.
     left = {"identify": 0.0, "explain": 1000.0}
     monkeypatch.setattr(Budget, "of", lambda _, step: TimeLimit.after(left[step]))
     none = quick(data, tmp_path / "none", until="identify", budget_s=1000.0)
     assert [(step.name, step.status) for step in none.result.steps[2:]] == [
+        ("check", "done"),
         ("explain", "left out"),
         ("identify", "left out"),
     ]
@@ -483,7 +490,7 @@ def test_with_little_time_it_ends_with_what_it_has(data, tmp_path, monkeypatch):
     monkeypatch.setattr(Budget, "of", lambda *_: TimeLimit.after(2.5))
     done = quick(data, tmp_path / "out", config=None, methods=("realeasy-rt",), budget_s=100.0)
     *first, last = [step.status for step in done.result.steps]
-    assert first == ["done", "done", "cut short", "cut short"]
+    assert first == ["done", "done", "done", "cut short", "cut short"]
     assert last in ("cut short", "done")  # so small a network may have learned all that it can by then
     assert any("time limit" in note for note in done.notes)
     assert any("no time was left to try richer models" in note for note in done.notes)
@@ -497,7 +504,8 @@ def test_with_little_time_it_ends_with_what_it_has(data, tmp_path, monkeypatch):
     assert [step.status for step in again.result.steps] == [
         "kept",
         "done",
-        *first[2:],
+        "kept",
+        *first[3:],
         "kept" if last == "done" else last,
     ]
     assert again.result.step("explain").seconds == done.result.step("explain").seconds

@@ -11,8 +11,10 @@ from trueup.cli.main import main
 from trueup.core.fit_result import FitResult
 from trueup.errors import ConfigError, NameMismatch, NoPlan, OutputExists
 from trueup.identify import IdentifyConfig
+from trueup.identify.candidate import Nominal
+from trueup.identify.quantities import quantity
 from trueup.record import Box, DesignSettings, PlanSet, Workspace, check_plan
-from trueup.robots import load_robot
+from trueup.robots import find_model, load_robot
 from trueup.stages import design
 
 CONFIG = IdentifyConfig(fit={"kp": "all", "damping": "all", "torque_offset": "all"})
@@ -63,13 +65,16 @@ def test_motions_are_stored_as_a_plan_set(arm, made):
     assert plans.origin["by"] == "design"
 
 
-def test_it_says_what_the_motions_promise(made):
+def test_it_says_what_the_motions_promise(arm, made):
     designed, out = made
     items = {item.name: item for item in designed.parameters}
     assert set(items) == {f"{name}[{joint}]" for name in CONFIG.fit for joint in ("shoulder", "elbow")}
-    # The priors of the catalogue: a factor of e^2 for gains, half a newton meter for offsets.
+    # The priors of the catalogue: a factor of e^2 for gains, and a share of what the joint carries for offsets.
     assert items["kp[elbow]"].before == pytest.approx(2.0)
-    assert items["torque_offset[elbow]"].before == pytest.approx(0.5)
+    robot, _ = arm
+    carried = Nominal(robot, find_model(robot)).size("elbow").torque
+    share = quantity("torque_offset").search.scale
+    assert items["torque_offset[elbow]"].before == pytest.approx(share * carried)
     assert all(0 < item.designed < item.before for item in items.values())
     assert all(0 < item.random < item.before for item in items.values())
     ratios = [item.random / item.designed for item in items.values()]

@@ -157,6 +157,8 @@ def test_a_fit_that_was_killed_after_its_search_is_not_searched_again(rig, tmp_p
 
 def test_a_fit_that_was_killed_between_two_models_goes_on_with_the_second(rig, tmp_path):
     truth, model = rig
+    braked = {f"frictionloss[{joint}]": 0.6 for joint in truth.robot.joint_names}
+    truth = Truth(truth.robot, truth.nominal, {**truth.values, **braked})
     data, out = stored(tmp_path / "data", logs_of(truth)), tmp_path / "fit"
     config = replace(CONFIG, models={"friction": ("frictionloss",)})
 
@@ -177,7 +179,7 @@ def test_a_fit_that_was_killed_between_two_models_goes_on_with_the_second(rig, t
         resume=True,
         on_progress=lambda name, progress: steps.append((name, progress.iteration)),
     )
-    assert {name for name, _ in steps} == {"friction", "base, to the end"}
+    assert {name for name, _ in steps} == {"friction", "friction, to the end", "friction, with torque"}
     assert steps[0][1] == 2
     whole = fit(data, truth.robot, tmp_path / "whole", model=model, config=config, jobs=1)
     resumed = json.loads((out / "fit.json").read_text())

@@ -39,6 +39,7 @@ class JointRule:
         log_unit: unit of the position in the log; None believes what the log says.
         unit: SI unit of the position in the robot, `rad`, `m` or `1`. None: that of the log, except that a ratio
             that is declared, scaled or offset becomes `rad`.
+        command: the rule of the commands, where the log speaks of them otherwise than of what was measured.
 
     Raises:
         ConfigError: the sign is not 1 or -1, the scale is not a positive number, or `unit` is not one of the three.
@@ -52,6 +53,7 @@ class JointRule:
     offset: float = 0.0
     log_unit: str | None = None
     unit: str | None = None
+    command: JointRule | None = None
 
     def __post_init__(self) -> None:
         """Refuse a rule that cannot be inverted."""
@@ -100,7 +102,11 @@ class JointRule:
     def to_dict(self) -> dict[str, Any]:
         """The log's name and what is not the default, for YAML and JSON."""
         given, plain = asdict(self), asdict(JointRule(self.joint, self.log))
-        return {"log": self.log} | {key: value for key, value in given.items() if value != plain[key]}
+        tree = {"log": self.log} | {key: value for key, value in given.items() if value != plain[key]}
+        if self.command is not None:
+            other = asdict(self.command)
+            tree["command"] = {key: value for key, value in other.items() if key != "command" and value != given[key]}
+        return tree
 
     @staticmethod
     def from_dict(joint: str, entry: object) -> JointRule:
@@ -113,6 +119,10 @@ class JointRule:
         check_keys(f"rule of joint {joint!r}", entry, known)
         assert isinstance(entry, Mapping)
         values: dict[str, Any] = {"log": joint, **entry}
+        command = values.pop("command", None)
+        if command is not None:
+            check_keys(f"`command` of joint {joint!r}", command, [key for key in known if key != "command"])
+            values["command"] = JointRule.from_dict(joint, {**values, **command})
         for key in ("sign", "scale", "offset"):
             if key not in values:
                 continue

@@ -24,22 +24,38 @@ class JointMap:
         rules: one per joint of the robot, in the robot's order.
         ignore: joints of the log that the robot does not have; any other unknown joint is an error.
         measured_command: signal whose measurement stands for the command, where that was not recorded; none if empty.
+        clock_scale: seconds per second of the stamps, e.g. 0.001 where milliseconds were taken for seconds.
+        command_shift_s: the stamps of the commands are this much too early [s], after scaling; negative if too late.
 
     Raises:
         NameMismatch: a joint stands twice on one side, or is both mapped and ignored.
+        ConfigError: a clock that does not run forwards.
     """
 
     rules: tuple[JointRule, ...]
     ignore: tuple[str, ...] = ()
     measured_command: str = ""
+    clock_scale: float = 1.0
+    command_shift_s: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse names that stand twice."""
-        for side, names in (("robot", self.joints), ("log", (*self.log_joints, *self.ignore))):
+        commanded = tuple((rule.command or rule).log for rule in self.rules)
+        for side, names in (
+            ("robot", self.joints),
+            ("log", (*self.log_joints, *self.ignore)),
+            ("command", (*commanded, *self.ignore)),
+        ):
             if len(set(names)) != len(names):
                 raise NameMismatch(
                     f"a {side} joint occurs twice in the joint map", left=names, right=sorted(set(names))
                 )
+        if not (0.0 < self.clock_scale < np.inf and np.isfinite(self.command_shift_s)):
+            raise ConfigError(
+                "`clock` of the joint map",
+                got=f"scale {self.clock_scale:g}, command_shift_s {self.command_shift_s:g}",
+                expected="scale > 0, and a finite shift",
+            )
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -50,6 +66,11 @@ class JointMap:
     def log_joints(self) -> tuple[str, ...]:
         """The log's names, in the robot's order."""
         return tuple(rule.log for rule in self.rules)
+
+    @property
+    def of_commands(self) -> JointMap:
+        """The map of the command series."""
+        return replace(self, rules=tuple(rule.command or rule for rule in self.rules))
 
     @staticmethod
     def identity(joints: Sequence[str]) -> JointMap:
@@ -115,11 +136,15 @@ class JointMap:
             MissingSignal: what stands for the command was not measured.
         """
         measured = self.for_series(episode.measured).apply(episode.measured)
+        if self.clock_scale != 1.0:
+            measured = replace(measured, time_s=self.clock_scale * measured.time_s)
         command = episode.command
         if self.measured_command:
             command = _alone(measured, self.measured_command, episode.id)
         elif command is not None:
-            command = self.for_series(command).apply(command)
+            command = self.of_commands.for_series(command).apply(command)
+            if (self.clock_scale, self.command_shift_s) != (1.0, 0.0):
+                command = replace(command, time_s=self.clock_scale * command.time_s + self.command_shift_s)
         return replace(episode, measured=measured, command=command)
 
     def _refuse(self, series: TimeSeries) -> None:
@@ -143,7 +168,9 @@ class JointMap:
         """A dictionary of plain values, for YAML and JSON; `from_dict` reads it back."""
         joints = {rule.joint: rule.to_dict() for rule in self.rules}
         tree: dict[str, Any] = {"joints": joints} | ({"ignore": list(self.ignore)} if self.ignore else {})
-        return tree | ({"measured_command": self.measured_command} if self.measured_command else {})
+        tree |= {"measured_command": self.measured_command} if self.measured_command else {}
+        clock = {"scale": self.clock_scale, "command_shift_s": self.command_shift_s}
+        return tree | ({"clock": clock} if clock != {"scale": 1.0, "command_shift_s": 0.0} else {})
 
     @staticmethod
     def from_dict(data: Any) -> JointMap:
@@ -154,7 +181,9 @@ class JointMap:
         Raises:
             ConfigError: a key is unknown, or a value is of the wrong kind.
         """
-        check_keys("joint map", data, ("joints", "ignore", "measured_command"))
+        check_keys("joint map", data, ("joints", "ignore", "measured_command", "clock"))
+        clock = data.get("clock", {})
+        check_keys("`clock` of the joint map", clock, ("scale", "command_shift_s"))
         joints, ignore, command = data.get("joints"), data.get("ignore", []), data.get("measured_command", "")
         if not isinstance(joints, Mapping):
             raise ConfigError("`joints` of the joint map", got=type(joints).__name__, expected="a mapping")
@@ -163,7 +192,10 @@ class JointMap:
         rules = tuple(JointRule.from_dict(str(name), entry) for name, entry in joints.items())
         if not isinstance(command, str):
             raise ConfigError("`measured_command` of the joint map", got=repr(command), expected="the name of a signal")
-        return JointMap(rules, tuple(map(str, ignore)), command)
+        scale, shift_s = clock.get("scale", 1.0), clock.get("command_shift_s", 0.0)
+        if not all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in (scale, shift_s)):
+            raise ConfigError("`clock` of the joint map", got=dict(clock), expected="numbers")
+        return JointMap(rules, tuple(map(str, ignore)), command, float(scale), float(shift_s))
 
 
 def _alone(series: TimeSeries, signal: str, episode: str) -> TimeSeries:

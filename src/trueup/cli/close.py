@@ -11,6 +11,7 @@ import typer
 
 from trueup.cli import options
 from trueup.cli.augment_train import progress_line
+from trueup.cli.check import GO_ON, show_findings
 from trueup.cli.console import err, note, out, problem, search_line, status_line, track, warning
 from trueup.cli.convert import show_flags, show_import
 from trueup.cli.fit_tables import status_line as fit_status
@@ -29,13 +30,14 @@ if TYPE_CHECKING:
 
 # A literal that typer can read; the same as `StepName`.
 UntilStep = Annotated[
-    Literal["import", "replay", "gap", "explain", "identify", "augment"],
+    Literal["import", "replay", "gap", "check", "explain", "identify", "augment"],
     typer.Option("--until", help="The last step."),
 ]
 _BEGINS: dict[StepName, str] = {
     "import": "import: logs to a dataset",
     "replay": "replay: the commands through the simulator as it came",
     "gap": "gap: how far it is from the robot",
+    "check": "check: whether logs, robot.yaml and model fit together",
     "explain": "explain: where that comes from",
     "identify": "identify: the numbers that the model has wrong",
     "augment": "augment: networks for what is left",
@@ -78,13 +80,14 @@ def close(
     jobs: options.Jobs = None,
     overwrite: options.Overwrite = False,
     resume: options.Resume = False,
+    force: options.Force = False,
     skip_bad: options.SkipBad = False,
 ) -> int:
     """From logs to a corrected simulator, in one go.
 
-    Import, replay, gap, explain, identify, augment, and a report of it all.
+    Import, replay, gap, check, explain, identify, augment, and a report of it all.
 
-    Exit code 3 if a step failed, the fit is of no use, or a bar was not met.
+    Exit code 3 if the set-up is certainly wrong, a step failed, the fit is of no use, or a bar was not met.
     """
     from trueup.identify import IdentifyConfig
     from trueup.measure import parse_bar, refuse_unknown
@@ -122,6 +125,7 @@ def close(
             jobs=jobs,
             overwrite=overwrite,
             resume=resume,
+            force=force,
             track=track,
             watch=watch,
         )
@@ -137,12 +141,14 @@ def exit_code(closed: Closed, *, skip_bad: bool = False) -> int:
     if refused and not skip_bad:
         return 2
     missing = lacking(closed)
-    if missing:
+    if closed.stopped:
+        problem("the set-up is wrong, and a fit would bend numbers until that is hidden: nothing was fitted", GO_ON)
+    elif missing:
         problem(
             "; ".join(missing),
             "The lines above say why. --resume tries failed steps again; it keeps a fit, --overwrite makes another.",
         )
-    return 3 if missing else 0
+    return 3 if missing or closed.stopped else 0
 
 
 @contextlib.contextmanager
@@ -216,9 +222,11 @@ def show(closed: Closed, out_dir: Path) -> None:
     if len(closed.result.steps) > 2:
         out.print(steps_table(closed.result))
     _show_ladder(closed, closed.measurement.gap)
+    if closed.checked is not None:
+        show_findings(closed.checked)
     _show_fit(closed)
     for step in closed.result.steps:
-        if step.status in ("failed", "left out") and closed.result.is_asked(step.name):
+        if step.status in ("failed", "left out") and closed.result.is_asked(step.name) and not closed.stopped:
             warning(f"{step.name} {step.status}: {step.what}")
     for line in closed.notes[:_MOST_NOTES]:
         note(line)

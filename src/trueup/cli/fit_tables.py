@@ -10,14 +10,16 @@ from rich.table import Table
 
 from trueup.cli.tables import number
 from trueup.core.attribution import UNEXPLAINED, Attribution
-from trueup.core.fit_result import FitResult, FittedParameter
+from trueup.core.fit_result import IDENTIFIED, FitResult, FittedParameter
 
 if TYPE_CHECKING:
     from trueup.identify.experiments import ExperimentResult
 
-_STYLE = {"yes": "", "weakly": "yellow", "no": "red"}
+_STYLE = {"yes": "", "effective": "cyan", "weakly": "yellow", "no": "red"}
 _HINT = {
     "not-identifiable": "Record motions that show these parameters (see the remarks in the table), or freeze them.",
+    "unexplained": "Let the fit have what is missing (models: …), or use the model for motions like these only.",
+    "signal-worse": "Check sign, scale and unit of that signal, or weigh it (signals: {torque: …}) and fit again.",
     "at-bound": "Widen the bound in the configuration, or doubt the structure of the model.",
     "not-converged": "Allow more iterations, evaluations, seconds or starts (solver: …); run again with --overwrite.",
     "no-better": "Check that robot, model and logs belong together: joint map, units, delays, payload.",
@@ -33,7 +35,8 @@ def parameter_table(fit: FitResult) -> Table:
     table.add_column("how sure", overflow="fold")
     for item in fit.free:
         low, high = item.interval
-        style = "red" if item.at_bound and item.low != item.value != 0.0 else _STYLE[item.identified]
+        stuck = item.at_bound and not item.absent and item.low != item.value != 0.0
+        style = "red" if stuck else _STYLE[item.identified]
         table.add_row(
             escape(item.name),
             "none" if item.nominal is None else f"{item.nominal:.4g}",
@@ -97,10 +100,11 @@ def attribution_table(attribution: Attribution) -> Table:
 def status_line(fit: FitResult) -> tuple[str, str | None]:
     """The status as a sentence, and what to do about it."""
     free = fit.free
-    count = {word: sum(item.identified == word for item in free) for word in ("yes", "weakly", "no")}
+    count = {word: sum(item.identified == word for item in free) for word in IDENTIFIED}
+    effective = f"{count['effective']} as effective values, " if count["effective"] else ""
     text = (
         f"status: {fit.status}; of {len(free)} parameters that were fitted, the data determine {count['yes']}, "
-        f"{count['weakly']} weakly, {count['no']} not"
+        f"{effective}{count['weakly']} weakly, {count['no']} not"
     )
     if fit.ended_by_time:
         return f"{text}; the time has ended the search", "Give it more time (--budget), and run again with --overwrite."
@@ -108,4 +112,4 @@ def status_line(fit: FitResult) -> tuple[str, str | None]:
 
 
 def _remark(item: FittedParameter) -> str:
-    return item.sentence.partition(": ")[0] if item.identified == "yes" else item.sentence
+    return item.sentence.partition(": ")[0] if item.identified in ("yes", "effective") else item.sentence

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from trueup.cli import options
+from trueup.cli.check import show_findings
 from trueup.cli.console import iterations, note, out, problem, track, warning
 from trueup.cli.fit_tables import model_table, parameter_table, status_line
 from trueup.cli.tables import ladder_table, verdicts
@@ -45,12 +46,14 @@ def identify(
     ] = None,
     overwrite: options.Overwrite = False,
     resume: options.Resume = False,
+    force: options.Force = False,
 ) -> int:
     """Find what the simulator has wrong, and how sure that is.
 
     Writes a fitted model, a robot.yaml and a report.
 
-    Exit code 3 if the search did not converge, or the fitted model is no better on motions that it was not fitted to.
+    Exit code 3 if the set-up is certainly wrong, the search did not converge, or the fitted model is no better on
+    motions that it was not fitted to.
     """
     from dataclasses import replace
 
@@ -59,16 +62,22 @@ def identify(
     from trueup.identify import IdentifyConfig
     from trueup.identify.config import SolverChoice
     from trueup.robots import load_robot
+    from trueup.stages import check_setup, refuse_wrong
     from trueup.stages import fit as run
 
     chosen = IdentifyConfig.load(config) if config else IdentifyConfig()
     if solver is not None:
         name = build(SolverChoice, {"name": solver}, "--solver").name
         chosen = replace(chosen, solver=replace(chosen.solver, name=name))
+    data, description = Dataset(dataset), load_robot(robot)
+    if not force:
+        checked = check_setup(data, description, model=model)
+        show_findings(checked, only=("certain", "likely"))
+        refuse_wrong(checked)
     with iterations() as (begin, on_progress):
         identified = run(
-            Dataset(dataset),
-            load_robot(robot),
+            data,
+            description,
             out_dir,
             model=model,
             config=chosen,

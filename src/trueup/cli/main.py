@@ -12,6 +12,7 @@ import typer
 
 from trueup.cli import (
     augment,
+    check,
     close,
     compensate,
     convert,
@@ -27,6 +28,7 @@ from trueup.cli import (
     record,
     replay,
     report,
+    selftest,
 )
 from trueup.cli.console import out, problem
 from trueup.core.workers import wait_briefly
@@ -44,7 +46,9 @@ for module in (
     record,
     replay,
     gap,
+    check,
     identify,
+    selftest,
     augment,
     compensate,
     policy,

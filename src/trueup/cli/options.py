@@ -82,6 +82,7 @@ Form = Annotated[
         "--form", help="Commands as JointState, or as Float64MultiArray for ros2_control's forward controllers."
     ),
 ]
+Force = Annotated[bool, typer.Option("--force", help="Go on even if the check of the set-up is certain.")]
 SkipBad = Annotated[bool, typer.Option("--skip-bad", help="Exit with 0 even if some episodes were refused.")]
 
 _SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}

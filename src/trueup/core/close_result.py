@@ -14,8 +14,8 @@ CLOSE_NAME = "close.json"
 CLOSE_SCHEMA = "trueup.close/1"
 
 # In the order in which they are done.
-StepName = Literal["import", "replay", "gap", "explain", "identify", "augment"]
-STEPS: tuple[StepName, ...] = ("import", "replay", "gap", "explain", "identify", "augment")
+StepName = Literal["import", "replay", "gap", "check", "explain", "identify", "augment"]
+STEPS: tuple[StepName, ...] = ("import", "replay", "gap", "check", "explain", "identify", "augment")
 # What a step says that was left out for want of time.
 NO_TIME = "no time was left"
 StepStatus = Literal["done", "kept", "cut short", "left out", "failed"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from trueup.core.atomic import read_json, write_json
 from trueup.core.config import read_versioned
@@ -17,8 +17,9 @@ FIT_SCHEMA = "trueup.fit/1"
 STOCK_ROBOT, FIT_CONFIG = "robot.stock.yaml", "fit.config.yaml"
 
 # From good to bad; the status of a fit is the worst that applies.
-FitStatus = Literal["ok", "not-identifiable", "at-bound", "not-converged", "no-better"]
-Identified = Literal["yes", "weakly", "no"]
+FitStatus = Literal["ok", "unexplained", "not-identifiable", "at-bound", "signal-worse", "not-converged", "no-better"]
+Identified = Literal["yes", "effective", "weakly", "no"]
+IDENTIFIED: tuple[Identified, ...] = get_args(Identified)
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,8 @@ class FittedParameter:
         high: upper bound.
         interval: 95 % interval; as wide as the prior where the data say nothing.
         at_bound: `low` or `high` if the fit ended on a bound, else empty: the interval means little then.
-        identified: whether the data determine it: `yes`, `weakly` (its interval is wide, or shared with others), `no`
+        identified: whether the data determine it: `yes`, `effective` (they do in this model, which lacks something, so
+            that the robot's own number may be another), `weakly` (its interval is wide, or shared with others), `no`
             (what stands here is the prior).
         prior_share: variance after the fit over variance of the prior, 0 to 1; None without a prior.
         sentence: the same in words, with what to record next.
@@ -43,6 +45,7 @@ class FittedParameter:
         transform: `log` or `linear`; on which scale the interval is symmetric.
         frozen: it was not fitted.
         label: what its quantity is, in words.
+        absent: it ended on its lower bound, where the robot has next to none of it.
     """
 
     name: str
@@ -61,6 +64,7 @@ class FittedParameter:
     transform: Literal["linear", "log"]
     frozen: bool = False
     label: str = ""
+    absent: bool = False
 
 
 @dataclass(frozen=True)
@@ -85,11 +89,40 @@ class Whiteness:
         correlation_s: time over which the residual is correlated with itself [s]; noise alone has none.
         white: whether it looks like noise: nothing is left that a model could explain.
         sentence: the same in words.
+        noise: of the measurement, as the residual's third differences show it [unit of the signal]; None in older
+            files.
     """
 
     rms: float
     correlation_s: float
     white: bool
+    sentence: str
+    noise: float | None = None
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """What a model may lack: a cause that no fitted number expresses, and what it would explain.
+
+    Attributes:
+        name: of the cause: `late-feedback`, `integral`, `backlash`, `elastic-joint`, `load-friction`, `warming`,
+            `speed-limit`, `payload`, `mirrored` or `mirrored-measurement`.
+        joints: whose residual it would explain.
+        sizes: one per joint, or a single one [`unit`].
+        unit: of the sizes.
+        train: share of what is left of these joints, beyond the noise of the measurement, on the fitted motions.
+        val: likewise on motions that were not fitted; None without.
+        gain: what it explains there in independent observations of the residual.
+        sentence: the same in words.
+    """
+
+    name: str
+    joints: tuple[str, ...]
+    sizes: tuple[float, ...]
+    unit: str
+    train: float
+    val: float | None
+    gain: float
     sentence: str
 
 
@@ -121,9 +154,12 @@ class FitResult:
     """What an identification found, and how sure that is.
 
     Attributes:
-        status: the worst of what applies: `ok`; `not-identifiable` (the data do not determine some parameter);
-            `at-bound` (a parameter ended on a bound); `not-converged`; `no-better` (on val, or on
-            train without one, the fitted model is no better than the nominal one).
+        status: the worst of what applies: `ok`; `unexplained` (more is left than the noise of the measurement, so
+            numbers may make up for what the model lacks); `not-identifiable` (the data do not determine a parameter
+            that
+            was asked for, or none at all); `at-bound` (a parameter ended on a bound); `signal-worse` (a logged signal
+            is simulated worse than before); `not-converged`; `no-better` (on val, or on train without one, the fitted
+            model is no better than the nominal one, or than the command taken as the motion).
         statements: what a user must know before trusting the numbers, most important first.
         solver: name, why it was chosen, why it stopped, iterations, evaluations, seconds, settings; `short_of_time`:
             models whose search a time limit has ended or kept from beginning, if any; of several starts `starts`,
@@ -133,7 +169,11 @@ class FitResult:
         directions: combinations that the data leave open, the worst first.
         whiteness: joint -> what is left.
         models: the models that were tried, if more than one.
-        errors: run (`nominal`, `fitted`) -> split -> error of the fitted signal, with interval.
+        errors: run (`nominal`, `fitted`, and `command` where a position is commanded) -> split -> error of the
+            position, with interval.
+        signals: logged signal -> joint -> root mean square error of the nominal and of the fitted model, on val, or on
+            train without one [unit of the signal].
+        suspects: what the model may lack, the most important first.
         data: what it was fitted to: episodes, pieces, seconds, windows, what was left out and why.
         provenance: versions, git hash, seed, data hash, configuration.
     """
@@ -147,8 +187,10 @@ class FitResult:
     whiteness: Mapping[str, Whiteness]
     models: tuple[ModelRow, ...] = ()
     errors: Mapping[str, Mapping[str, Estimate]] = field(default_factory=dict)
+    signals: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
     data: Mapping[str, Any] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    suspects: tuple[Suspect, ...] = ()
 
     def __getitem__(self, name: str) -> FittedParameter:
         """The parameter of that name.
@@ -204,6 +246,12 @@ class FitResult:
                 }
                 for row in self.models
             ],
+            "signals": {
+                signal: {joint: list(pair) for joint, pair in own.items()} for signal, own in self.signals.items()
+            },
+            "suspects": [
+                {**asdict(item), "joints": list(item.joints), "sizes": list(item.sizes)} for item in self.suspects
+            ],
             "data": dict(self.data),
             "provenance": dict(self.provenance),
         }
@@ -244,6 +292,14 @@ class FitResult:
                 run: {split: Estimate.from_json(error) for split, error in splits.items()}
                 for run, splits in data["errors"].items()
             },
+            signals={
+                signal: {joint: (float(before), float(after)) for joint, (before, after) in own.items()}
+                for signal, own in data.get("signals", {}).items()  # of files that were written before there were any
+            },
+            suspects=tuple(
+                Suspect(**{**item, "joints": tuple(item["joints"]), "sizes": tuple(item["sizes"])})
+                for item in data.get("suspects", ())
+            ),
             data=data["data"],
             provenance=data["provenance"],
         )

@@ -22,7 +22,7 @@ class UnitValue:
         value: fitted.
         low: lower end of its 95 % interval.
         high: upper end.
-        identified: whether the data determine it: `yes`, `weakly`, `no`.
+        identified: whether the data determine it: `yes`, `effective`, `weakly`, `no`.
     """
 
     value: float

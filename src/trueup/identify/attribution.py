@@ -140,7 +140,7 @@ class _NestedFits:
         rule = replace(config.data, budget_s=config.data.budget_s / 2).rule(robot, seed)
         self._segments, self._refused = make_segments(logs["train"], soft.simulator, rule)
         self._motions = [segment.episode_id for segment in self._segments]
-        self._weights = Weights(config.signals, config.joints)
+        self._weights = Weights(config.weights, config.joints)
         self._settings = replace(config.solver.settings(seed), solver="gauss-newton", starts=1)
         self._chosen: dict[str, object] = {}
         self._values: dict[str, float] = {}

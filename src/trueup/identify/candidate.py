@@ -21,6 +21,10 @@ from trueup.sim.controllers import Channel
 from trueup.sim.friction import harden_friction, has_friction, install
 from trueup.sim.payload import PREFIX
 
+# Poses in which the size of a joint is looked at, and an acceleration that robots have [rad/s^2 or m/s^2].
+_POSES, _USUAL_ACCELERATION = 32, 10.0
+# Bandwidth of servos [rad/s].
+_USUAL_RAD_S = 90.0
 # The body of a payload that hangs by itself.
 CARRIED = f"{PREFIX}carried"
 
@@ -94,6 +98,21 @@ class Candidate:
         return np.array([self.delay_s[joint] for joint in self.nominal.robot.joint_names])
 
 
+@dataclass(frozen=True)
+class JointSize:
+    """How large the numbers of a joint are, whatever the robot.
+
+    Attributes:
+        inertia: of what the joint turns, without its rotor, the mean over poses; or of what a servo of this stiffness
+            moves at a usual bandwidth, if that is more, as behind the gears of a wrist [kg m^2 or kg].
+        torque: usual torque: of the weight in the worst pose, or of an acceleration of 10 rad/s^2 (or m/s^2) if that is
+            more [Nm or N].
+    """
+
+    inertia: float
+    torque: float
+
+
 class Nominal:
     """The model as it came, with its controller put into it, so that every number stands in one place: the model.
 
@@ -108,11 +127,13 @@ class Nominal:
         simulator: of the nominal model.
         spec: the model, editable, with all that is held in simulations; copy it before writing.
         holding: what that is.
+        hard_friction: as given.
     """
 
     def __init__(self, robot: RobotSpec, path: Path, *, hard_friction: bool = True) -> None:
         self.path = path
         self.given = robot
+        self.hard_friction = hard_friction
         self.spec = load_spec(path, shapes=robot.simulation.contacts)
         name_bodies(self.spec)
         self.simulator = MujocoSimulator.from_spec(self.spec, robot, origin=path)
@@ -137,7 +158,7 @@ class Nominal:
         return Candidate(
             spec=self.spec.copy(),
             nominal=self,
-            delay_s=dict(zip(joints, self.given.delay_s, strict=True)),
+            delay_s=dict(zip(joints, self.given.replay_delay_s, strict=True)),
         )
 
     def inertial(self, body: str) -> Inertial:
@@ -153,6 +174,35 @@ class Nominal:
     def drive(self, joint: str) -> Drive:
         """What drives a joint of the nominal model."""
         return drive_of(self.spec, self.model, self.channels(joint))
+
+    def size(self, joint: str) -> JointSize:
+        """How large the numbers of a joint are."""
+        dof = int(self.model.jnt_dofadr[self.model.joint(joint).id])
+        inertia, weight = self._poses
+        # Of a joint that turns next to nothing, something that can be divided by.
+        own = max(float(inertia[dof]), (self.drive(joint).kp or 0.0) / _USUAL_RAD_S**2, 1e-7)
+        return JointSize(own, max(float(weight[dof]), _USUAL_ACCELERATION * own))
+
+    @cached_property
+    def _poses(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean diagonal of the mass matrix without rotors, and largest weight, over poses; (V,) each."""
+        model, data = self.model, mujoco.MjData(self.model)
+        rng = np.random.default_rng(0)
+        inertia, weight = np.zeros(model.nv), np.zeros(model.nv)
+        low, high = np.full(model.njnt, -np.pi / 2), np.full(model.njnt, np.pi / 2)
+        limited = model.jnt_limited.astype(bool)
+        low[limited], high[limited] = model.jnt_range[limited].T
+        turning = np.isin(model.jnt_type, (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)))
+        column, unit = np.zeros(model.nv), np.eye(model.nv)
+        for _ in range(_POSES):
+            mujoco.mj_resetData(model, data)
+            data.qpos[model.jnt_qposadr[turning]] = rng.uniform(low, high)[turning]
+            mujoco.mj_forward(model, data)
+            for dof in range(model.nv):
+                mujoco.mj_mulM(model, data, column, unit[dof])
+                inertia[dof] += (column[dof] - model.dof_armature[dof]) / _POSES
+            weight = np.maximum(weight, np.abs(data.qfrc_bias - data.qfrc_gravcomp))
+        return inertia, weight
 
     @property
     def commanded_limits(self) -> dict[str, float]:

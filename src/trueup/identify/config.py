@@ -20,23 +20,27 @@ from trueup.robots import RobotSpec
 from trueup.robots.friction import LAWS
 
 _LAWS = {name: tuple(number.name for number in law.numbers if number.excite) for name, law in LAWS.items() if law.tried}
+# Gains are what somebody had to invent; masses are what CAD has weighed, and stay near it.
+_WEIGHED = {"prior_std": 0.1}
 # Closed loop: the servo holds the joint near its command, so whole motions can be compared.
-_SERVO_FIT = ("delay_s", "kp", "damping", "frictionloss", "armature", "torque_offset")
+_SERVO_FIT: Mapping[str, Any] = {
+    **dict.fromkeys(("delay_s", "kp", "kv", "damping", "frictionloss", "armature", "torque_offset"), "all"),
+    "mass": _WEIGHED,
+}
 _SERVO_MODELS = {
-    "gravity": ("mass",),
-    "drive": ("kv", "torque_limit"),
+    "limits": ("torque_limit",),
     "integral": ("ki",),
     **_LAWS,
 }
 # A velocity servo has no other gain, and its error in speed tells it from friction.
-_VELOCITY_FIT = ("delay_s", "kv", "damping", "frictionloss", "armature", "torque_offset")
-_VELOCITY_MODELS = {**_SERVO_MODELS, "drive": ("torque_limit",)}
+_VELOCITY_FIT = {name: choice for name, choice in _SERVO_FIT.items() if name != "kp"}
+_VELOCITY_MODELS = _SERVO_MODELS
 # Open loop: the torque is known, so masses and inertias can be told from friction.
 # (Incremental encoders are zeroed where the arm happens to hang: each recording has zeros of its own.)
-_TORQUE_FIT = (
-    *("delay_s", "damping", "frictionloss", "armature", "encoder_zero"),
-    *("mass", "com_x", "com_y", "com_z", "inertia_scale"),
-)
+_TORQUE_FIT: Mapping[str, Any] = {
+    **dict.fromkeys(("delay_s", "damping", "frictionloss", "armature", "encoder_zero"), "all"),
+    **dict.fromkeys(("mass", "com_x", "com_y", "com_z", "inertia_scale"), "all"),
+}
 _TORQUE_MODELS = {
     "torque-offset": ("torque_offset",),
     "torque-gain": ("torque_gain",),
@@ -44,6 +48,8 @@ _TORQUE_MODELS = {
 }
 # Over longer than this, open-loop motion has no usable slope.
 _OPEN_LOOP_S = 0.5
+# Weighed by its own noise.
+AUTO = "auto"
 _CHOICE_KEYS = ("targets", "shared", "start", "low", "high", "prior_std", "frozen")
 
 
@@ -88,6 +94,7 @@ class DataChoice:
             seed,
             robot.replay.settle_s,
             robot.simulation.base_sensor,
+            robot.replay.command,
         )
 
 
@@ -137,7 +144,7 @@ class IdentifyConfig:
             joints (or bodies), as with a delay that lies in the bus.
         models: name -> further quantities, tried one after the other on top of what has been kept so far; kept if
             they make motions better that were not fitted (val). The default for the controller if not given.
-        signals: signal -> weight of the residual.
+        signals: signal -> weight of the residual, or `auto` to weigh it by its own noise where it is logged.
         joints: joint -> weight; unnamed joints have 1, unscored ones 0.
         data: which parts of the logs.
         solver: how to search.
@@ -146,7 +153,7 @@ class IdentifyConfig:
 
     fit: Mapping[str, Any] = field(default_factory=dict)
     models: Mapping[str, tuple[str, ...]] | None = None
-    signals: Mapping[str, float] = field(default_factory=lambda: {"position": 1.0})
+    signals: Mapping[str, Any] = field(default_factory=lambda: {"position": 1.0, "torque": AUTO})
     joints: Mapping[str, float] = field(default_factory=dict)
     data: DataChoice = field(default_factory=DataChoice)
     solver: SolverChoice = field(default_factory=SolverChoice)
@@ -159,8 +166,16 @@ class IdentifyConfig:
         for extra in (self.models or {}).values():
             for name in extra:
                 quantity(name)
-        if not self.signals.get("position"):
+        for name, weight in self.signals.items():
+            if isinstance(weight, bool) or not (isinstance(weight, int | float) or weight == AUTO):
+                raise ConfigError(f"signals: {name}", got=repr(weight), expected=f"a number, or {AUTO}")
+        if not self.weights.get("position"):
             raise ConfigError("signals must weigh position", got=dict(self.signals), expected="position: 1.0")
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Signal -> weight, of those that have a number."""
+        return {name: float(weight) for name, weight in self.signals.items() if weight != AUTO}
 
     @staticmethod
     def load(path: Path) -> IdentifyConfig:
@@ -178,7 +193,7 @@ class IdentifyConfig:
             ConfigError: `models` names a quantity that no scored joint has.
         """
         usual_fit, usual_models = _usual(nominal)
-        fit = self.fit or dict.fromkeys(usual_fit, "all")
+        fit = self.fit or usual_fit
         models = self.models
         if models is None:
             models = {} if self.fit else usual_models
@@ -197,9 +212,9 @@ class IdentifyConfig:
         return asdict(self)
 
 
-def _usual(nominal: Nominal) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]]]:
+def _usual(nominal: Nominal) -> tuple[dict[str, Any], dict[str, tuple[str, ...]]]:
     """What is fitted, and what is tried on top, if nobody says."""
-    fit: tuple[str, ...]
+    fit: Mapping[str, Any]
     if nominal.robot.controller.signal == "torque":
         fit, models = _TORQUE_FIT, _TORQUE_MODELS
     elif _all(quantity("kp"), nominal):
@@ -207,7 +222,7 @@ def _usual(nominal: Nominal) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]
     else:
         fit, models = _VELOCITY_FIT, _VELOCITY_MODELS
     there = {name: _there(own, nominal) for name, own in models.items()}
-    return _there(fit, nominal), {name: own for name, own in there.items() if own}
+    return {name: fit[name] for name in _there(tuple(fit), nominal)}, {name: own for name, own in there.items() if own}
 
 
 def _there(names: Sequence[str], nominal: Nominal) -> tuple[str, ...]:

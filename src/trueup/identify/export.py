@@ -168,11 +168,14 @@ def _leave_room_for_rounding(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None
 def fitted_robot(candidate: Candidate) -> RobotSpec:
     """The robot's description for the fitted model: everything is in the model, except for the delays.
 
-    A torque limit of the description would win over the model's, so it follows the fitted one.
+    A torque limit of the description would win over the model's, so it follows the fitted one. Of delays below zero,
+    the stamps of the command are late, which is a property of the log: `replay.command_shift_s`.
     """
     robot, model = candidate.nominal.robot, candidate.compile()
     limits = {joint: candidate.drive(joint, model).torque_limit for joint in robot.joint_names}
-    delays = {joint: JointGains(delay_s=rounded(delay)) for joint, delay in candidate.delay_s.items() if delay}
+    shift = rounded(max(0.0, -min(candidate.delay_s.values())))
+    later = {joint: max(0.0, rounded(delay + shift)) for joint, delay in candidate.delay_s.items()}
+    delays = {joint: JointGains(delay_s=delay) for joint, delay in later.items() if delay}
     return replace(
         robot,
         joints=tuple(
@@ -181,6 +184,7 @@ def fitted_robot(candidate: Candidate) -> RobotSpec:
         ),
         model=MODEL_FILE,
         controller=replace(robot.controller, delay_s=0.0, per_joint=delays),
+        replay=replace(robot.replay, command_shift_s=shift),
         description=f"{robot.description or robot.name}, identified by trueup",
         folder=None,
     )
@@ -225,7 +229,7 @@ def isaac_yaml(candidate: Candidate) -> str:
         }
         if drive.torque_limit is not None:
             entry["effort_limit"] = rounded(drive.torque_limit)
-        entry["delay_s"] = rounded(candidate.delay_s[joint])
+        entry["delay_s"] = rounded(max(0.0, candidate.delay_s[joint]))
         notes = _unknown_to_isaac(drive, law)
         if notes:
             entry["note"] = f"{' and '.join(notes)}: Isaac does not know this; see model.fitted.xml"

@@ -19,8 +19,16 @@ from trueup.identify.model_search import ModelSearch
 from trueup.identify.problem import Problem
 from trueup.identify.scoring import Scorer, judged
 from trueup.identify.solution import OnModel
-from trueup.identify.uncertainty import Posterior, fitted_parameters, open_directions, whiteness_of
-from trueup.identify.verdict import correlations, verdict
+from trueup.identify.suspects import strange_masses
+from trueup.identify.uncertainty import (
+    Posterior,
+    disowned,
+    effective,
+    fitted_parameters,
+    open_directions,
+    whiteness_of,
+)
+from trueup.identify.verdict import Evidence, correlations, doubt, verdict
 from trueup.robots import RobotSpec
 
 
@@ -102,7 +110,8 @@ def identify(
         cluster=cluster,
     )
     best, tried = search.climb()
-    solution, problem, posterior = best.solution, search.problem_of(best), search.posterior_of(best).of_model()
+    solution, problem = best.solution, search.problem_of(best)
+    posterior = search.certain_posterior(best).of_model()
     parameters = fitted_parameters(posterior)
     rows = tuple(search.scored_row(item, chosen=item is best) for item in tried)
     soft = Scorer(Nominal(robot, model, hard_friction=False), search.usable, jobs=jobs, seed=seed)
@@ -110,14 +119,35 @@ def identify(
         "nominal": {split: soft.score(ParameterSet(()), {}, split).estimate(soft.unit) for split in search.judged},
         "fitted": dict(next(row for row in rows if row.chosen).splits),
     }
-    status, statements = verdict(
+    commanded = {split: error for split in soft.splits if (error := soft.command(split)) is not None}
+    errors |= {"command": commanded} if commanded else {}
+    seen = "train" if "train" in search.judged else next(iter(search.judged))
+    if seen in commanded and not errors["fitted"][seen].value < commanded[seen].value:
+        parameters = disowned(parameters)
+    judge = "val" if "val" in soft.splits else next(iter(soft.splits))
+    before, after = soft.signals(ParameterSet(()), {}, judge), search.signals(best, judge)
+    signals = {
+        signal: {joint: (error, after[signal][joint]) for joint, error in own.items()} for signal, own in before.items()
+    }
+    whiteness = whiteness_of(problem, solution.residual)
+    suspects = search.suspects(best)
+    evidence = Evidence(
         solution,
         parameters,
+        whiteness,
         errors,
-        (*search.seen.statements, *search.notes, *_untried(search.untried)),
-        chosen_by_user=search.chosen_by_user,
-        torque_seen=search.torque_seen,
+        signals,
+        soft.size(judge),
+        search.chosen_by_user,
+        search.torque_seen,
+        suspects,
+        strange_masses(solution.parameters, solution.values),
     )
+    unlooked = () if suspects is not None else ("no time was left to look for what the model lacks",)
+    beforehand = (*search.ways_in_words, *search.seen.statements, *search.notes, *_untried(search.untried), *unlooked)
+    status, statements = verdict(evidence, beforehand)
+    if why := doubt(evidence):
+        parameters = effective(parameters, why)
     result = FitResult(
         status=status,
         statements=statements,
@@ -125,9 +155,11 @@ def identify(
         parameters=parameters,
         correlation=correlations(posterior),
         directions=open_directions(posterior),
-        whiteness=whiteness_of(problem, solution.residual),
+        whiteness=whiteness,
         models=rows,
         errors=errors,
+        signals=signals,
+        suspects=suspects or (),
         data={**search.data, "encoder_zeros": search.encoder_zeros(best)},
         provenance=provenance(
             config={"robot": robot.to_dict(), "model": model.name, "identify": search.config.to_json()},
@@ -135,7 +167,7 @@ def identify(
             data_hash=data_hash,
         ),
     )
-    return Identification(result, nominal, posterior.parameters, posterior)
+    return Identification(result, search.nominal, posterior.parameters, posterior)
 
 
 def refuse_one_start(config: IdentifyConfig | None) -> None:

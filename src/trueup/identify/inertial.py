@@ -10,6 +10,8 @@ from jaxtyping import Float
 
 # Smaller moments are none to MuJoCo [kg m2].
 _NO_MOMENT = 1e-14
+# A body whose largest moment is the sum of the others, up to this share of it, is a plate.
+_ROUNDING = 1e-9
 COMPONENTS = ("d1", "d2", "d3", "s12", "s13", "s23")
 
 
@@ -119,7 +121,9 @@ def apply_inertial(spec: mujoco.MjSpec, body: str, inertial: Inertial) -> None:
     target.inertia = [0.0, 0.0, 0.0]
     i = inertial.inertia
     moments, axes = np.linalg.eigh(i)
-    if moments[0] < _NO_MOMENT:  # a point or a rod: MuJoCo takes it as three moments, not as a matrix
+    edge = moments[0] + moments[1]
+    # A point, a rod or a plate: MuJoCo takes it as three moments; as a matrix, rounding may make it no possible body.
+    if moments[0] < _NO_MOMENT or abs(moments[2] - edge) < _ROUNDING * edge:
         moments[moments < _NO_MOMENT] = 0.0
         moments[2] = min(moments[2], moments[0] + moments[1])
         if np.linalg.det(axes) < 0:

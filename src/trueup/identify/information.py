@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -35,8 +35,8 @@ _SETTLE_S = 1.0
 class PlannedInformation:
     """The Fisher information of one planned motion: J^T W J of the free parameters of the model, in z.
 
-    J holds the derivatives of what would be recorded, taken as a fit takes them: one-sided differences over a batch of
-    simulations. W is the inverse variance of every sample; samples are taken as independent. Numbers that each
+    J holds the derivatives of what would be recorded, by central differences over a batch of simulations. W is the
+    inverse variance of every sample; samples are taken as independent. Numbers that each
     recording has of its own (`encoder_zero`) are unknown, so what they could explain is taken off (the Schur
     complement of their block).
 
@@ -121,7 +121,7 @@ class PlannedInformation:
         for _, signal, rows in problem.by_segment(std):
             rows[:] = self._std[signal][problem.columns] * problem.scale
         search = Search(problem, SolveSettings(), Stopwatch(), checkpoint=None, on_progress=None)
-        jacobian = search.start_jacobian() / std
+        jacobian = search.certain_jacobian(problem.parameters.start) / std
         return of_model(self._all, jacobian @ jacobian.T)
 
     def _expected(
@@ -152,21 +152,40 @@ class PlannedInformation:
         velocity: Float64[np.ndarray, "N J"],
         acceleration: Float64[np.ndarray, "N J"],
     ) -> Float64[np.ndarray, "N J"]:
-        """The commanded torque that the motion needs; joints that are not the robot's stand still."""
-        model = self._simulator.model
-        data = mujoco.MjData(model)
-        numbers = [model.joint(joint).id for joint in self._nominal.robot.joint_names]
-        places, dofs = model.jnt_qposadr[numbers], model.jnt_dofadr[numbers]
-        torque = np.empty_like(position)
-        for row in range(len(position)):
-            data.qpos[places], data.qvel[dofs], data.qacc[dofs] = position[row], velocity[row], acceleration[row]
-            mujoco.mj_inverse(model, data)
-            torque[row] = data.qfrc_inverse[dofs]
-        # A command is held until the next one: what is needed halfway is nearest to all of that time.
-        torque[:-1] = 0.5 * (torque[:-1] + torque[1:])
+        """The commanded torque that the motion needs."""
+        torque = torque_along(self._simulator.model, self._nominal.robot.joint_names, position, velocity, acceleration)
         offset = np.array([drive.torque_offset or 0.0 for drive in self._drives])
         gain = np.array([drive.torque_gain or 1.0 for drive in self._drives])
         return np.asarray((torque - offset) / gain)
+
+
+def torque_along(
+    model: mujoco.MjModel,
+    joints: Sequence[str],
+    position: Float64[np.ndarray, "N J"],
+    velocity: Float64[np.ndarray, "N J"],
+    acceleration: Float64[np.ndarray, "N J"],
+) -> Float64[np.ndarray, "N J"]:
+    """The torque at the joints that a motion needs, held from one sample to the next; other joints stand still.
+
+    Args:
+        model: compiled.
+        joints: names of the J joints.
+        position: [rad or m].
+        velocity: its derivative.
+        acceleration: its second derivative.
+    """
+    data = mujoco.MjData(model)
+    numbers = [model.joint(joint).id for joint in joints]
+    places, dofs = model.jnt_qposadr[numbers], model.jnt_dofadr[numbers]
+    torque = np.empty_like(position)
+    for row in range(len(position)):
+        data.qpos[places], data.qvel[dofs], data.qacc[dofs] = position[row], velocity[row], acceleration[row]
+        mujoco.mj_inverse(model, data)
+        torque[row] = data.qfrc_inverse[dofs]
+    # A command is held until the next one: what is needed halfway is nearest to all of that time.
+    torque[:-1] = 0.5 * (torque[:-1] + torque[1:])
+    return torque
 
 
 def _deviations(nominal: Nominal, noise: Noise) -> dict[str, Float64[np.ndarray, "J"]]:

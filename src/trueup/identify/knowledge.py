@@ -110,7 +110,7 @@ def deviations(precision: Float64[np.ndarray, "P P"]) -> Float64[np.ndarray, "P"
 
 
 def _by_weight(config: IdentifyConfig, position: Mapping[str, float]) -> dict[str, dict[str, float]]:
-    weights = {name: weight for name, weight in config.signals.items() if weight}
+    weights = {name: weight for name, weight in config.weights.items() if weight}
     joints = {
         joint: std / config.joints.get(joint, 1.0) for joint, std in position.items() if config.joints.get(joint, 1.0)
     }

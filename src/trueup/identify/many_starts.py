@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from trueup.identify.search import Stopwatch, space_of
 from trueup.identify.segments import Segment
 from trueup.identify.solution import OnProgress, Progress, Solution, SolveSettings
 from trueup.identify.solvers import compare_ends, draw_starts
+from trueup.identify.window_starts import WindowStarts
 from trueup.robots import RobotSpec
 
 # Half a unit of z around the start: far enough to leave a dent, near enough to be simulated.
@@ -50,15 +51,46 @@ class _Ended:
 
 
 @dataclass(frozen=True, eq=False)
-class _Given:
-    """A problem on its way to another machine, which compiles the model anew, and what all starts share."""
+class _Sent:
+    """A problem on its way to another machine, which compiles the model anew."""
 
     robot: RobotSpec
     model: Path
     model_sha256: str
+    hard_friction: bool
     parameters: ParameterSet
     segments: tuple[Segment, ...]
     weights: Weights
+    starts: Mapping[Segment, WindowStarts]
+    coarse: _Sent | None
+
+    @staticmethod
+    def of(problem: Problem) -> _Sent:
+        nominal = problem.nominal
+        return _Sent(
+            nominal.given,
+            nominal.path.absolute(),
+            nominal.simulator.fingerprint,
+            nominal.hard_friction,
+            problem.parameters,
+            problem.segments,
+            problem.weights,
+            problem.starts,
+            None if problem.coarse is None else _Sent.of(problem.coarse),
+        )
+
+    def problem(self) -> Problem:
+        nominal = Nominal(self.robot, self.model, hard_friction=self.hard_friction)
+        refuse_other_model(self.model, nominal.simulator.fingerprint, self.model_sha256)
+        coarse = None if self.coarse is None else self.coarse.problem()
+        return Problem(nominal, self.parameters, self.segments, weights=self.weights, coarse=coarse, starts=self.starts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Given:
+    """What all starts share."""
+
+    problem: _Sent
     settings: SolveSettings
     checkpoint: Path | None
 
@@ -142,17 +174,7 @@ def _ended(
         for start in starts:
             yield _searched(start, problem, settings, checkpoint, on_progress)
         return
-    nominal = problem.nominal
-    given = _Given(
-        nominal.given,
-        nominal.path.absolute(),
-        nominal.simulator.fingerprint,
-        problem.parameters,
-        problem.segments,
-        problem.weights,
-        settings,
-        None if checkpoint is None else checkpoint.absolute(),
-    )
+    given = _Given(_Sent.of(problem), settings, None if checkpoint is None else checkpoint.absolute())
     ended = on_ray(
         _searched_there, starts, address=cluster.address, jobs=cluster.jobs, begin=_begin, with_args=(given,)
     )
@@ -189,10 +211,7 @@ _there: list[tuple[_Given, Problem]] = []
 
 
 def _begin(given: _Given) -> None:
-    nominal = Nominal(given.robot, given.model)
-    refuse_other_model(given.model, nominal.simulator.fingerprint, given.model_sha256)
-    problem = Problem(nominal, given.parameters, given.segments, weights=given.weights)
-    _there[:] = [(given, problem)]
+    _there[:] = [(given, given.problem.problem())]
 
 
 def _searched_there(start: _Start) -> _Ended:

@@ -4,35 +4,78 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float64
+
 from trueup.core.episode import Episode
-from trueup.core.fit_result import ModelRow
+from trueup.core.fit_result import ModelRow, Suspect
 from trueup.core.parameters import ParameterSet
 from trueup.core.ray_workers import Cluster
-from trueup.core.time_limit import TimeLimit
-from trueup.errors import NotIdentifiable
+from trueup.core.time_limit import OutOfTime, TimeLimit
+from trueup.errors import DataError, NotIdentifiable, TrueupError
 from trueup.identify.candidate import Nominal
-from trueup.identify.config import IdentifyConfig, make_parameters
+from trueup.identify.config import AUTO, IdentifyConfig, make_parameters
+from trueup.identify.discretization import (
+    DECIDED,
+    Alternative,
+    Discretization,
+    alternative,
+    finer,
+    in_words,
+    probability,
+)
 from trueup.identify.excitation import excitation_of, freeze_still
 from trueup.identify.problem import Problem, Weights
 from trueup.identify.quantities import quantity
 from trueup.identify.scoring import Scorer, Scores
-from trueup.identify.segments import make_segments, usable
+from trueup.identify.search import Search, Stopwatch
+from trueup.identify.segments import Segment, make_segments, usable
+from trueup.identify.sensitivity import split_shifts
 from trueup.identify.solution import OnModel, Solution
 from trueup.identify.solve import solve
-from trueup.identify.start import idle_names, off_bounds, regressed_start, swept_start
-from trueup.identify.uncertainty import Posterior, absent_names, noise_of, open_names, posterior_of, rounded
+from trueup.identify.start import idle_names, off_bounds, regressed_start, servo_regressed, swept_start
+from trueup.identify.suspects import suspects_of
+from trueup.identify.uncertainty import (
+    Posterior,
+    noise_of,
+    posterior_of,
+    remaining_step,
+    rounded,
+    unexplained,
+    whiteness_of,
+)
+from trueup.identify.window_starts import WindowStarts, window_starts
 
 # A richer model must make motions that it was not fitted to better by this share.
 _WORTH = 0.01
 # A search of a model that is only compared ends when an iteration lowers the cost by less than this share.
 _ROUGH = 0.005
-# Shares of a time limit at which the base model ends, no richer one is begun, these end, and the best one ends.
-_BASE, _LAST_BEGIN, _RICHER, _BEST = 0.5, 0.65, 0.75, 0.9
+# What is left is the noise of the measurement up to this ratio.
+EXPLAINED = 1.1
+# A logged torque is that of the motors, in Nm, where the simulated one explains this share of it, times a factor within
+# these bounds: with a position fit, the scale of all torques is only as good as the model's masses.
+_HEARD, _SAME_UNIT = 0.5, (0.5, 2.0)
+# A timing that leaves so many times more is not the better one with a smaller step either.
+_HOPELESS = 3.0
+# Of what is left with the numbers of another step, so many times as much is still the same fit.
+_ALIKE = 1.3
+# Shares of a drive's lag that its delay may have been taken for, or has taken.
+_EXCHANGED = (-1.0, -0.5, 0.3, 0.6, 0.9)
+# How often, at most; each time a search follows.
+_EXCHANGES = 3
+# Of an armature, the share that is left at least.
+_LEAST_KEPT = 0.2
+# No torque is simulated better than to this share of its size.
+_SURE_OF_TORQUE = 1e-3
+# Shares of a time limit at which the base model ends, no richer one is begun, these end, the best one ends, and what
+# makes its intervals certain.
+_BASE, _LAST_BEGIN, _RICHER, _BEST, _SURE = 0.4, 0.55, 0.65, 0.75, 0.95
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +103,7 @@ class ModelSearch:
         limit: TimeLimit | None = None,
         cluster: Cluster | None = None,
     ) -> None:
-        self.nominal, self._jobs = nominal, jobs
+        self._jobs, self._seed = jobs, seed
         self._limit, self._cluster = limit, cluster
         self.untried: list[str] = []
         self.short_of_time: list[str] = []
@@ -78,19 +121,51 @@ class ModelSearch:
         self.notes = () if nominal.robot.payload else _payload_note(self._train)
         self._signal = nominal.robot.controller.signal
         self.seen = excitation_of(self._train, nominal.robot.scored_joints, self._signal, nominal.commanded_limits)
-        rule = self.config.data.rule(nominal.robot, seed)
-        self._segments, refused = make_segments(self._train, nominal.simulator, rule)
-        self._unfitted = {name: error.summary for name, error in refused.items()}
-        self.motions = [segment.episode_id for segment in self._segments]
-        self._weights = Weights(self.config.signals, self.config.joints)
-        self._scorer = Scorer(nominal, self.usable, jobs=jobs, seed=seed)
+        self._weights = Weights(self.config.weights, self.config.joints)
+        self._torque_said = ""
+        # Where windows begin, for each way to simulate, with parameters of these values.
+        self._starts: dict[Discretization, Mapping[Segment, WindowStarts]] = {}
+        self._place: Mapping[str, float] = {}
         self._settings = self.config.solver.settings(seed)
+        self._timestep_s = nominal.simulator.timestep_s
+        self._own = self.way = Discretization(command=nominal.robot.replay.command)
+        self._cut: dict[Discretization, tuple[Nominal, list[Segment]]] = {}
+        segments, refused = self._segments_of(nominal)
+        self._cut[self.way] = nominal, segments
+        self._unfitted = {name: error.summary for name, error in refused.items()}
+        self.motions = [segment.episode_id for segment in segments]
+        self._scorer = Scorer(nominal, self.usable, jobs=jobs, seed=seed)
+        self._finer: Alternative | None = None
+        self._undecided: list[dict[str, float]] = []
+        # A solution that was brought to the minimum of the present way, with parameters and residual there.
+        self._minimum: (
+            tuple[Solution, Discretization, tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]]] | None
+        ) = None
+        # The base model with the other timing of the command.
+        self._rival: TriedModel | None = None
+        self.searched: Solution | None = None
 
     def climb(self) -> tuple[TriedModel, list[TriedModel]]:
         """Fit the base model, then richer ones, then without what the motions do not show; the best, and all."""
         models = self.config.models or {}
-        best = self._try("base", self.config.fit, rough=bool(models), limit=self._until(_BASE))
-        tried, fit = [best], dict(self.config.fit)
+        fit = dict(self.config.fit)
+        # Before anything richer is tried: other models would make up for a wrong step, or timing, with their numbers.
+        best = self._timed(fit, rough=bool(models))
+        rough, limit = bool(models), self._until(_BASE)
+        for _ in range(_EXCHANGES):
+            before, best = best, self._exchanged(best, fit, rough=rough, limit=limit)
+            if best is before:
+                break
+        best = self._heard(best, fit, rough=rough, limit=limit)
+        best = self._settled(best, fit, rough=rough, limit=limit)
+        best = self._retimed(best, fit, rough=rough, limit=limit)
+        best = self._braked(best, fit, rough=rough, limit=limit)
+        tried = [best]
+        if self._explained(best) and not _over(self._until(_BEST)):
+            # Nothing is left that a richer model could explain.
+            models = {}
+            best = self._further(best, fit, "to the end", (), limit=self._until(_BEST))
+            tried = [best]
         # What changes nothing near the solution is left out from here on; far from it, nothing can be told.
         idle = self._idle(best)
         for name, extra in models.items():
@@ -103,28 +178,36 @@ class ModelSearch:
             tried.append(self._try(joined, richer, best.solution, left_out=idle, rough=True, limit=limit))
             if _better(tried[-1], best):
                 best, fit = tried[-1], richer
-        if models:
+        if models and not _over(self._until(_BEST)):
             # What the richer models have brought, and changes nothing either, goes; the motion stays as it is.
             idle = [*idle, *(name for name in self._idle(best) if name not in idle)]
             finished = self._to_the_end(best, fit, idle)
             tried[tried.index(best)] = best = finished
-        known = self.posterior_of(best).of_model()
-        absent = absent_names(known)
-        surplus = [] if self.chosen_by_user else open_names(known)
-        timely = self._limit is None or not self._limit.over
-        if timely and surplus and len(surplus) + len(absent) < len(known.parameters.free):
-            leaner = self._try(
-                f"{best.row.name}, known only",
-                fit,
-                best.solution,
-                left_out=[*idle, *surplus],
-                absent=absent,
-                limit=self._limit,
-            )
-            tried.append(leaner)
-            if _as_good(leaner, best):
-                best = leaner
-        return best, tried
+        settled = self._settled(best, fit, left_out=self._frozen(best), limit=self._until(_BEST))
+        certain = self._certain(self._heard(settled, fit, left_out=self._frozen(settled), limit=self._until(_BEST)))
+        self.searched = certain.solution
+        self._finer = self._compared(certain)
+        certain = self._of_finer_step(certain)
+        tried[tried.index(best)] = certain
+        return certain, tried
+
+    def _of_finer_step(self, item: TriedModel) -> TriedModel:
+        """The same with the numbers of the finer step, which are nearer to the robot's.
+
+        Not where the present step has nothing like the same residual with them: then the model lacks something that
+        its numbers make up for, one way at each step.
+        """
+        found, finer_step = item.solution, self._finer
+        if finer_step is None or finer_step.gain < -DECIDED or self.way.divisor == 1:
+            return item
+        low, high = found.parameters.bounds
+        z = np.clip(found.z + finer_step.shift, low, high)
+        problem = self.problem_of(item)
+        left = float(np.linalg.norm(problem.residuals(z[None])[0]))
+        if not left < _ALIKE * found.rms:
+            self._finer = replace(finer_step, shift=2.0 * finer_step.shift)  # all of it is unknown, and not half
+            return item
+        return replace(item, solution=replace(found, z=z))
 
     def encoder_zeros(self, item: TriedModel) -> dict[str, float]:
         """What single recordings were off by, where that was fitted: `MOTION:JOINT` -> [rad or m]."""
@@ -139,9 +222,71 @@ class ModelSearch:
         return self._problem(item.solution.parameters)
 
     def posterior_of(self, item: TriedModel) -> Posterior:
-        """What is known after a model's fit."""
+        """What is known after a model's fit, by its own derivatives."""
         found = item.solution
         return posterior_of(self.problem_of(item), found.z, found.residual, found.jacobian)
+
+    def certain_posterior(self, item: TriedModel) -> Posterior:
+        """What is known after a fit, with what another discretization, or the end of its search, would bring."""
+        found, problem = item.solution, self.problem_of(item)
+        known = posterior_of(problem, found.z, found.residual, found.jacobian)
+        # The robot takes new commands at a rate of its own, and holds them: by half of that time they are later.
+        unknown = np.zeros(found.z.size)
+        if self.way.command != "held":
+            late = 0.125 * self._period_s
+            unknown = np.array([late / item.scale * (item.quantity == "delay_s") for item in found.parameters.free])
+        undecided = [np.array([own.get(item.name, 0.0) for item in found.parameters.free]) for own in self._undecided]
+        step = 0.0 if self._finer is None else self._finer.unknown(self.way)
+        left = remaining_step(problem, found.z, found.residual, found.jacobian)
+        weight = noise_of(problem, found.residual).weight
+        split = split_shifts(found.parameters, found.z, found.jacobian, weight)
+        return known.widened([left, *undecided, *split, step * np.ones(found.z.size), unknown])
+
+    def suspects(self, item: TriedModel) -> tuple[Suspect, ...] | None:
+        """What the model may lack; None where no time is left to look for it."""
+        if _over(self._limit):
+            return None
+        found = self.searched or item.solution
+        problem, held_out = self._problem(found.parameters), self._held_out(found.parameters)
+        try:
+            with ExitStack() as stack:
+                for own in (problem, held_out):
+                    for simulated in (own, own.coarse) if own is not None else ():
+                        if simulated is not None:
+                            stack.enter_context(simulated.ending(self._limit))
+                return suspects_of(problem, held_out, found, self._settings)
+        except OutOfTime:
+            return None
+
+    def _held_out(self, parameters: ParameterSet, way: Discretization | None = None) -> Problem | None:
+        """The motions of val, simulated as those of the fit; None without."""
+        way, logs = way or self.way, self.usable.get("val")
+        if not logs:
+            return None
+        nominal, _ = self._simulated(way)
+        try:
+            segments, _ = make_segments(logs, nominal.simulator, self.config.data.rule(nominal.robot, self._seed))
+        except DataError:
+            return None
+        coarse = self._held_out(parameters, replace(way, divisor=1)) if way.divisor > 1 else None
+        problem = Problem(nominal, parameters, segments, weights=self._weights, jobs=self._jobs, coarse=coarse)
+        if self.config.data.window_s is not None:
+            problem.starts = window_starts(problem, problem.parameters.at(self._place).start)
+        return problem
+
+    def _certain(self, item: TriedModel) -> TriedModel:
+        """The same model with verified derivatives, at the minimum that these see."""
+        found, problem = item.solution, self.problem_of(item)
+        search = Search(problem, self._settings, Stopwatch(), checkpoint=None, on_progress=None)
+        try:
+            with problem.ending(self._until(_SURE)):
+                solution = replace(found, **search.certain(found.z))
+        except OutOfTime:
+            self.short_of_time.append(item.row.name)
+            return replace(item, solution=replace(found, solver={**found.solver, "stop": "time"}))
+        self._begun_at(solution.values)
+        self._starts[self.way] = problem.starts
+        return replace(item, solution=solution, val=self._on_val(solution))
 
     def scored_row(self, item: TriedModel, *, chosen: bool) -> ModelRow:
         """The row of the table of models, with its errors; where the time is over, on val alone if it is not chosen."""
@@ -160,6 +305,10 @@ class ModelSearch:
             chosen=chosen,
         )
 
+    def signals(self, item: TriedModel, split: str) -> dict[str, dict[str, float]]:
+        """Logged signal -> joint -> error of one model on one split."""
+        return self._scorer.signals(item.solution.parameters, item.solution.values, split)
+
     @cached_property
     def judged(self) -> tuple[str, ...]:
         """The splits on which models are scored in the end: all, or without train where the time is over.
@@ -171,12 +320,12 @@ class ModelSearch:
 
     @property
     def _late(self) -> bool:
-        return self._limit is not None and self._limit.spent >= _BEST
+        return self._limit is not None and self._limit.spent >= _SURE
 
     @property
     def torque_seen(self) -> bool:
         """Whether the logs' torques enter the residual, or drive the robot."""
-        return self._signal == "torque" or bool(self.config.signals.get("torque"))
+        return self._signal == "torque" or bool(self._weights.signals.get("torque"))
 
     @property
     def why(self) -> str:
@@ -194,12 +343,16 @@ class ModelSearch:
     @property
     def data(self) -> dict[str, Any]:
         """What was fitted to."""
+        _, segments = self._simulated(self.way)
         return {
-            "episodes": sorted({segment.episode_id for segment in self._segments}),
-            "seconds": round(sum(segment.seconds for segment in self._segments), 2),
+            "episodes": sorted({segment.episode_id for segment in segments}),
+            "seconds": round(sum(segment.seconds for segment in segments), 2),
+            "timestep_s": self.nominal.simulator.timestep_s,
+            "command": self.way.command,
             "window_s": self.config.data.window_s,
             "replay_window_s": self.nominal.robot.replay.window_s,
             "samples": self._problem(ParameterSet(())).size,
+            **({"torque_weights": dict(self._weights.own["torque"])} if self._weights.own else {}),
             "flagged": self._flagged,
             "refused": self._refused,
         }
@@ -210,8 +363,315 @@ class ModelSearch:
         train = {**self._scorer.refused.get("train", {}), **self._unfitted}
         return {**self._scorer.refused, **({"train": train} if train else {})}
 
-    def _problem(self, parameters: ParameterSet) -> Problem:
-        return Problem(self.nominal, parameters, self._segments, weights=self._weights, jobs=self._jobs)
+    @property
+    def nominal(self) -> Nominal:
+        """The model as it came, simulated as the fit does."""
+        return self._simulated(self.way)[0]
+
+    @property
+    def ways_in_words(self) -> tuple[str, ...]:
+        """How the fit simulates otherwise than the robot's description says."""
+        said = in_words(self.way, self._own, self._timestep_s)
+        return (*said, self._torque_said) if self._torque_said else said
+
+    def _simulated(self, way: Discretization) -> tuple[Nominal, list[Segment]]:
+        """The model and the pieces of the logs for one way to simulate them."""
+        if way not in self._cut:
+            own, _ = self._cut[self._own]
+            nominal = Nominal(way.of(own.given, self._timestep_s), own.path, hard_friction=way.rigid)
+            self._cut[way] = nominal, self._segments_of(nominal)[0]
+        return self._cut[way]
+
+    def _segments_of(self, nominal: Nominal) -> tuple[list[Segment], dict[str, TrueupError]]:
+        rule = self.config.data.rule(nominal.robot, self._seed)
+        return make_segments(self._train, nominal.simulator, rule)
+
+    def _problem(self, parameters: ParameterSet, way: Discretization | None = None) -> Problem:
+        """The fit, simulated as it is now or in another way."""
+        way = way or self.way
+        nominal, segments = self._simulated(way)
+        # The derivatives of the larger step serve as well, and take a fraction of the time.
+        coarse = self._problem(parameters, replace(way, divisor=1)) if way.divisor > 1 else None
+        problem = Problem(nominal, parameters, segments, weights=self._weights, jobs=self._jobs, coarse=coarse)
+        if self.config.data.window_s is not None:
+            if way not in self._starts:
+                own = problem.parameters.at(
+                    {name: self._place[name] for name in parameters.names if name in self._place}
+                )
+                self._starts[way] = window_starts(problem, own.start)
+            problem.starts = self._starts[way]
+        return problem
+
+    def _begun_at(self, values: Mapping[str, float]) -> None:
+        """Where windows begin is looked for again, with these parameters."""
+        self._starts, self._place = {}, values
+
+    def _timed(self, fit: Mapping[str, Any], *, rough: bool) -> TriedModel:
+        """The base model, with the command held between its stamps or moving on, whichever explains the logs better.
+
+        Both are searched from the same start: a fit that has made up for the wrong one with its numbers is far away.
+        """
+        limit = self._until(_BASE)
+        best = self._try("base", fit, rough=rough, limit=limit)
+        if not self._between_stamps or _over(limit):
+            return best
+        now, self.way = self.way, self.way.retimed
+        begun = best.solution.parameters
+        delays = {item.name: item.value + self._later for item in begun.free if item.quantity == "delay_s"}
+        other = self._try(f"base, {self.way.command}", fit, begun=begun.at(delays), rough=rough, limit=limit)
+        return self._better_timed(best, now, other)
+
+    def _retimed(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
+        """The same model with the other timing of the command, if that is better with a step that is settled.
+
+        Where numbers depend on the step, a wrong step may have decided.
+        """
+        rival = self._rival
+        if self.way.divisor == 1 or rival is None or _over(limit):
+            return best
+        now, self.way = self.way, self.way.retimed
+        other = self._further(rival, fit, f"{self.way.command}, finer", (), rough=rough, limit=limit)
+        self._undecided.clear()
+        return self._better_timed(best, now, other)
+
+    def _better_timed(self, best: TriedModel, now: Discretization, other: TriedModel) -> TriedModel:
+        """The better one of two timings: that of the model until now, and the one which it was just fitted with."""
+        samples = noise_of(self.problem_of(other), other.solution.residual).effective
+        gain = 2.0 * samples * float(np.log(best.solution.rms / max(other.solution.rms, 1e-300)))
+        if abs(gain) < DECIDED:
+            ends = best.solution, other.solution
+            one, other_one = (
+                {item.name: item.to_z(own.values[item.name]) for item in own.parameters.free} for own in ends
+            )
+            root = probability(-abs(gain)) ** 0.5
+            self._undecided.append({name: root * (other_one[name] - one[name]) for name in one if name in other_one})
+        if gain > 0 and (gain > DECIDED or best.solution.rms > other.solution.rms):
+            self._rival = best if other.solution.rms > best.solution.rms / _HOPELESS else None
+            self._scorer = Scorer(self.nominal, self.usable, jobs=self._jobs, seed=self._seed)
+            return replace(other, row=replace(other.row, name="base"), val=self._on_val(other.solution))
+        self._rival = other if best.solution.rms > other.solution.rms / _HOPELESS else None
+        self.way = now
+        self._begun_at(best.solution.values)
+        return best
+
+    def _exchanged(
+        self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None
+    ) -> TriedModel:
+        """The same model from where delays have taken a part of the drives' lag, or given some of theirs to it.
+
+        A position servo with I q'' + d q' = kp (u - q), d = kv + damping, lags by a = d / kp, and in slow motions a lag
+        is a lag: a search that made up for a delay with damping stands in a long valley, whose bottom it does not see.
+        To the second order in frequency, exp(-t s) / (1 + a' s + b' s^2) is 1 / (1 + a s + b s^2) for a' = a - t and
+        b' = b - a t + t^2 / 2, with b = I / kp. So part of a lag is tried as delay, with the inertia that belongs to it
+        and with the present one, and each joint takes what is best for it.
+        """
+        if _over(limit):
+            return best
+        found, problem = best.solution, self.problem_of(best)
+        values, free = found.values, {item.name: item for item in found.parameters.free}
+
+        def placed(shares: Mapping[str, tuple[float, bool]]) -> Float64[np.ndarray, "P"]:
+            other = dict(values)
+            for joint, (share, inertia) in shares.items():
+                late = share * lags[joint]
+                other[f"delay_s[{joint}]"] += late
+                for name in (f"kv[{joint}]", f"damping[{joint}]"):
+                    other[name] = (1.0 - share) * values.get(name, 0.0)
+                name = f"armature[{joint}]"
+                if inertia and name in values:
+                    change = values[f"kp[{joint}]"] * (0.5 * late**2 - lags[joint] * late)
+                    other[name] = max(values[name] + change, _LEAST_KEPT * values[name])
+            return found.parameters.at(
+                {name: float(np.clip(other[name], item.low, item.high)) for name, item in free.items()}
+            ).start
+
+        lags = {}
+        for joint in self.nominal.robot.joint_names:
+            lag = sum(values.get(f"{name}[{joint}]", 0.0) for name in ("kv", "damping"))
+            if f"delay_s[{joint}]" in free and values.get(f"kp[{joint}]", 0.0) > 0.0 and lag > 0.0:
+                lags[joint] = lag / values[f"kp[{joint}]"]
+        ways = [(0.0, False), *((share, inertia) for share in _EXCHANGED for inertia in (True, False))]
+        tried = problem.residuals(np.array([placed(dict.fromkeys(lags, way)) for way in ways]))
+        squares = np.nan_to_num([self._by_joint(problem, row) for row in tried], nan=np.inf)
+        names = [self.nominal.robot.joint_names[column] for column in problem.columns]
+        chosen = {
+            name: ways[number]
+            for name, number in zip(names, np.argmin(squares, axis=0), strict=True)
+            if name in lags and number
+        }
+        z = placed(chosen)
+        if not chosen or not float(np.sum(problem.residuals(z[None]) ** 2)) < (1.0 - _ROUGH) * found.rms**2:
+            return best
+        place = replace(best, solution=replace(found, z=z))
+        return self._further(place, fit, "lags for delays", (), rough=rough, limit=limit)
+
+    @staticmethod
+    def _by_joint(problem: Problem, residual: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "J"]:
+        """Squares of a residual, summed up by joint."""
+        return np.asarray(np.sum([np.sum(own**2, axis=0) for _, _, own in problem.by_segment(residual)], axis=0))
+
+    @property
+    def _later(self) -> float:
+        """By how much delays of the present timing are longer than those of the other one [s].
+
+        A held command is late by half of the time between two.
+        """
+        return 0.5 * self._period_s * (1.0 if self.way.command == "linear" else -1.0)
+
+    @property
+    def _between_stamps(self) -> bool:
+        """Whether there are simulation steps between the stamps of a command that moves."""
+        return self._period_s > 1.5 * self._timestep_s
+
+    @cached_property
+    def _period_s(self) -> float:
+        """Usual time between two commands [s]."""
+        steps = [np.diff(log.commanded().time_s) for log in self._train]
+        return float(np.median(np.concatenate(steps))) if any(own.size for own in steps) else 0.0
+
+    def _explained(self, item: TriedModel) -> bool:
+        """Whether what a fit leaves is no more than the noise of the measurement."""
+        left = whiteness_of(self.problem_of(item), item.solution.residual)
+        return unexplained(left) < EXPLAINED
+
+    def _on_val(self, solution: Solution) -> Scores | None:
+        if "val" not in self._scorer.splits:
+            return None
+        return self._scorer.score(solution.parameters, solution.values, "val")
+
+    def _settled(
+        self,
+        best: TriedModel,
+        fit: Mapping[str, Any],
+        *,
+        left_out: Sequence[str] = (),
+        rough: bool = False,
+        limit: TimeLimit | None = None,
+    ) -> TriedModel:
+        """The same model, fitted with a finer time step while numbers depend on it and the data do not object."""
+        while not _over(limit):
+            self._finer = self._compared(best)
+            if self._finer is None or not self._finer.matters(self.way, self.posterior_of(best).std):
+                break
+            self.way = self._finer.way
+            self._scorer = Scorer(self.nominal, self.usable, jobs=self._jobs, seed=self._seed)
+            best = self._further(best, fit, "finer", left_out, rough=rough, limit=limit)
+        return best
+
+    def _braked(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
+        """The same model with dry friction as soft as the model has it, if the logs say so: those of simulations do."""
+        friction = [item for item in best.solution.parameters if item.quantity == "frictionloss"]
+        own = self.nominal.model.dof_frictionloss.any()
+        if _over(limit) or (not own and not any(best.solution.values[item.name] > 0.0 for item in friction)):
+            return best
+        return self._chosen(best, fit, replace(self.way, rigid=False), rough=rough, limit=limit)
+
+    def _chosen(
+        self,
+        best: TriedModel,
+        fit: Mapping[str, Any],
+        way: Discretization,
+        *,
+        rough: bool,
+        limit: TimeLimit | None,
+    ) -> TriedModel:
+        """The same model simulated another way, if that explains the logs better."""
+        other = self._compared(best, way)
+        if other is None or other.gain < -DECIDED:
+            return best
+        found = best.solution
+        if other.gain < DECIDED:
+            shift = probability(other.gain) ** 0.5 * other.shift
+            names = [item.name for item in found.parameters.free]
+            self._undecided.append(dict(zip(names, shift.tolist(), strict=True)))
+            return best
+        self.way = way
+        self._scorer = Scorer(self.nominal, self.usable, jobs=self._jobs, seed=self._seed)
+        low, high = found.parameters.bounds
+        moved = replace(best, solution=replace(found, z=np.clip(found.z + other.shift, low, high)))
+        return self._further(moved, fit, "another way", (), rough=rough, limit=limit)
+
+    def _heard(
+        self,
+        best: TriedModel,
+        fit: Mapping[str, Any],
+        *,
+        left_out: Sequence[str] = (),
+        rough: bool = False,
+        limit: TimeLimit | None = None,
+    ) -> TriedModel:
+        """The same model with a logged torque beside the position, each joint's by what the present fit leaves of it.
+
+        Weights by residuals are those of least squares whose variances are not known, found by iteration. They begin
+        low, since a fit to positions alone leaves the scale of all torques to the model's masses.
+        """
+        if self._signal == "torque" or self.config.signals.get("torque") != AUTO or _over(limit):
+            return best
+        found, base = best.solution, self.config.weights
+        _, segments = self._simulated(self.way)
+        delays = {item.target: found.values[item.name] for item in found.parameters if item.quantity == "delay_s"}
+        late = {name: delays.get(name, delays.get("", 0.0)) for name in self.nominal.robot.scored_joints}
+        both = Weights({**base, "torque": 1.0}, self.config.joints, torque_delay_s=late)
+        problem = Problem(self.nominal, found.parameters, segments, weights=both, jobs=self._jobs)
+        blocks = list(problem.by_segment(problem.residuals(found.z[None])[0] / problem.scale))
+        rows = [
+            (values, segment.plan.measured["torque"][segment.rows("torque", problem.columns)][:, problem.columns])
+            for segment, signal, values in blocks
+            if signal == "torque"
+        ]
+        if not rows:
+            return best
+        names = [self.nominal.robot.joint_names[column] for column in problem.columns]
+        joint_weights = np.array([self.config.joints.get(name, 1.0) for name in names])
+        left, measured = (np.concatenate(own) for own in zip(*rows, strict=True))
+        left = left / joint_weights
+        size = np.maximum(np.sqrt(np.mean(measured**2, axis=0)), 1e-300)
+        one, other = ((left + measured) / size).ravel(), (measured / size).ravel()
+        factor = float(one @ other) / max(float(one @ one), 1e-300)
+        explained = 1.0 - float(np.mean((factor * one - other) ** 2)) / max(float(np.mean(other**2)), 1e-300)
+        if not (explained > _HEARD and _SAME_UNIT[0] < factor < _SAME_UNIT[1]):
+            self._weights = Weights(base, self.config.joints)
+            self._torque_said = (
+                "the logged torque is not used: the best multiple of the simulated one "
+                f"({factor:.3g} times) explains {max(0.0, 100 * explained):.0f} % of it; has it another sign, unit or "
+                "place? (signals: {torque: …} weighs it nevertheless)"
+            )
+            return best
+        away = np.maximum(np.sqrt(np.mean(left**2, axis=0)), _SURE_OF_TORQUE * size)
+        positions = np.concatenate([values for _, signal, values in blocks if signal == "position"])
+        usual = float(np.sqrt(np.mean(positions**2)))
+        own = {name: usual / float(std) for name, std in zip(names, away, strict=True)}
+        self._weights = replace(both, own={"torque": own})
+        self._torque_said = "the logged torque is weighed, each joint's by what the fit leaves of it"
+        return self._further(best, fit, "with torque", left_out, rough=rough, limit=limit)
+
+    def _compared(self, item: TriedModel, way: Discretization | None = None) -> Alternative | None:
+        """What another way, or a finer time step, would find; None where it cannot be simulated, or no time is left."""
+        found, way = item.solution, way or finer(self.way)
+        now, other = self.problem_of(item), self._problem(found.parameters, way)
+        weight = noise_of(now, found.residual).weight
+        # Both have nearly the same derivatives: with these, corrected by what steps show, each comes to its minimum.
+        if self._minimum is None or self._minimum[0] is not found or self._minimum[1] != self.way:
+            here = self._polished(now, found, weight)
+            self._minimum = (found, self.way, here) if here is not None else None
+        there = self._polished(other, found, weight)
+        if self._minimum is None or there is None:
+            return None
+        return alternative(now, other, self._minimum[2], there, weight, way)
+
+    def _polished(
+        self, problem: Problem, found: Solution, weight: float
+    ) -> tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]] | None:
+        """The minimum of a fit that is simulated in some way, near a solution; None where it cannot be, or in time."""
+        search = Search(problem, self._settings, Stopwatch(), checkpoint=None, on_progress=None)
+        try:
+            with problem.ending(self._until(_SURE)):
+                return search.polished(found.z, found.jacobian, weight)
+        except (DataError, OutOfTime):
+            return None
+
+    def _frozen(self, item: TriedModel) -> list[str]:
+        return [parameter.name for parameter in item.solution.parameters if parameter.frozen]
 
     def _try(
         self,
@@ -224,8 +684,13 @@ class ModelSearch:
         rough: bool = False,
         starts: int | None = None,
         limit: TimeLimit | None = None,
+        begun: ParameterSet | None = None,
     ) -> TriedModel:
-        """Fit one model; `left_out` stays as the nominal model has it, `absent` at zero; `rough` to compare with."""
+        """Fit one model, from where another search ended (`start`) or began (`begun`), or from afar.
+
+        Of its parameters, `left_out` stays as the nominal model has it and `absent` at zero; `rough` is to compare
+        with.
+        """
         began = time.perf_counter()
         parameters = freeze_still(make_parameters(fit, self.nominal, self.motions), self.seen).freeze(left_out)
         parameters = parameters.at(dict.fromkeys(absent, 0.0)).hold(absent)
@@ -234,8 +699,12 @@ class ModelSearch:
             newton = settings.gauss_newton
             newton = replace(newton, tolerance=max(newton.tolerance, _ROUGH))
             settings = replace(settings, gauss_newton=newton)
-        if start is None:
-            problem = self._started(self._problem(parameters), limit)
+        if begun is not None:
+            problem = self._problem(off_bounds(parameters.at({item.name: item.value for item in begun})))
+        elif start is None:
+            started = self._started(self._problem(parameters), limit).parameters
+            self._begun_at({item.name: item.value for item in started})
+            problem = self._problem(started)
         else:
             problem = self._problem(off_bounds(parameters.at(start.values)))
             # From a good place there may be nothing left to gain, which is no reason to search everywhere.
@@ -258,7 +727,7 @@ class ModelSearch:
             took_s = max(took_s, prepared_s + solution.solver["seconds"])  # before an interruption, too
         if solution.solver["stop"] == "time":
             self.short_of_time.append(name)
-        splits = self._scorer.splits
+        self._begun_at(solution.values)
         if start is not None and "remark" in start.solver:
             # It holds for all that goes on from there.
             solution = replace(solution, solver={"remark": start.solver["remark"], **solution.solver})
@@ -271,7 +740,7 @@ class ModelSearch:
                 splits={},
             ),
             solution,
-            self._scorer.score(solution.parameters, solution.values, "val") if "val" in splits else None,
+            self._on_val(solution),
         )
 
     def _until(self, spent: float) -> TimeLimit | None:
@@ -279,24 +748,42 @@ class ModelSearch:
 
     def _started(self, problem: Problem, limit: TimeLimit | None) -> Problem:
         """The problem with a start from afar."""
-        begin = regressed_start(problem, self._train) if self._signal == "torque" else swept_start(problem, limit)
-        return problem.with_parameters(begin)
+        if self._signal == "torque":
+            return problem.with_parameters(regressed_start(problem, self._train))
+        begun = problem.with_parameters(servo_regressed(problem, self._train))
+        return begun.with_parameters(swept_start(begun, limit))
 
     def _to_the_end(self, rough: TriedModel, fit: Mapping[str, Any], left_out: Sequence[str]) -> TriedModel:
-        """The same model from where a rough search ended; what is told of both is told as of one."""
-        name = rough.row.name
-        limit = self._until(_BEST)
-        end = self._try(f"{name}, to the end", fit, rough.solution, left_out=left_out, starts=1, limit=limit)
-        first, last = rough.solution, end.solution
-        spent = {key: first.solver[key] + last.solver[key] for key in ("iterations", "evaluations", "seconds")}
-        begun = {item.name: item.value for item in first.parameters.free}
+        """The same model from where a rough search ended."""
+        return self._further(rough, fit, "to the end", left_out, limit=self._until(_BEST))
+
+    def _further(
+        self,
+        first: TriedModel,
+        fit: Mapping[str, Any],
+        what: str,
+        left_out: Sequence[str],
+        *,
+        rough: bool = False,
+        limit: TimeLimit | None = None,
+    ) -> TriedModel:
+        """The same model from where another search ended; what is told of both is told as of one."""
+        name, before = first.row.name, first.solution
+        absent = [item.name for item in before.parameters if item.name in left_out and item.value == 0.0]
+        kept = [item for item in left_out if item not in absent]
+        end = self._try(
+            f"{name}, {what}", fit, before, left_out=kept, absent=absent, rough=rough, starts=1, limit=limit
+        )
+        last = end.solution
+        spent = {key: before.solver[key] + last.solver[key] for key in ("iterations", "evaluations", "seconds")}
+        begun = {item.name: item.value for item in before.parameters.free}
         solution = replace(
             last,
             parameters=last.parameters.at(begun),
-            solver={**first.solver, "stop": last.solver["stop"], **spent},
-            agreement=first.agreement,
+            solver={**before.solver, "stop": last.solver["stop"], **spent},
+            agreement=before.agreement,
         )
-        seconds = round(rough.row.seconds + end.row.seconds, 2)
+        seconds = round(first.row.seconds + end.row.seconds, 2)
         return replace(end, row=replace(end.row, name=name, seconds=seconds), solution=solution)
 
     def _idle(self, item: TriedModel) -> list[str]:
@@ -310,6 +797,10 @@ class ModelSearch:
         weight = noise_of(problem, found.residual).weight
         idle = idle_names(problem, found.jacobian, weight)
         return idle if len(idle) < len(found.parameters.free) else []
+
+
+def _over(limit: TimeLimit | None) -> bool:
+    return limit is not None and limit.over
 
 
 def _payload_note(logs: Sequence[Episode]) -> tuple[str, ...]:
@@ -329,10 +820,3 @@ def _better(richer: TriedModel, best: TriedModel) -> bool:
     if richer.val is None or best.val is None:
         return False
     return richer.val.mean < (1.0 - _WORTH) * best.val.mean
-
-
-def _as_good(leaner: TriedModel, best: TriedModel) -> bool:
-    """Whether a model with fewer parameters is no worse, on motions that it was not fitted to if there are any."""
-    if leaner.val is None or best.val is None:
-        return leaner.solution.rms <= (1.0 + _WORTH) * best.solution.rms
-    return leaner.val.mean <= (1.0 + _WORTH) * best.val.mean

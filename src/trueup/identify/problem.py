@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
 from queue import SimpleQueue
 
 import mujoco
@@ -16,14 +16,17 @@ from jaxtyping import Bool, Float64, Int
 from trueup.core.parameters import ParameterSet
 from trueup.core.protocols import RolloutRequest
 from trueup.core.time_limit import OutOfTime, TimeLimit
-from trueup.errors import ConfigError
+from trueup.errors import ConfigError, DataError
 from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.quantities import motion_target, quantity, split_motion_target
 from trueup.identify.segments import Segment
+from trueup.identify.window_starts import WindowStarts, window_starts
 from trueup.sim import MujocoSimulator
 
 # Simulated states that one task holds at a time: some 100 MB.
 _STATES_PER_TASK = 4_000_000
+# Of a difference that shows how a command changes [s].
+_LATER_S = 0.002
 
 
 @dataclass(frozen=True)
@@ -33,10 +36,46 @@ class Weights:
     Attributes:
         signals: signal -> weight of one standard unit [1/rad, s/rad or 1/Nm]; position alone by default.
         joints: joint name -> weight; joints that are not named have 1, unscored joints 0.
+        own: signal -> joint name -> further weight of this signal, 1 where it is not named.
+        torque_delay_s: joint name -> how late commands act [s]; a torque of these joints is compared without what
+            another moment of its measurement would explain. A drive takes commands faster than they are logged, so a
+            logged torque, read at a moment between two of them, is off by the stiffness times the step of the command.
     """
 
     signals: Mapping[str, float]
     joints: Mapping[str, float]
+    own: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    torque_delay_s: Mapping[str, float] = field(default_factory=dict)
+
+    def of(self, signal: str, joints: Sequence[str]) -> Float64[np.ndarray, "J"]:
+        """The weights of one signal of these joints."""
+        own = self.own.get(signal, {})
+        return self.signals[signal] * np.array([own.get(joint, 1.0) for joint in joints])
+
+
+# Segment -> what acts on the joints in each simulation step of each window besides their drives, (W, N, J) [Nm or N].
+Forces = Mapping[Segment, Float64[np.ndarray, "_ _ J"]]
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """One segment as a candidate moves through it, on the grid of the simulation.
+
+    Attributes:
+        model: of the candidate, with what it carries there.
+        position: (W, N + 1, J) [rad or m].
+        velocity: (W, N + 1, J).
+        torque: of the drives, (W, N + 1, J) [Nm or N].
+        command: signal -> (W, N, J), as it acts.
+        zeros: what the encoders read too little, (J,) [rad or m].
+    """
+
+    model: mujoco.MjModel
+    position: Float64[np.ndarray, "W N1 J"]
+    velocity: Float64[np.ndarray, "W N1 J"]
+    torque: Float64[np.ndarray, "W N1 J"]
+    command: Mapping[str, Float64[np.ndarray, "W N J"]]
+    zeros: Float64[np.ndarray, "J"]
 
 
 class Problem:
@@ -52,6 +91,10 @@ class Problem:
         segments: parts of the logs.
         weights: of signals and joints; position and the scored joints alone if None.
         jobs: threads.
+        coarse: the same logs simulated with a larger time step, of which derivatives are taken; None takes those of
+            the simulation itself.
+        starts: where windows begin, and what of the residual a change of that explains, which is left out of it; by
+            segment, those that are not named begin as they were measured.
 
     Attributes:
         columns: of the joints that enter the residual.
@@ -69,8 +112,10 @@ class Problem:
         *,
         weights: Weights | None = None,
         jobs: int = 1,
+        coarse: Problem | None = None,
+        starts: Mapping[Segment, WindowStarts] | None = None,
     ) -> None:
-        self.nominal = nominal
+        self.nominal, self.coarse, self.starts = nominal, coarse, starts or {}
         self.parameters = parameters
         self.segments = tuple(segments)
         self.jobs = jobs
@@ -93,6 +138,7 @@ class Problem:
             for place in quantity(parameter.quantity).places(nominal, parameter.target)
         ]
         self._rows = {segment: self._counted(segment) for segment in self.segments}
+        self._moments = {segment: self._moment(segment) for segment in self.segments if self.weights.torque_delay_s}
         counts = [(signal, np.count_nonzero(own)) for rows in self._rows.values() for signal, own in rows.items()]
         self.size = int(sum(count for _, count in counts)) * self.columns.size
         positions = sum(count for signal, count in counts if signal == "position")
@@ -112,7 +158,8 @@ class Problem:
         before = self._limit, self._kept_for
         self._limit, self._kept_for = limit, keep
         try:
-            yield
+            with nullcontext() if self.coarse is None else self.coarse.ending(limit, keep=keep):
+                yield
         finally:
             self._limit, self._kept_for = before
 
@@ -128,11 +175,56 @@ class Problem:
         rows = {name: segment.rows(name, self.columns) for name in known}
         return {name: own for name, own in rows.items() if own.any()}
 
+    def _moment(self, segment: Segment) -> Float64[np.ndarray, "R K"]:
+        """How the torques of a segment change with the moment of their measurement, each of length one or zero."""
+        rows = self._rows[segment].get("torque")
+        if rows is None:
+            return np.zeros((0, self.columns.size))
+        names = self.nominal.robot.joint_names
+        delays = np.array([self.weights.torque_delay_s.get(name, 0.0) for name in names])
+        signal = self.nominal.robot.controller.signal
+        later, sooner = (segment.plan.told(signal, delays + own) for own in (-_LATER_S, _LATER_S))
+        shape = (later - sooner)[rows][:, self.columns]
+        known = np.array([name in self.weights.torque_delay_s for name in names])[self.columns]
+        return np.asarray(shape * known / np.maximum(np.linalg.norm(shape, axis=0), 1e-12))
+
     def with_parameters(self, parameters: ParameterSet) -> Problem:
         """The same logs and weights for other parameters; the count of evaluations goes on."""
-        other = Problem(self.nominal, parameters, self.segments, weights=self.weights, jobs=self.jobs)
+        coarse = None if self.coarse is None else self.coarse.with_parameters(parameters)
+        other = Problem(
+            self.nominal,
+            parameters,
+            self.segments,
+            weights=self.weights,
+            jobs=self.jobs,
+            coarse=coarse,
+            starts=self.starts,
+        )
         other.evaluations, other.seconds = self.evaluations, self.seconds
         return other
+
+    def restart(self, z: Float64[np.ndarray, "P"], *, coarse: bool = True) -> bool:
+        """Look again where windows begin, near where they do, with these parameters; whether there are any.
+
+        With `coarse`, also where those begin whose derivatives are taken.
+        """
+        if self.starts:
+            self.starts = window_starts(self, z, self.starts)
+        if coarse and self.coarse is not None:
+            self.coarse.restart(z)
+        return bool(self.starts)
+
+    def alone(self) -> Problem:
+        """The same with derivatives at its own time step, and its limit of time."""
+        other = self.with_starts(self.starts)
+        other._limit, other._kept_for = self._limit, self._kept_for  # noqa: SLF001 - it is of the same class
+        return other
+
+    def with_starts(self, starts: Mapping[Segment, WindowStarts]) -> Problem:
+        """The same with other starts of the windows, simulated at its own time step alone."""
+        return Problem(
+            self.nominal, self.parameters, self.segments, weights=self.weights, jobs=self.jobs, starts=starts
+        )
 
     def candidate(self, values: Mapping[str, float]) -> Candidate:
         """A model with these values written into it; parameters that are not named keep their start."""
@@ -141,8 +233,14 @@ class Problem:
             write(candidate, place, values.get(parameter.name, parameter.value))
         return candidate
 
-    def residuals(self, z: Float64[np.ndarray, "C P"]) -> Float64[np.ndarray, "C N"]:
+    def residuals(
+        self, z: Float64[np.ndarray, "C P"], forces: Sequence[Forces] | None = None
+    ) -> Float64[np.ndarray, "C N"]:
         """Residuals of C candidates, NaN for those that fail.
+
+        Args:
+            z: free parameters of each candidate.
+            forces: what acts on its joints besides their drives; nothing if None.
 
         Raises:
             OutOfTime: the time of `ending` is over.
@@ -157,10 +255,10 @@ class Problem:
         tasks = list(self._tasks(z.shape[0], models))
         if self.jobs == 1 or len(tasks) == 1:
             for task in tasks:
-                self._run(task, candidates, models, out)
+                self._run(task, candidates, models, out, forces)
         else:
             with ThreadPoolExecutor(self.jobs) as pool:
-                running = [pool.submit(self._run, task, candidates, models, out) for task in tasks]
+                running = [pool.submit(self._run, task, candidates, models, out, forces) for task in tasks]
                 try:
                     for done in running:
                         done.result()
@@ -171,6 +269,39 @@ class Problem:
         self.seconds += time.perf_counter() - began
         return out
 
+    def courses(self, z: Float64[np.ndarray, "P"]) -> dict[Segment, Course]:
+        """What one candidate does and is told in each simulation step.
+
+        Raises:
+            DataError: it cannot be simulated.
+            OutOfTime: the time of `ending` is over.
+        """
+        candidate = self.candidate(self.parameters.values(z))
+        found = {}
+        for segment in self.segments:
+            self._refuse_late()
+            simulators = self._simulators[segment.payload_kg]
+            simulator = simulators.get()
+            try:
+                zeros = self._zeros(candidate, segment.episode_id)
+                request = _shifted(segment.plan.request(candidate.delays), zeros, self.starts.get(segment))
+                models = [candidate.compile(segment.payload_kg)] * segment.plan.starts.size
+                result = simulator.rollout_candidates(request, models)
+            finally:
+                simulators.put(simulator)
+            if not np.isfinite(result.position).all():
+                raise DataError(f"the simulation of {segment.episode_id!r} diverged")
+            found[segment] = Course(models[0], result.position, result.velocity, result.torque, request.command, zeros)
+        self.evaluations += 1
+        return found
+
+    def slopes(self, z: Float64[np.ndarray, "C P"]) -> Float64[np.ndarray, "C N"]:
+        """Residuals of C candidates of which differences are taken: those of the larger time step, if there is one."""
+        if self.coarse is None:
+            return self.residuals(z)
+        self.evaluations += z.shape[0]
+        return self.coarse.residuals(z)
+
     def by_segment(self, residual: Float64[np.ndarray, "N"]) -> Iterator[tuple[Segment, str, np.ndarray]]:
         """The residual of one candidate in its places: segment, signal and (samples, columns)."""
         place = 0
@@ -180,6 +311,25 @@ class Problem:
                 size = rows * self.columns.size
                 yield segment, signal, residual[place : place + size].reshape(rows, self.columns.size)
                 place += size
+
+    def shift(self, change: Mapping[Segment, Float64[np.ndarray, "_ J"]]) -> Float64[np.ndarray, "N"]:
+        """What the residual changes by if simulated positions change by this at the measured stamps [rad or m]."""
+        out = np.zeros(self.size)
+        for segment, signal, own in self.by_segment(out):
+            if signal == "position":
+                own[:] = change[segment][self._rows[segment][signal]][:, self.columns] * self._factor(signal)
+        begin = 0
+        for segment in self.segments:
+            size = sum(int(np.count_nonzero(own)) for own in self._rows[segment].values()) * self.columns.size
+            if segment in self.starts:
+                out[begin : begin + size] = self.starts[segment].without(out[None, begin : begin + size])[0]
+            begin += size
+        return out
+
+    def _factor(self, signal: str) -> Float64[np.ndarray, "K"]:
+        """The residual per unit of a signal, by joint."""
+        own = self.weights.of(signal, self.nominal.robot.joint_names) * self._joint_weights
+        return np.asarray(own[self.columns] * self.scale)
 
     def unscaled_rms(self, residual: Float64[np.ndarray, "M"], column: int) -> float:
         """Root mean square of position residuals of one joint in the joint's unit [rad or m]."""
@@ -240,12 +390,14 @@ class Problem:
         candidates: Sequence[Candidate],
         models: _Models,
         out: Float64[np.ndarray, "C N"],
+        forces: Sequence[Forces] | None,
     ) -> None:
         self._refuse_late()
         payload_kg = task.segment.payload_kg
         simulator = self._simulators[payload_kg].get()
         try:
-            out[task.rows, task.begin : task.end] = self._simulate(task, simulator, candidates, models[payload_kg])
+            own = models[payload_kg]
+            out[task.rows, task.begin : task.end] = self._simulate(task, simulator, candidates, own, forces)
         finally:
             self._simulators[payload_kg].put(simulator)
 
@@ -255,12 +407,15 @@ class Problem:
         simulator: MujocoSimulator,
         candidates: Sequence[Candidate],
         models: Sequence[mujoco.MjModel | None],
+        forces: Sequence[Forces] | None,
     ) -> Float64[np.ndarray, "C M"]:
         plan = task.segment.plan
         windows = plan.starts.size
         zeros = np.array([self._zeros(candidates[row], task.segment.episode_id) for row in task.rows])
+        starts = self.starts.get(task.segment)
         requests = [
-            _shifted(plan.request(candidates[row].delays), zero) for row, zero in zip(task.rows, zeros, strict=True)
+            _shifted(plan.request(candidates[row].delays), zero, starts)
+            for row, zero in zip(task.rows, zeros, strict=True)
         ]
         request = RolloutRequest(
             position=np.concatenate([own.position for own in requests]),
@@ -269,7 +424,8 @@ class Problem:
             gravity=None if (pulls := requests[0].gravity) is None else np.tile(pulls, (len(requests), 1, 1)),
         )
         per_window = [model for row in task.rows if (model := models[row]) is not None for _ in range(windows)]
-        result = simulator.rollout_candidates(request, per_window)
+        force = None if forces is None else np.concatenate([forces[row][task.segment] for row in task.rows])
+        result = simulator.rollout_candidates(request, per_window, force)
         grids = {"position": result.position, "velocity": result.velocity, "torque": result.torque}
         blocks = []
         for signal, counted in self._rows[task.segment].items():
@@ -278,9 +434,13 @@ class Problem:
             if signal == "position":
                 simulated = simulated - zeros[:, None, :]
             residual = (simulated - plan.measured[signal])[:, counted][:, :, self.columns]
-            residual *= self.weights.signals[signal] * self._joint_weights[self.columns] * self.scale
+            residual *= self._factor(signal)
+            if signal == "torque" and task.segment in self._moments:
+                shape = self._moments[task.segment]
+                residual -= np.einsum("crj,rj->cj", residual, shape)[:, None, :] * shape
             blocks.append(residual.reshape(task.rows.size, -1))
-        return np.concatenate(blocks, axis=1)
+        residuals = np.concatenate(blocks, axis=1)
+        return residuals if starts is None else starts.without(residuals)
 
 
 # Payload [kg] -> a model of each candidate, None where MuJoCo refuses it.
@@ -318,8 +478,12 @@ def _compile(candidate: Candidate, payload_kg: float) -> mujoco.MjModel | None:
     return model
 
 
-def _shifted(request: RolloutRequest, zeros: Float64[np.ndarray, "J"]) -> RolloutRequest:
-    """The same motion as an encoder would have told it that reads right."""
+def _shifted(request: RolloutRequest, zeros: Float64[np.ndarray, "J"], starts: WindowStarts | None) -> RolloutRequest:
+    """The same motion as an encoder would have told it that reads right, from the starts that are known."""
+    if starts is not None:
+        request = replace(
+            request, position=request.position + starts.position, velocity=request.velocity + starts.velocity
+        )
     if not np.any(zeros):
         return request
     command = dict(request.command)

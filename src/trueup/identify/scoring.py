@@ -14,7 +14,7 @@ from trueup.core.results import Estimate
 from trueup.errors import DataError
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import IdentifyConfig
-from trueup.identify.problem import Problem
+from trueup.identify.problem import Problem, Weights
 from trueup.identify.quantities import quantity
 from trueup.identify.segments import Segment, SegmentRule, make_segments
 from trueup.measure import bootstrap_interval, motion_numbers
@@ -103,6 +103,7 @@ class Scorer:
             budget_s=float("inf"),
             settle_s=nominal.robot.replay.settle_s,
             base_sensor=nominal.robot.simulation.base_sensor,
+            command=nominal.robot.replay.command,
         )
         self._nominal, self._jobs, self._seed = nominal, jobs, seed
         self._segments: dict[str, list[Segment]] = {}
@@ -132,13 +133,70 @@ class Scorer:
         own = {units[joint] for joint in self._nominal.robot.scored_joints}
         return own.pop() if len(own) == 1 else "mixed"
 
-    def score(self, parameters: ParameterSet, values: Mapping[str, float], split: str) -> Scores:
-        """Errors of one model on one split."""
+    def size(self, split: str) -> dict[str, dict[str, float]]:
+        """Logged signal -> scored joint -> standard deviation of what was measured on one split [its unit]."""
+        robot, found = self._nominal.robot, {}
+        for name in ("position", "velocity", "torque"):
+            rows = [own.plan.measured[name] for own in self._segments[split] if name in own.plan.measured]
+            if rows:
+                spread = np.nanstd(np.concatenate(rows), axis=0)
+                found[name] = {joint: float(spread[robot.joint_names.index(joint)]) for joint in robot.scored_joints}
+        return found
+
+    def signals(self, parameters: ParameterSet, values: Mapping[str, float], split: str) -> dict[str, dict[str, float]]:
+        """Logged signal -> scored joint -> root mean square error of one model on one split [unit of the signal]."""
+        logged = {name for segment in self._segments[split] for name in segment.plan.measured.signals}
+        own = dict.fromkeys(("position", *(name for name in ("velocity", "torque") if name in logged)), 1.0)
+        problem = self._problem(parameters, values, split, Weights(own, {}))
+        residual = problem.residuals(problem.parameters.start[None])[0]
+        pieces: dict[str, list[np.ndarray]] = {}
+        for _, signal, rows in problem.by_segment(residual):
+            pieces.setdefault(signal, []).append(rows / problem.scale)
+        joints = self._nominal.robot.joint_names
+        return {
+            signal: {
+                joints[column]: float(np.sqrt(np.mean(np.concatenate(rows)[:, place] ** 2)))
+                for place, column in enumerate(problem.columns)
+            }
+            for signal, rows in pieces.items()
+        }
+
+    def command(self, split: str) -> Estimate | None:
+        """The error of the command that is taken as the motion: a position, or a velocity's integral from the start.
+
+        None where a torque is commanded.
+        """
+        signal = self._nominal.robot.controller.signal
+        if signal == "torque":
+            return None
+        joints = [self._nominal.robot.joint_names.index(name) for name in self._nominal.robot.scored_joints]
+        rows, names = [], []
+        for segment in self._segments[split]:
+            plan = segment.plan
+            told, measured = plan.told(signal), plan.measured["position"]
+            if signal == "velocity":
+                moved = np.cumsum(told[:-1] * np.diff(plan.measured.time_s)[:, None], axis=0)
+                told = measured[0] + np.concatenate([np.zeros_like(told[:1]), moved])
+            rows.append(np.sqrt(np.nanmean((told - measured)[:, joints] ** 2, axis=0)))
+            names.append(segment.episode_id)
+        executed = tuple(self._executed[name] for name in names)
+        found = Scores(
+            tuple(names), tuple(map(str, joints)), np.array(rows), np.ones(len(rows), int), self._seed, executed
+        )
+        return found.estimate(self.unit)
+
+    def _problem(
+        self, parameters: ParameterSet, values: Mapping[str, float], split: str, weights: Weights | None = None
+    ) -> Problem:
         # What single recordings were off by is no part of the model that is judged.
         lasting = tuple(item for item in parameters if quantity(item.quantity).of != "motion")
         moved = ParameterSet(lasting).at(values)
-        problem = Problem(self._nominal, moved, self._segments[split], jobs=self._jobs)
-        residual = problem.residuals(moved.start[None])[0]
+        return Problem(self._nominal, moved, self._segments[split], weights=weights, jobs=self._jobs)
+
+    def score(self, parameters: ParameterSet, values: Mapping[str, float], split: str) -> Scores:
+        """Errors of one model on one split."""
+        problem = self._problem(parameters, values, split)
+        residual = problem.residuals(problem.parameters.start[None])[0]
         joints = self._nominal.robot.joint_names
         rmse, samples = {}, {}
         for segment, _, own in problem.by_segment(residual):

@@ -16,6 +16,7 @@ from trueup.core.time_limit import OutOfTime, TimeLimit
 from trueup.errors import DataError
 from trueup.identify.costs import PenalizedSquares, joint_errors, roles_of
 from trueup.identify.problem import Problem
+from trueup.identify.sensitivity import verified
 from trueup.identify.solution import Checkpoint, OnProgress, Progress, Solution, SolveSettings, fingerprint_of
 from trueup.identify.solvers import (
     AskTell,
@@ -37,6 +38,15 @@ HARDLY = 0.01
 # Derivatives over a distance so many times as long differ by less than this share of their size, or show no slope.
 _LONGER, _SAME = 10.0, 0.5
 _STEP = ("evaluations", "cost", "seconds")
+# Of central differences, in z.
+_CERTAIN_STEP = 0.004
+# Descents to the minimum of verified derivatives, at most; after how many of them these are taken anew; and the promise
+# of a further one that is not worth it, in observations.
+_POLISHED, _FINISHED, _AGAIN, _SETTLED = 9, 3, 3, 0.3
+# How often windows begin anew while another way to simulate is brought to its minimum.
+_RESTARTS = 3
+# A new look at the starts that lowers the cost by less than so many observations is the last one.
+_GAINED = 1.0
 
 
 class Stopwatch:
@@ -131,6 +141,8 @@ class Search:
             try:
                 with self.problem.ending(self._limit, keep=state.z.size):  # derivatives at its end
                     search.step()
+                    if not state.reason and self.problem.restart(state.z):
+                        search.renew()
             except OutOfTime:
                 state.reason, state.square = "time", search.square
             if self._left_s() <= 0 and not search.done:
@@ -143,13 +155,86 @@ class Search:
         left = search.loss_of(search.residual).cost(search.residual)
         return Descent(solution, 1.0 - left / max(state.start_cost, 1e-300), search)
 
-    def start_jacobian(self) -> Float64[np.ndarray, "P N"]:
-        """Derivatives of the residual at the start, one row per parameter, as those of the last stage of a fit.
+    def certain_jacobian(self, z: Float64[np.ndarray, "P"]) -> Float64[np.ndarray, "P N"]:
+        """Derivatives of the residual by central differences, one row per parameter, for what is said of certainty.
+
+        Their error is of the second order of a step of 0.4 %, and small against the derivatives; what is left of it
+        where derivatives cancel is found by `sensitivity.verified`.
 
         Raises:
-            DataError: the start cannot be simulated.
+            DataError: the model cannot be simulated there.
         """
-        return self._derivatives(GaussNewtonState(self.problem.parameters.start)).final_jacobian()
+        return self._derivatives(GaussNewtonState(z)).central_jacobian(_CERTAIN_STEP)
+
+    def polished(
+        self, z: Float64[np.ndarray, "P"], jacobian: Float64[np.ndarray, "P N"], weight: float
+    ) -> tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]]:
+        """The minimum that given derivatives lead to from z, (P,), and the residual there, (N,).
+
+        Args:
+            z: where to begin, (P,).
+            jacobian: derivatives near z, (P, N).
+            weight: variance of one observation at the minimum, which the prior is weighed against.
+
+        Raises:
+            DataError: the model cannot be simulated at z, or has other samples.
+        """
+        newton = self._derivatives(GaussNewtonState(z))
+        if newton.begin().shape != jacobian.shape[1:]:
+            raise DataError("other samples", got=newton.begin().size, expected=jacobian.shape[1])
+        newton.polish(jacobian, weight)
+        for _ in range(_RESTARTS):
+            before = newton.state.cost
+            if not self.problem.restart(newton.state.z, coarse=False):
+                break
+            newton.renew()
+            newton.polish(jacobian, weight)
+            if before - newton.state.cost < _GAINED * weight:
+                break
+        assert newton.residual is not None
+        return newton.state.z, newton.residual
+
+    def certain(self, z: Float64[np.ndarray, "P"]) -> dict[str, Any]:
+        """`z`, `residual`, `jacobian` and `rms` of a solution with verified derivatives, at the minimum that these see.
+
+        Where derivatives were those of a larger time step, they lead near the minimum, and those of the step itself to
+        it: along what motions hardly show, the difference would count.
+
+        Args:
+            z: where a search has ended, (P,).
+
+        Raises:
+            DataError: the model cannot be simulated there.
+        """
+        search = self
+        newton, jacobian = self._settled(z, _POLISHED)
+        if self.problem.coarse is not None:
+            search = Search(self.problem.alone(), self.settings, self.clock, checkpoint=None, on_progress=None)
+            newton, jacobian = search._settled(newton.state.z, _FINISHED)
+            self.problem.starts = search.problem.starts
+        assert newton.residual is not None
+        jacobian = verified(search.problem, newton.state.z, jacobian, self._weight(newton.residual))
+        counted, factor = as_least_squares(self.problem, newton.residual, self._loss(newton.residual))
+        rms = float(np.linalg.norm(newton.residual))
+        return {"z": newton.state.z, "residual": counted, "jacobian": jacobian * factor, "rms": rms}
+
+    def _settled(self, z: Float64[np.ndarray, "P"], rounds: int) -> tuple[GaussNewton, Float64[np.ndarray, "P N"]]:
+        """A search at the minimum near z, and derivatives that agree with its last steps."""
+        newton = self._derivatives(GaussNewtonState(z))
+        jacobian = newton.central_jacobian(_CERTAIN_STEP)
+        assert newton.residual is not None
+        weight = self._weight(newton.residual)
+        for number in range(rounds):
+            if number and self.problem.restart(newton.state.z):
+                newton.renew()
+            # What cancels at one place does not at the next: derivatives are mended before each descent.
+            jacobian = verified(self.problem, newton.state.z, jacobian, weight, quick=True)
+            if number and newton.promised(jacobian) * newton.state.cost < _SETTLED * weight:
+                break
+            moved = newton.polish(jacobian)
+            again = number % _AGAIN == _AGAIN - 1 and number < rounds - 1
+            jacobian = newton.central_jacobian(_CERTAIN_STEP) if again else moved
+        return newton, jacobian
 
     def at_minimum(self, descent: Descent) -> bool:
         """Whether Gauss-Newton ended at a minimum that its derivatives can see.
@@ -267,6 +352,7 @@ class Search:
             logarithmic=np.array([parameter.transform == "log" for parameter in problem.parameters.free]),
             colors=problem.colors(),
             support=problem.support,
+            slopes=None if problem.coarse is None else problem.slopes,
             settings=self.settings.gauss_newton,
         )
 

@@ -12,6 +12,7 @@ from trueup.core.episode import Episode
 from trueup.core.hold import held_rows
 from trueup.core.quality import dropped, refuse_majority
 from trueup.errors import DataError, TrueupError
+from trueup.robots import CommandTiming
 from trueup.sim import MujocoSimulator, ReplayPlan, ReplaySettings
 
 
@@ -29,6 +30,7 @@ class SegmentRule:
         seed: where in the motions the pieces lie.
         settle_s: hold the first command for this long before a whole motion [s].
         base_sensor: see `ReplaySettings`.
+        command: see `ReplaySettings`.
     """
 
     window_s: float | None = None
@@ -38,6 +40,7 @@ class SegmentRule:
     seed: int = 0
     settle_s: float = 0.0
     base_sensor: str = ""
+    command: CommandTiming = "held"
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +107,7 @@ def make_segments(
                 "measured" if rule.window_s or not whole else None,
                 settle_s=rule.settle_s if whole else 0.0,
                 base_sensor=rule.base_sensor,
+                command=rule.command,
             )
             plan = ReplayPlan(piece, simulator, settings)
         except TrueupError as error:
@@ -169,5 +173,6 @@ def _cut(log: Episode, start_s: float, length_s: float) -> Episode:
     command = log.commanded()
     # A delayed command from before the piece still acts in it.
     earliest = max(0, int(held_rows(command.time_s, np.array([measured.time_s[0] - 1.0]))[0]))
-    latest = int(held_rows(command.time_s, np.array([measured.time_s[-1]]))[0]) + 1
+    # The next one, too: the command may move on to it, or its stamps be late.
+    latest = int(held_rows(command.time_s, np.array([measured.time_s[-1]]))[0]) + 2
     return replace(log, measured=measured, command=command.rows(slice(earliest, max(latest, earliest + 1))))

@@ -183,7 +183,7 @@ def fingerprint_of(problem: Problem, settings: SolveSettings) -> str:
     plain = {
         "parameters": [parameter.to_json() for parameter in problem.parameters],
         "motions": [segment.episode_id for segment in problem.segments],
-        "weights": {"signals": dict(problem.weights.signals), "joints": dict(problem.weights.joints)},
+        "weights": asdict(problem.weights),
         "settings": asdict(settings),
     }
     digest.update(json.dumps(plain, sort_keys=True).encode())

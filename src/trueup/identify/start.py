@@ -15,13 +15,14 @@ from trueup.errors import TrueupError
 from trueup.identify.candidate import Nominal
 from trueup.identify.problem import Problem
 from trueup.identify.quantities import QUANTITIES, quantity
-from trueup.identify.regression import torque_start
+from trueup.identify.regression import servo_start, torque_start
 
 # The order matters: stiffness first, then what brakes, then what is heavy, then what is late.
 _BRAKES = tuple(item.name for item in QUANTITIES.values() if item.brakes and item.search.transform == "log")
 _SWEPT = ("kp", *_BRAKES, "armature", "delay_s", "torque_limit")
 _FACTORS = 4.0 ** np.arange(-4, 5)
 _DELAYS_S = np.array([0.0, 0.005, 0.01, 0.02, 0.03, 0.05, 0.08])
+_DAMPING_SHARE = 0.05
 # A start on a bound has a one-sided view and often stays there.
 _OFF_BOUND = 0.01
 # What is left of a mass at least, where others that are welded to it keep theirs.
@@ -87,6 +88,45 @@ def regressed_start(problem: Problem, episodes: Sequence[Episode]) -> ParameterS
     }
     values = {f"{name}[{joint}]": value for name, own in terms.items() for joint, value in own.items()}
     values |= _masses(problem.nominal, found.mass_scale)
+    regressed = off_bounds(parameters.at({name: values[name] for name in parameters.names if name in values}))
+    costs = np.sum(problem.residuals(np.array([parameters.start, regressed.start])) ** 2, axis=1)
+    return regressed if costs[1] < costs[0] or not np.isfinite(costs[0]) else parameters
+
+
+def servo_regressed(problem: Problem, episodes: Sequence[Episode]) -> ParameterSet:
+    """Start values for servos from a regression along the measured motion, if they simulate the logs better."""
+    parameters = off_bounds(problem.parameters)
+    nominal = problem.nominal
+    signal = nominal.robot.controller.signal
+    drives = {joint: nominal.drive(joint) for joint in nominal.robot.scored_joints}
+    gains = {joint: (own.kp if signal == "position" else own.kv) or 0.0 for joint, own in drives.items()}
+    if not all(gains.values()):
+        return parameters
+    try:
+        found = servo_start(
+            episodes,
+            nominal.model,
+            joints=nominal.robot.scored_joints,
+            signal=signal,
+            gains=gains,
+            limits=nominal.simulator.torque_limits,
+        )
+    except TrueupError:
+        return parameters
+    values: dict[str, float] = {}
+    for joint, total in found.kv.items() if signal == "position" else ():
+        # Of two numbers that add up, the one that the model has most of keeps its share, within reason.
+        damping = parameters[f"damping[{joint}]"].value if f"damping[{joint}]" in parameters.names else 0.0
+        share = min(max(damping, _DAMPING_SHARE * total), 0.5 * total)
+        values |= {f"damping[{joint}]": share, f"kv[{joint}]": total - share}
+    for name in ("kp", "kv", "damping", "frictionloss", "armature", "delay_s"):
+        values |= (
+            {f"{name}[{joint}]": value for joint, value in getattr(found, name).items()}
+            if name != "kv" or signal != "position"
+            else {}
+        )
+    if "delay_s" in parameters.names:
+        values["delay_s"] = float(np.median(list(found.delay_s.values())))
     regressed = off_bounds(parameters.at({name: values[name] for name in parameters.names if name in values}))
     costs = np.sum(problem.residuals(np.array([parameters.start, regressed.start])) ** 2, axis=1)
     return regressed if costs[1] < costs[0] or not np.isfinite(costs[0]) else parameters

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -16,9 +16,14 @@ from trueup.identify.solvers import Loss
 
 Z95 = 1.959964
 # Posterior over prior variance: above the first the prior speaks, below the second the data do.
-_NO, _YES = 0.5, 0.05
-# Half a unit of z is a factor of 1.6, or half of what counts as a large change.
-_WIDE = 0.5
+_NO, _WEAK = 0.5, 0.25
+# Standard deviations in z: a factor of 1.5 either way is known, one of 4 weakly (or a fifth, or 0.7, of a large
+# change).
+_KNOWN, _VAGUE = 0.2, 0.7
+# What is left is called noise up to this ratio.
+_NOISE = 1.1
+# Of a motion, a share that no model is asked to explain: logs without noise are those of simulations.
+_RESOLVED = 1e-4
 _PARTNER = 0.9
 _AT_BOUND = 1e-6
 # As good as no prior, in z.
@@ -162,6 +167,11 @@ class Posterior:
         data = of_model(self.parameters, self.data)
         return Posterior(own, self.z[kept], self.covariance[np.ix_(kept, kept)], data)
 
+    def widened(self, shifts: Sequence[Float64[np.ndarray, "P"]]) -> Posterior:
+        """The same with errors of the model that would move the estimate by these, each in either direction."""
+        extra = sum((np.outer(shift, shift) for shift in shifts), np.zeros_like(self.covariance))
+        return replace(self, covariance=self.covariance + extra)
+
     def interval(self, index: int) -> tuple[float, float]:
         """95 % interval of a free parameter [its unit], inside its bounds."""
         parameter, std = self.parameters.free[index], float(self.std[index])
@@ -234,6 +244,25 @@ def posterior_of(
     return Posterior(problem.parameters, z, 0.5 * (covariance + covariance.T), data / weight)
 
 
+def remaining_step(
+    problem: Problem,
+    z: Float64[np.ndarray, "P"],
+    residual: Float64[np.ndarray, "N"],
+    jacobian: Float64[np.ndarray, "P N"],
+) -> Float64[np.ndarray, "P"]:
+    """The step to the minimum as the derivatives at z see it, in z: next to nothing where a search has converged.
+
+    It is -(J J^T + w L)^-1 (J r + w L (z - mean)), with L the precision of the prior and w the variance of one
+    observation, inside the bounds.
+    """
+    mean, _ = problem.parameters.prior
+    low, high = problem.parameters.bounds
+    precision = noise_of(problem, residual).weight * precision_of(problem.parameters)
+    slope = jacobian @ residual + precision @ (z - mean)
+    step = -np.linalg.pinv(jacobian @ jacobian.T + precision, rcond=1e-14, hermitian=True) @ slope
+    return np.asarray(np.clip(z + step, low, high) - z)
+
+
 def open_directions(posterior: Posterior) -> tuple[Direction, ...]:
     """Combinations of parameters about which the data say less than ten times what the prior does."""
     _, std = posterior.parameters.prior
@@ -255,37 +284,6 @@ def open_directions(posterior: Posterior) -> tuple[Direction, ...]:
     return tuple(found)
 
 
-def open_names(posterior: Posterior) -> list[str]:
-    """Parameters that could as well be left at the model's values: what the data say about them is mostly the prior.
-
-    They are taken out one by one, the least known first, since a parameter that two others drown in comes to light
-    when one of them is gone.
-    """
-    free = list(posterior.parameters.free)
-    _, std = posterior.parameters.prior
-    precision = np.where(np.isfinite(std), std, 1e6) ** -2.0
-    absent = absent_names(posterior)
-    left = [index for index, item in enumerate(free) if item.name not in absent]
-    while left:
-        information = posterior.data[np.ix_(left, left)] + np.diag(precision[left])
-        share = np.diag(np.linalg.pinv(information, hermitian=True)) * precision[left]
-        worst = int(np.argmax(share))
-        if share[worst] <= _NO:
-            break
-        del left[worst]
-    kept = {*absent, *(free[index].name for index in left)}
-    return [item.name for item in free if item.name not in kept]
-
-
-def absent_names(posterior: Posterior) -> list[str]:
-    """Free parameters that ended on zero, where zero means that the robot has none of it."""
-    return [
-        item.name
-        for item, z in zip(posterior.parameters.free, posterior.z, strict=True)
-        if item.low == 0.0 and _bound(item, float(z)) == "low"
-    ]
-
-
 def fitted_parameters(posterior: Posterior) -> tuple[FittedParameter, ...]:
     """Each parameter with value, interval, and a sentence."""
     values = posterior.parameters.values(posterior.z)
@@ -297,7 +295,7 @@ def fitted_parameters(posterior: Posterior) -> tuple[FittedParameter, ...]:
 
 
 def _fitted(posterior: Posterior, parameter: Parameter, index: int | None, value: float) -> FittedParameter:
-    share: float | None = None
+    share, absent = None, False
     interval, at_bound, identified, sentence = (value, value), "", "no", "kept at its value, not fitted"
     if index is not None:
         interval = posterior.interval(index)
@@ -305,7 +303,8 @@ def _fitted(posterior: Posterior, parameter: Parameter, index: int | None, value
         if parameter.prior_std is not None:
             share = float(min(1.0, posterior.covariance[index, index] / parameter.prior_std**2))
         identified = _identified(posterior, index, share)
-        sentence = _sentence(posterior, index, identified, at_bound)
+        absent = at_bound == "low" and (parameter.low == 0.0 or quantity(parameter.quantity).optional)
+        sentence = _sentence(posterior, index, identified, at_bound, absent=absent)
     return FittedParameter(
         name=parameter.name,
         value=value if parameter.untouched else rounded(value),
@@ -323,6 +322,27 @@ def _fitted(posterior: Posterior, parameter: Parameter, index: int | None, value
         label=quantity(parameter.quantity).label,
         transform=parameter.transform,
         frozen=index is None,
+        absent=absent,
+    )
+
+
+def disowned(parameters: Sequence[FittedParameter]) -> tuple[FittedParameter, ...]:
+    """The same after a fit that explains nothing: whatever its derivatives say, it has not determined them."""
+    return tuple(
+        item
+        if item.frozen or item.identified == "no"
+        else replace(item, identified="no", sentence="not determined: the fitted model does not explain these motions")
+        for item in parameters
+    )
+
+
+def effective(parameters: Sequence[FittedParameter], why: str) -> tuple[FittedParameter, ...]:
+    """The same after a fit whose model lacks something: what the data determine is no property of the robot."""
+    return tuple(
+        replace(item, identified="effective", sentence=f"effective value: the data determine it, but {why}")
+        if item.identified == "yes" and not item.frozen
+        else item
+        for item in parameters
     )
 
 
@@ -334,20 +354,19 @@ def _bound(parameter: Parameter, z: float) -> str:
 
 def _identified(posterior: Posterior, index: int, share: float | None) -> Identified:
     std = float(posterior.std[index])
-    if (share is not None and share > _NO) or std > 4 * _WIDE:
+    if (share is not None and share > _NO) or std > _VAGUE:
         return "no"
-    return "weakly" if std > _WIDE or (share is not None and share > 5 * _YES) else "yes"
+    return "weakly" if std > _KNOWN or (share is not None and share > _WEAK) else "yes"
 
 
-def _sentence(posterior: Posterior, index: int, identified: Identified, at_bound: str) -> str:
+def _sentence(posterior: Posterior, index: int, identified: Identified, at_bound: str, *, absent: bool) -> str:
     parameter = posterior.parameters.free[index]
     target = parameter.target or "the robot"
     excite = quantity(parameter.quantity).excite.format(target=target)
     partners = _partners(posterior, index)
     named = ", ".join(partners)
     together = f"; only its combination with {named} is determined" if partners else ""
-    zero = parameter.low == 0.0 and at_bound == "low"
-    if zero:
+    if absent:
         return "the data ask for none of it: it ended on zero"
     if at_bound:
         edge = parameter.low if at_bound == "low" else parameter.high
@@ -366,8 +385,18 @@ def _partners(posterior: Posterior, index: int) -> list[str]:
     return [names[other] for other in order if other != index and row[other] > _PARTNER][:3]
 
 
+def noise_level(pieces: Sequence[Float64[np.ndarray, "_"]]) -> float:
+    """Standard deviation of the white noise in a residual, from its third differences.
+
+    Of white noise of variance s^2, third differences have variance (1 + 9 + 9 + 1) s^2 = 20 s^2; what changes slowly
+    from sample to sample hardly appears in them. Zero with fewer than four samples.
+    """
+    differences = np.concatenate([np.diff(piece, 3) for piece in pieces])
+    return float(np.sqrt(np.mean(differences**2) / 20.0)) if differences.size else 0.0
+
+
 def whiteness_of(problem: Problem, residual: Float64[np.ndarray, "N"]) -> dict[str, Whiteness]:
-    """Joint -> whether what is left of its position looks like noise."""
+    """Joint -> whether what is left of its position looks like noise, and how large that is."""
     found = {}
     blocks = [(segment, values) for segment, signal, values in problem.by_segment(residual) if signal == "position"]
     joints = problem.nominal.robot.joint_names
@@ -376,13 +405,23 @@ def whiteness_of(problem: Problem, residual: Float64[np.ndarray, "N"]) -> dict[s
         step_s = float(np.median([np.median(np.diff(segment.plan.measured.time_s)) for segment, _ in blocks]))
         memory = memory_of(pieces)
         rms = problem.unscaled_rms(np.concatenate(pieces), int(column))
-        white, correlation_s = memory < 2.0, (memory - 1.0) * step_s
+        noise = rms * noise_level(pieces) / max(float(np.sqrt(np.mean(np.concatenate(pieces) ** 2))), 1e-300)
+        moved = np.concatenate([segment.plan.measured["position"][segment.counts, column] for segment, _ in blocks])
+        noise = max(noise, _RESOLVED * float(np.std(moved)))
+        correlation_s = (memory - 1.0) * step_s
+        white = memory < 2.0 or rms < _NOISE * noise
         what = f"{joints[column]}: what is left ({rms:.3g})"
         sentence = (
-            f"{what} looks like noise"
+            f"{what} is the noise of the measurement"
             if white
-            else f"{what} is correlated over {correlation_s:.2g} s, so it is model error and not noise; the intervals "
-            "are widened for that"
+            else f"{what} is {rms / max(noise, 1e-300):.2g} times the noise of the measurement and correlated over "
+            f"{correlation_s:.2g} s, so it is model error and not noise"
         )
-        found[joints[column]] = Whiteness(rms, correlation_s, white, sentence)
+        found[joints[column]] = Whiteness(rms, correlation_s, white, sentence, noise)
     return found
+
+
+def unexplained(left: Mapping[str, Whiteness]) -> float:
+    """How many times the noise of the measurement is left: root mean square over joints, 1 where all is explained."""
+    ratios = [1.0 if item.white or not item.noise else item.rms / item.noise for item in left.values()]
+    return float(np.sqrt(np.mean(np.square(ratios)))) if ratios else 1.0

@@ -3,90 +3,230 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import get_args
 
-from trueup.core.fit_result import FitStatus, FittedParameter
+from trueup.core.fit_result import FitStatus, FittedParameter, Suspect, Whiteness
 from trueup.core.parameters import split_name
 from trueup.core.results import Estimate
 from trueup.identify.solution import Solution
-from trueup.identify.uncertainty import Posterior
+from trueup.identify.uncertainty import Posterior, unexplained
 
+# From good to bad.
+FIT_STATUSES: tuple[FitStatus, ...] = get_args(FitStatus)
 _SHOWN_CORRELATION = 0.3
+# Times the noise of the measurement, above which something is left that the model lacks.
+_UNEXPLAINED = 1.3
+# A logged signal that is simulated this much worse than before, by at least this share of what it does.
+_WORSE, _VISIBLE = 1.1, 0.01
+# What is looked for where something is left.
+_LOOKED_FOR = (
+    "late feedback, an integral term, backlash, an elastic gear, friction that grows with the load or falls with time, "
+    "a largest speed, a payload and a mirrored joint"
+)
 # Starts that disagree: the data leave something open, or the search depends on luck.
 _DISAGREEMENT: dict[str, FitStatus] = {"not-unique": "not-identifiable", "local-minima": "not-converged"}
 
 
-def verdict(
-    solution: Solution,
-    parameters: Sequence[FittedParameter],
-    errors: Mapping[str, Mapping[str, Estimate]],
-    beforehand: Sequence[str],
-    *,
-    chosen_by_user: bool,
-    torque_seen: bool,
-) -> tuple[FitStatus, tuple[str, ...]]:
-    """The worst that applies, and everything that must be said."""
-    status: FitStatus = "ok"
-    statements = list(beforehand)
-    agreement = solution.agreement
-    disagreement = _DISAGREEMENT.get(agreement.verdict) if agreement is not None else None
-    if agreement is not None:
-        statements.append(agreement.text)
-    # A law that ended on zero is one that the robot does not have: no cause for alarm.
-    absent = {item.name for item in parameters if item.at_bound == "low" and item.low == 0.0}
-    free = [item for item in parameters if not item.frozen]
-    unknown = [item for item in free if item.identified == "no" and item.name not in absent]
-    if disagreement == "not-identifiable":
-        status = disagreement
-    if unknown:
-        status = "not-identifiable"
-        names = ", ".join(item.name for item in unknown[:6]) + (", …" if len(unknown) > 6 else "")
-        statements.append(
-            f"{len(unknown)} of {len(free)} parameters are not determined by these motions: {names}; their "
-            "values are the prior's, not the robot's"
-        )
-    stuck = [item for item in free if item.at_bound and item.name not in absent]
-    if stuck:
-        status = "at-bound"
-        statements.append(
-            "ended on a bound: " + ", ".join(f"{item.name} = {item.value:.4g} {item.unit}" for item in stuck)
-        )
-    if disagreement == "not-converged":
-        status = disagreement
-    if "remark" in solution.solver:
-        statements.append(str(solution.solver["remark"]))
-    if solution.solver["stop"] not in ("converged",):
-        status = "not-converged"
-        statements.append(
-            f"the search stopped early ({solution.solver['stop']}): raise solver.max_iterations, or give it more time"
-        )
-    # Not on test, which decides nothing.
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What a fit is judged by.
+
+    Attributes:
+        solution: where the search ended.
+        parameters: as they will be shown.
+        whiteness: joint -> what is left.
+        errors: run -> split -> error of the position.
+        signals: signal -> joint -> error of the nominal and of the fitted model.
+        size: signal -> joint -> standard deviation of what was measured.
+        chosen_by_user: whether the configuration says what is fitted.
+        torque_seen: whether torques entered the fit.
+        suspects: what explains what is left; None if nobody has looked.
+        masses: what is strange about fitted masses, in words.
+    """
+
+    solution: Solution
+    parameters: Sequence[FittedParameter]
+    whiteness: Mapping[str, Whiteness]
+    errors: Mapping[str, Mapping[str, Estimate]]
+    signals: Mapping[str, Mapping[str, tuple[float, float]]]
+    size: Mapping[str, Mapping[str, float]]
+    chosen_by_user: bool
+    torque_seen: bool
+    suspects: Sequence[Suspect] | None = None
+    masses: str = ""
+
+
+def verdict(evidence: Evidence, beforehand: Sequence[str]) -> tuple[FitStatus, tuple[str, ...]]:
+    """The worst that applies, and everything that must be said, the most important first.
+
+    Args:
+        evidence: what is known of the fit.
+        beforehand: what was said before the search.
+    """
+    judged = [
+        _of_starts(evidence),
+        _of_what_is_left(evidence),
+        _of_suspects(evidence),
+        _of_numbers(evidence),
+        _of_bounds(evidence),
+        _of_signals(evidence),
+        _of_search(evidence),
+        *_of_motion(evidence),
+    ]
+    found = [item for item in judged if item is not None]
+    statuses: list[FitStatus] = ["ok", *(item.status for item in found)]
+    status = max(statuses, key=FIT_STATUSES.index)
+    first = [item.text for item in reversed(found) if item.status == status and status != "ok"]
+    rest = [item.text for item in found if item.text not in first]
+    remarks = _remarks(evidence)
+    return status, tuple(text for text in (*first, *beforehand, *rest, *remarks) if text)
+
+
+def doubt(evidence: Evidence) -> str:
+    """Why numbers that the data determine need not be the robot's, in a few words; empty if nothing is known of it."""
+    if evidence.solution.solver["stop"] != "converged":
+        return "the search did not end"
+    if evidence.suspects:
+        return "the model lacks something: " + ", ".join(item.name.replace("-", " ") for item in evidence.suspects)
+    if (ratio := unexplained(evidence.whiteness)) > _UNEXPLAINED:
+        return f"what is left is {ratio:.2g} times the noise"
+    if _of_signals(evidence) is not None:
+        return "a logged signal became worse"
+    return "it makes motions no better" if any(item.status != "ok" for item in _of_motion(evidence)) else ""
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """One thing that was looked at, and what it makes of the status."""
+
+    status: FitStatus
+    text: str
+
+
+def _of_starts(evidence: Evidence) -> _Judged | None:
+    agreement = evidence.solution.agreement
+    if agreement is None:
+        return None
+    return _Judged(_DISAGREEMENT.get(agreement.verdict, "ok"), agreement.text)
+
+
+def _of_what_is_left(evidence: Evidence) -> _Judged | None:
+    ratio = unexplained(evidence.whiteness)
+    if ratio <= _UNEXPLAINED:
+        return None
+    worst = max(evidence.whiteness.items(), key=lambda item: item[1].rms / (item[1].noise or item[1].rms or 1.0))
+    joint, item = worst
+    return _Judged(
+        "unexplained",
+        f"what is left is {ratio:.2g} times the noise of the measurement (most of {joint}: {item.rms:.3g}, noise "
+        f"{item.noise or 0.0:.2g}): the model lacks something, and fitted numbers may be off by more than their "
+        "intervals to make up for it" + _or_else(evidence),
+    )
+
+
+def _or_else(evidence: Evidence) -> str:
+    """What is said of a residual for which there is no suspect."""
+    if evidence.suspects is None or evidence.suspects:
+        return ""
+    found = f"; none of {_LOOKED_FOR} explains it"
+    return found + (f". But {evidence.masses}" if evidence.masses else "")
+
+
+def _of_suspects(evidence: Evidence) -> _Judged | None:
+    """What explains more than the model: its numbers are bent, however little is left."""
+    if not evidence.suspects:
+        return None
+    return _Judged("unexplained", "what the model lacks: " + "; ".join(item.sentence for item in evidence.suspects))
+
+
+def _of_numbers(evidence: Evidence) -> _Judged | None:
+    free = [item for item in evidence.parameters if not item.frozen]
+    unknown = [item.name for item in free if item.identified == "no" and not item.absent]
+    if not unknown:
+        return None
+    names = ", ".join(unknown[:6]) + (", …" if len(unknown) > 6 else "")
+    # What nobody asked for by name may stay open, as long as the table says so, and something is known.
+    asked = evidence.chosen_by_user or not any(item.identified == "yes" for item in free)
+    return _Judged(
+        "not-identifiable" if asked else "ok",
+        f"{len(unknown)} of {len(free)} parameters are not determined by these motions: {names}; their values rest on "
+        "the model that you gave, and their intervals say how far they may be from the robot's",
+    )
+
+
+def _of_bounds(evidence: Evidence) -> _Judged | None:
+    stuck = [item for item in evidence.parameters if item.at_bound and not item.absent and not item.frozen]
+    if not stuck:
+        return None
+    return _Judged(
+        "at-bound", "ended on a bound: " + ", ".join(f"{item.name} = {item.value:.4g} {item.unit}" for item in stuck)
+    )
+
+
+def _of_signals(evidence: Evidence) -> _Judged | None:
+    worse = [
+        f"{signal} of {joint} ({before:.3g} -> {after:.3g})"
+        for signal, own in evidence.signals.items()
+        for joint, (before, after) in own.items()
+        # What the nominal model does not explain at all, such as a torque without a sign, cannot become worse.
+        if before < evidence.size[signal][joint]
+        and after > max(_WORSE * before, before + _VISIBLE * evidence.size[signal][joint])
+    ]
+    if not worse:
+        return None
+    return _Judged(
+        "signal-worse",
+        f"the fitted model simulates a logged signal worse than the nominal one: {', '.join(worse[:6])}"
+        + (", …" if len(worse) > 6 else "")
+        + "; its numbers are not the robot's, or the signal has another sign, scale or unit",
+    )
+
+
+def _of_search(evidence: Evidence) -> _Judged | None:
+    solver = evidence.solution.solver
+    if solver["stop"] != "converged":
+        text = f"the search stopped early ({solver['stop']}): raise solver.max_iterations, or give it more time"
+        return _Judged("not-converged", text)
+    return _Judged("ok", str(solver["remark"])) if "remark" in solver else None
+
+
+def _of_motion(evidence: Evidence) -> list[_Judged]:
+    """On val; not on test, which decides nothing."""
+    errors = evidence.errors
     judge = next((split for split in ("val", "train") if split in errors["fitted"]), None)
-    if judge is not None:
-        before, after = errors["nominal"].get(judge), errors["fitted"][judge]
+    if judge is None:
+        return []
+    found = []
+    after = errors["fitted"][judge]
+    rivals = {"nominal": "the nominal one", "command": "the command itself, taken as the motion"}
+    for run, rival in rivals.items():
+        before = errors.get(run, {}).get(judge)
         if before is not None and not after.value < before.value:
-            status = "no-better"
-            statements.insert(
-                0,
-                f"the fitted model is no better than the nominal one on {judge}: {after.value:.4g} against "
-                f"{before.value:.4g} {after.unit}; is this the log of another robot?",
+            text = (
+                f"the fitted model is no better than {rival} on {judge}: {after.value:.4g} against {before.value:.4g} "
+                f"{after.unit}; is this the log of another robot?"
             )
-        if judge == "train":
-            statements.append("there is no val split: the fit is judged on the motions that it was fitted to")
-    statements += _remarks(parameters, chosen_by_user=chosen_by_user, torque_seen=torque_seen)
-    return status, tuple(statements)
+            found.append(_Judged("no-better", text))
+    if judge == "train":
+        found.append(_Judged("ok", "there is no val split: the fit is judged on the motions that it was fitted to"))
+    return found
 
 
-def _remarks(parameters: Sequence[FittedParameter], *, chosen_by_user: bool, torque_seen: bool) -> list[str]:
+def _remarks(evidence: Evidence) -> list[str]:
     """What the status does not depend on."""
     remarks = []
+    if evidence.masses and not _or_else(evidence):
+        remarks.append(evidence.masses)
+    parameters = evidence.parameters
     fitted = {split_name(item.name)[0] for item in parameters if not item.frozen}
-    if "kp" in fitted and not torque_seen:
+    if "kp" in fitted and not evidence.torque_seen:
         rest = "the priors of the masses" if "mass" in fitted else "the model's masses"
         remarks.append(
             f"positions tell torques only relative to weights: the common scale of gains, friction and armature rests "
             f"on {rest}; weigh the torque signal to fix it, if the robot has one"
         )
-    if not chosen_by_user:
+    if not evidence.chosen_by_user:
         gone = [item.name for item in parameters if item.frozen and item.value == 0.0 and item.nominal]
         if gone:
             remarks.append(f"the robot has none of these, though the model does: {', '.join(gone)}")

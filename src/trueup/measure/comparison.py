@@ -63,8 +63,9 @@ class Comparison:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The runs of this episode, `command` last and only where the command says how to move."""
-        commanded = self.command is not None and any(name in self.command for name in _COMMANDED_MOTION)
+        """The runs of this episode, `command` last and only where it says a motion of a kind that was measured."""
+        motions = [name for name in _COMMANDED_MOTION if name in self.measured]
+        commanded = self.command is not None and any(name in self.command for name in motions)
         return (*self.simulated, COMMAND_RUN) if commanded else tuple(self.simulated)
 
     def run(self, label: str) -> TimeSeries:

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from trueup.core.fit_result import FitResult, FittedParameter
+from trueup.core.fit_result import IDENTIFIED, FitResult, FittedParameter
 from trueup.report.numbers import plain, plural, significant
 
 CAUSES = ("delay", "gains", "friction", "gravity", "inertia")
 # How sure a parameter is, from good to bad: sign and words, so that color is never the only cue.
 KINDS = {
     "yes": ("●", "determined"),
+    "effective": ("◐", "effective value"),
     "weakly": ("◆", "weakly determined"),
     "zero": ("○", "ended on zero"),
     "no": ("✕", "not determined"),
@@ -48,11 +49,23 @@ _ALERTS = {
         "Some of the fitted numbers are guesses: these motions do not determine them, however well the model moves.",
         "Record motions that show these parameters, or freeze them.",
     ),
+    "unexplained": (
+        "careful",
+        "▲ Not fully explained",
+        "The model lacks something: more is left than noise, and numbers may be off by more than their intervals say.",
+        "Look at what is left below, and let the fit have what is missing (friction laws, limits, a payload).",
+    ),
     "at-bound": (
         "careful",
         "▲ On a bound",
         "Some of the fitted numbers ended on a bound: they say where the search had to stop, not what the robot is.",
         "Widen the bound in the configuration, or doubt the structure of the model.",
+    ),
+    "signal-worse": (
+        "bad",
+        "✕ A signal got worse",
+        "Positions are simulated better than before, and another logged signal is simulated worse.",
+        "Check sign, scale and unit of that signal in the logs, or weigh it (signals: {torque: …}) and fit again.",
     ),
     "not-converged": (
         "bad",
@@ -91,10 +104,11 @@ def sure_sentence(fit: FitResult) -> str:
     free = fit.free
     if not free:
         return "No parameter was fitted."
-    counts = {kind: sum(item.identified == kind for item in free) for kind in ("yes", "weakly", "no")}
-    rest = [f"{counts['weakly']} weakly"] if counts["weakly"] else []
+    counts = {kind: sum(item.identified == kind for item in free) for kind in IDENTIFIED}
+    rest = [f"{counts['effective']} as effective values"] if counts["effective"] else []
+    rest += [f"{counts['weakly']} weakly"] if counts["weakly"] else []
     rest += [f"{counts['no']} not at all"] if counts["no"] else []
-    which = f"{counts['yes']} of {plural(len(free), 'parameter')}, {' and '.join(rest)}"
+    which = f"{counts['yes']} of {plural(len(free), 'parameter')}, {listed(rest)}"
     if not rest:
         which = "the parameter that was fitted" if len(free) == 1 else f"all {plural(len(free), 'parameter')}"
     kinds = [kind_of(item) for item in free]
@@ -107,7 +121,7 @@ def kind_of(item: FittedParameter) -> str:
     """One of `KINDS`; a law that ended on zero is one that the robot does not have, no cause for alarm."""
     if item.frozen:
         return "frozen"
-    if item.at_bound == "low" and item.low == 0.0:
+    if item.absent or (item.at_bound == "low" and item.low == 0.0):
         return "zero"
     return "bound" if item.at_bound else item.identified
 

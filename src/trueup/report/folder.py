@@ -12,6 +12,7 @@ from trueup.core.analysis import Analysis
 from trueup.core.atomic import is_inside
 from trueup.core.attribution import Attribution
 from trueup.core.augment_result import AUGMENT_NAME, AugmentResult
+from trueup.core.check_result import CHECK_NAME, CheckResult
 from trueup.core.close_result import CLOSE_NAME, CloseResult
 from trueup.core.design_result import DESIGN_NAME, DesignResult
 from trueup.core.engines import EngineComparison
@@ -63,6 +64,7 @@ class RunFolder:
         fit: fit.json.
         attribution: explain.json.
         graybox: graybox.json.
+        checked: check.json.
         close: close.json.
         networks: label of a corrected run -> the card of its network, as close.json says.
         fitted_files: those of `FITTED_FILES` that are there.
@@ -84,6 +86,7 @@ class RunFolder:
     fit: FitResult | None = None
     attribution: Attribution | None = None
     graybox: GrayboxResult | None = None
+    checked: CheckResult | None = None
     close: CloseResult | None = None
     networks: Mapping[str, ModelCard] = field(default_factory=dict)
     fitted_files: tuple[str, ...] = ()
@@ -150,6 +153,7 @@ class RunFolder:
             fit=fit,
             attribution=_optional(folder / "explain.json", Attribution.load),
             graybox=_optional(folder / "graybox.json", GrayboxResult.load),
+            checked=_optional(folder / CHECK_NAME, CheckResult.load),
             close=close,
             networks=_cards(folder, close),
             fitted_files=tuple(name for name in FITTED_FILES if (folder / name).is_file()),

@@ -52,6 +52,7 @@ _SPLIT_STYLES = {
 # How sure a fitted parameter is: dash and symbol tell it without color.
 KIND_STYLES = {
     "yes": Style("#0072b2", "solid", "circle", ""),
+    "effective": Style("#56b4e9", "solid", "circle-open", ""),
     "weakly": Style("#e69f00", "dash", "diamond", ""),
     "zero": Style("#808080", "dot", "circle-open", ""),
     "no": Style("#d55e00", "dot", "x", ""),

@@ -3,6 +3,9 @@
 from trueup.robots.friction import JointFriction
 from trueup.robots.spec import (
     BaseSpec,
+    ClockSpec,
+    CommandSpec,
+    CommandTiming,
     ControllerSpec,
     JointGains,
     JointSpec,
@@ -19,6 +22,9 @@ from trueup.robots.spec import (
 
 __all__ = [
     "BaseSpec",
+    "ClockSpec",
+    "CommandSpec",
+    "CommandTiming",
     "ControllerSpec",
     "JointFriction",
     "JointGains",

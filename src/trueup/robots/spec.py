@@ -18,6 +18,7 @@ from trueup.robots.friction import JointFriction
 
 ControllerKind = Literal["model", "position", "pd", "pid", "servo", "torque", "velocity", "velocity-integrator"]
 CommandSignal = Literal["position", "velocity", "torque"]
+CommandTiming = Literal["held", "linear", "smooth"]
 
 # The signal of the command series that each controller follows.
 COMMAND_SIGNAL: Mapping[str, CommandSignal] = {
@@ -29,6 +30,53 @@ COMMAND_SIGNAL: Mapping[str, CommandSignal] = {
     "velocity": "velocity",
     "velocity-integrator": "velocity",
 }
+
+
+@dataclass(frozen=True)
+class CommandSpec:
+    """How logs speak of the commands of a joint, where they speak of its measurement otherwise.
+
+    What is not given is as it is for the measurement.
+
+    Attributes:
+        log: name of the joint in the commands.
+        sign: as in `JointSpec`, of the commands alone; likewise the others.
+        scale: see `sign`.
+        offset: see `sign`.
+        log_unit: see `sign`.
+    """
+
+    log: str | None = None
+    sign: Literal[1, -1] | None = None
+    scale: float | None = None
+    offset: float | None = None
+    log_unit: str | None = None
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """What differs from the measurement."""
+        return {key: value for key, value in asdict(self).items() if value is not None}
+
+
+@dataclass(frozen=True)
+class ClockSpec:
+    """What is wrong with the stamps of logs.
+
+    Attributes:
+        scale: seconds per second of the stamps, e.g. 0.001 where milliseconds were taken for seconds.
+        command_shift_s: added to the stamps of the commands [s]; for two computers whose clocks differ by a constant.
+
+    Raises:
+        ConfigError: a clock that does not run forwards.
+    """
+
+    scale: float = 1.0
+    command_shift_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a clock that stands or runs backwards."""
+        if not (0 < self.scale < float("inf") and abs(self.command_shift_s) < float("inf")):
+            raise ConfigError("clock", got=asdict(self), expected="scale > 0, and a finite shift")
 
 
 @dataclass(frozen=True)
@@ -45,6 +93,7 @@ class JointSpec:
             gripper in 0..1 of its range.
         position_limits: range [rad or m] that the quality checks hold the log against; not checked if absent.
         torque_limit: largest torque [Nm or N]; limits the controller and the quality checks.
+        command: what differs in the logs' commands of this joint.
     """
 
     name: str
@@ -55,6 +104,7 @@ class JointSpec:
     log_unit: str | None = None
     position_limits: tuple[float, float] | None = None
     torque_limit: float | None = None
+    command: CommandSpec | None = None
 
 
 @dataclass(frozen=True)
@@ -334,11 +384,18 @@ class ReplaySpec:
         settle_s: hold the first command for this long before a whole motion begins [s]. A robot that waited for its
             motion hangs in its controller; a simulation that is put into its pose first sags. Windows begin in the
             middle and need none.
+        command: what acts between two stamps of the command: the last one is `held`, or it moves on to the next,
+            `linear`ly or as a `smooth` (cubic) curve. The latter are for logs that hold fewer commands than the robot
+            was sent.
+        command_shift_s: commands act this much earlier than their stamps say [s], >= 0: the stamps are late. It is a
+            property of the log; `delay_s` is one of the robot.
     """
 
     window_s: float | None = None
     initial_velocity: Literal["zero", "measured"] | None = None
     settle_s: float = 0.0
+    command: CommandTiming = "held"
+    command_shift_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -360,6 +417,7 @@ class RobotSpec:
         payload: where the payload of a log hangs; if not given, simulations leave it out.
         base: where a base is held that floats in the model; such a model is refused if not given.
         unlisted: what becomes of the model's joints that are not among `joints`.
+        clock: what is wrong with the stamps of the logs.
         description: for people.
         folder: where the YAML was read from.
     """
@@ -378,6 +436,7 @@ class RobotSpec:
     payload: PayloadSpec | None = None
     base: BaseSpec | None = None
     unlisted: UnlistedSpec = field(default_factory=UnlistedSpec)
+    clock: ClockSpec = field(default_factory=ClockSpec)
     description: str = ""
     folder: Path | None = None
 
@@ -414,8 +473,9 @@ class RobotSpec:
         for label, value in (("timestep_s", self.simulation.timestep_s), ("window_s", self.replay.window_s)):
             if value is not None and value <= 0:
                 raise ConfigError(f"robot {self.name!r}: {label} must be positive", got=value)
-        if not 0 <= self.replay.settle_s < np.inf:
-            raise ConfigError(f"robot {self.name!r}: settle_s must be >= 0", got=self.replay.settle_s)
+        for label, value in (("settle_s", self.replay.settle_s), ("command_shift_s", self.replay.command_shift_s)):
+            if not 0 <= value < np.inf:
+                raise ConfigError(f"robot {self.name!r}: {label} must be >= 0", got=value)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -426,6 +486,11 @@ class RobotSpec:
     def delay_s(self) -> tuple[float, ...]:
         """How much later commands act, one per joint [s]."""
         return tuple(self.controller.gain("delay_s", name) for name in self.joint_names)
+
+    @property
+    def replay_delay_s(self) -> tuple[float, ...]:
+        """How much later than their stamps commands of a log act, one per joint [s]; negative where stamps are late."""
+        return tuple(delay - self.replay.command_shift_s for delay in self.delay_s)
 
     @property
     def scored_joints(self) -> tuple[str, ...]:
@@ -448,8 +513,11 @@ class RobotSpec:
             }
             if joint.log_unit is not None:
                 rules[joint.name]["log_unit"] = joint.log_unit
+            if joint.command is not None and joint.command.given:
+                rules[joint.name]["command"] = joint.command.given
+        clock = {} if self.clock == ClockSpec() else {"clock": asdict(self.clock)}
         measured = {"measured_command": self.controller.signal} if self.controller.source == "measured" else {}
-        return {"joints": rules, "ignore": list(self.ignore), **measured}
+        return {"joints": rules, "ignore": list(self.ignore), **measured, **clock}
 
     def to_dict(self) -> dict[str, Any]:
         """The resolved configuration, JSON types only."""
@@ -459,12 +527,23 @@ class RobotSpec:
             del tree["payload"]  # runs of robots that carry nothing were made before there was one
         if not self.simulation.base_sensor:
             del tree["simulation"]["base_sensor"]  # and those on a base at rest likewise
+        if self.replay.command == "held":
+            del tree["replay"]["command"]
+        if not self.replay.command_shift_s:
+            del tree["replay"]["command_shift_s"]
         if self.controller.source == "commanded":
             del tree["controller"]["source"]
         for name, own in (("base", self.base), ("unlisted", self.unlisted)):
             tree[name] = None if own is None else own.to_plain()
             if own in (None, UnlistedSpec()):
                 del tree[name]
+        if self.clock == ClockSpec():
+            del tree["clock"]
+        for joint in tree["joints"]:
+            if joint["command"] is None:
+                del joint["command"]
+            else:
+                joint["command"] = {key: value for key, value in joint["command"].items() if value is not None}
         return tree
 
 

@@ -28,7 +28,9 @@ from trueup.sim.payload import attach_payload
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
-_WITH_FORCES = _CONTROL | int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
+# What follows in a row of inputs, in this order.
+_JOINT_FORCES = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED)
+_BODY_FORCES = int(mujoco.mjtState.mjSTATE_XFRC_APPLIED)
 # Forces on all bodies in every step of motions that are simulated at once [bytes].
 _FORCES_AT_ONCE = 2**27
 _INTEGRATOR = int(mujoco.mjtDyn.mjDYN_INTEGRATOR)
@@ -138,33 +140,48 @@ class MujocoSimulator(CompiledRobot):
         self._refuse_divergence(np.maximum(np.abs(result.position), np.abs(result.velocity)))
         return result
 
-    def rollout_candidates(self, request: RolloutRequest, models: Sequence[mujoco.MjModel]) -> RolloutResult:
+    def rollout_candidates(
+        self,
+        request: RolloutRequest,
+        models: Sequence[mujoco.MjModel],
+        force: Float64[np.ndarray, "B N J"] | None = None,
+    ) -> RolloutResult:
         """Simulate B motions, each on a model of its own: candidates of a fit.
 
         Args:
             request: as for `rollout`.
             models: B models of the same structure as this simulator's; may repeat.
+            force: what acts on the joints in each step besides their drives [Nm or N]; nothing if None.
 
         Returns:
             As `rollout`; a motion that diverged is NaN from its first row on, and the others stand.
         """
-        result = self._run(request, list(models))
+        result = self._run(request, list(models), force)
         size = np.maximum(np.abs(result.position), np.abs(result.velocity)).max(axis=(1, 2))
         lost = ~(size <= ABSURD)
         for values in (result.position, result.velocity, result.torque):
             values[lost] = np.nan
         return result
 
-    def _run(self, request: RolloutRequest, model: mujoco.MjModel | list[mujoco.MjModel]) -> RolloutResult:
+    def _run(
+        self,
+        request: RolloutRequest,
+        model: mujoco.MjModel | list[mujoco.MjModel],
+        force: Float64[np.ndarray, "B N J"] | None = None,
+    ) -> RolloutResult:
         layout = self._layout
         count = request.position.shape[0]
-        control = self.control_of(request.command)
+        control, what = self.control_of(request.command), _CONTROL
         steps = control.shape[1]
         states = self._states(request)
+        if force is not None:
+            applied = np.zeros((count, steps, self.model.nv))
+            applied[..., layout.qvel] = force
+            control, what = np.concatenate([control, applied], axis=2), what | _JOINT_FORCES
         if request.gravity is None:
-            state, sensors = self._rollout(model, states, control, _CONTROL)
+            state, sensors = self._rollout(model, states, control, what)
         else:
-            state, sensors = self._rollout_on_base(model, states, control, self._base.change(request.gravity))
+            state, sensors = self._rollout_on_base(model, states, control, what, self._base.change(request.gravity))
         position = np.empty((count, steps + 1, len(self.joints)))
         velocity, torque = np.empty_like(position), np.empty_like(position)
         position[:, 0], velocity[:, 0] = request.position, request.velocity
@@ -206,6 +223,7 @@ class MujocoSimulator(CompiledRobot):
         model: mujoco.MjModel | list[mujoco.MjModel],
         states: Float64[np.ndarray, "B S"],
         control: Float64[np.ndarray, "B N U"],
+        what: int,
         change: Float64[np.ndarray, "B N 3"],
     ) -> tuple[Float64[np.ndarray, "B N S"], Float64[np.ndarray, "B N D"]]:
         """The same with a force on the center of mass of every body; some motions at once, for memory."""
@@ -219,7 +237,7 @@ class MujocoSimulator(CompiledRobot):
             wrench = np.zeros((*change[own].shape[:2], self.model.nbody, 6))
             wrench[..., :3] = mass[:, None, :, None] * change[own][:, :, None]
             given = np.concatenate([control[own], wrench.reshape(*wrench.shape[:2], -1)], axis=2)
-            parts.append(self._rollout(models, states[own], given, _WITH_FORCES))
+            parts.append(self._rollout(models, states[own], given, what | _BODY_FORCES))
         return np.concatenate([state for state, _ in parts]), np.concatenate([sensors for _, sensors in parts])
 
     def reset(self, position: Float[np.ndarray, "B J"], velocity: Float[np.ndarray, "B J"]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float, Float64, Int
+from scipy.interpolate import make_interp_spline
 
 from trueup.core.episode import Episode
 from trueup.core.hold import SAME_INSTANT_S, held_rows
@@ -57,6 +58,7 @@ class ReplayPlan:
         settle_s = 0.0 if settings.window_s else settings.settle_s
         self._settling = int(np.ceil(settle_s / self._step_s - 1e-6))
         self._steps = self._settling + self._count_steps(settings.window_s)
+        self._timing = settings.command
         self._signals = [name for name in simulator.command_signals if name in self._command]
         self._position = self.measured["position"][self.starts].astype(np.float64)
         self._velocity = np.zeros_like(self._position)
@@ -84,8 +86,13 @@ class ReplayPlan:
         """Simulation steps of the longest window."""
         return self._steps
 
+    @property
+    def grid_s(self) -> Float64[np.ndarray, "W N"]:
+        """When each simulation step of each window begins, on the measured clock [s]."""
+        return np.asarray(self.measured.time_s[self.starts][:, None] + self._ticks() * self._step_s)
+
     def request(self, delay_s: float | tuple[float, ...] | Float64[np.ndarray, "J"] = 0.0) -> RolloutRequest:
-        """One row per window; commands act `delay_s` [s] later, one number or one per joint."""
+        """One row per window; commands act `delay_s` [s] later than their stamps, one number or one per joint."""
         delays = np.broadcast_to(np.asarray(delay_s, dtype=np.float64), (len(self.measured.joints),))
         command = {
             name: np.stack([self._column(name, joint, float(delay)) for joint, delay in enumerate(delays)], axis=-1)
@@ -98,6 +105,20 @@ class ReplayPlan:
         share = self._share[:, None]
         before, after = grid[..., self._window, self._row, :], grid[..., self._window, self._row + 1, :]
         return np.asarray((1.0 - share) * before + share * after)
+
+    def told(self, signal: str, delay_s: Float64[np.ndarray, "J"] | None = None) -> Float64[np.ndarray, "T J"]:
+        """The command in force at the measured stamps; with delays, so much later, moving on between its stamps."""
+        if delay_s is not None:
+            stamps, values = self._command.time_s, self._command[signal].astype(np.float64)
+            return np.stack(
+                [
+                    np.interp(self.measured.time_s - late, stamps, values[:, joint])
+                    for joint, late in enumerate(delay_s)
+                ],
+                axis=1,
+            )
+        rows = np.maximum(held_rows(self._command.time_s, self.measured.time_s), 0)
+        return np.asarray(self._command[signal][rows], np.float64)
 
     def series(self, result: RolloutResult) -> TimeSeries:
         """The simulated `position`, `velocity`, `torque` and further signals at the measured stamps.
@@ -144,9 +165,14 @@ class ReplayPlan:
         """One joint's command per step; the last delay's is kept, since most candidates of a fit share it."""
         known = self._held.get((signal, joint))
         if known is None or known[0] != delay_s:
-            grid = self.measured.time_s[self.starts][:, None] + self._ticks() * self._step_s
+            grid = self.grid_s
             column = self._command[signal][:, joint].astype(np.float64)
-            values = held_commands(self._command.time_s, column, grid, step_s=self._step_s, delay_s=delay_s)
+            if self._timing == "linear":
+                values = np.interp(grid - delay_s, self._command.time_s, column)
+            elif self._timing == "smooth":
+                values = smooth_commands(self._command.time_s, column, grid - delay_s)
+            else:
+                values = held_commands(self._command.time_s, column, grid, step_s=self._step_s, delay_s=delay_s)
             known = self._held[signal, joint] = (delay_s, values)
         return known[1]
 
@@ -175,22 +201,36 @@ def held_commands(
     """The command that acts in each simulation step: the latest with a stamp at or before the step, `delay_s` earlier.
 
     What is left of the delay after whole steps is interpolated between the two steps, so that what is simulated
-    changes smoothly with the delay. Before the first stamp the first command acts.
+    changes smoothly with the delay. Before the first stamp the first command acts, after the last one the last.
 
     Args:
         stamps_s: of the command, increasing, (N,) [s].
         values: of one joint, (N,).
         grid_s: where steps begin, (W, K) [s].
         step_s: length of a step [s].
-        delay_s: >= 0 [s].
+        delay_s: how much later than their stamps commands act [s]; negative where the stamps are late.
     """
     whole = np.floor(delay_s / step_s + 1e-9)
-    rest = max(0.0, delay_s / step_s - whole)
+    rest = max(0.0, delay_s / step_s - whole)  # of a step, for a negative delay, too
     sooner: Float64[np.ndarray, "W K"] = values[np.maximum(held_rows(stamps_s, grid_s - whole * step_s), 0)]
     if rest < 1e-9:
         return sooner
     later = values[np.maximum(held_rows(stamps_s, grid_s - (whole + 1) * step_s), 0)]
     return np.asarray((1.0 - rest) * sooner + rest * later)
+
+
+def smooth_commands(
+    stamps_s: Float64[np.ndarray, "N"], values: Float64[np.ndarray, "N"], times_s: Float64[np.ndarray, "W K"]
+) -> Float64[np.ndarray, "W K"]:
+    """A command that moves smoothly from stamp to stamp: the natural cubic spline through it, held before and after.
+
+    Args:
+        stamps_s: of the command, increasing, (N,) [s].
+        values: of one joint, (N,).
+        times_s: when it is asked for, (W, K) [s].
+    """
+    inside = np.clip(times_s, stamps_s[0], stamps_s[-1])
+    return np.asarray(make_interp_spline(stamps_s, values, k=3, bc_type="natural")(inside))
 
 
 def _velocity(measured: TimeSeries) -> Float[np.ndarray, "T J"]:

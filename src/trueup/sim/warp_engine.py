@@ -111,7 +111,12 @@ class WarpSimulator(MujocoSimulator):
         """SHA-256 of the compiled model and of the versions of MuJoCo and Warp."""
         return self.digest(f"{mujoco.__version__} warp {version('mujoco-warp')} {version('warp-lang')}")
 
-    def rollout_candidates(self, request: RolloutRequest, models: Sequence[mujoco.MjModel]) -> RolloutResult:  # noqa: ARG002
+    def rollout_candidates(
+        self,
+        request: RolloutRequest,  # noqa: ARG002
+        models: Sequence[mujoco.MjModel],  # noqa: ARG002
+        force: Float64[np.ndarray, "B N J"] | None = None,  # noqa: ARG002
+    ) -> RolloutResult:
         """Not here: every candidate would be a model to be put on the device.
 
         Raises:

@@ -1,6 +1,7 @@
 """One module per command: dataset in, results out. The Python API is these functions."""
 
 from trueup.stages.augmenting import Augmented, augment
+from trueup.stages.checking import check_setup, refuse_wrong
 from trueup.stages.close_steps import Closed, Watch
 from trueup.stages.closing import close
 from trueup.stages.compensated_replaying import compensated_replay
@@ -17,6 +18,7 @@ from trueup.stages.perturbing import robustness
 from trueup.stages.recording import RecordSummary, plans_named, record
 from trueup.stages.replaying import STOCK, ReplaySummary, replay
 from trueup.stages.rigs import CompensatedRig, EngineRig, LabRig, make_rig
+from trueup.stages.selftesting import selftest
 from trueup.stages.sweeping import sweep
 from trueup.stages.timing import time_steps
 
@@ -40,6 +42,7 @@ __all__ = [
     "ReplaySummary",
     "Watch",
     "augment",
+    "check_setup",
     "close",
     "compensate",
     "compensated_replay",
@@ -58,8 +61,10 @@ __all__ = [
     "plans_named",
     "prepare",
     "record",
+    "refuse_wrong",
     "replay",
     "robustness",
+    "selftest",
     "sweep",
     "time_steps",
 ]

@@ -14,6 +14,7 @@ import yaml
 
 from trueup.core.atomic import as_read_back, remove, write_text
 from trueup.core.augment_result import AUGMENT_NAME
+from trueup.core.check_result import CHECK_NAME
 from trueup.core.close_result import CLOSE_NAME, STEPS, CloseResult, Step, StepName, StepStatus
 from trueup.core.results import Ladder
 from trueup.errors import ConfigError, MissingDependency, OutputExists, TrueupError
@@ -134,7 +135,7 @@ class CloseFolder:
     def begin_anew(self) -> None:
         """Remove what other data, or another configuration, have left: the new close takes its place."""
         forget_fit(self.path)
-        for name in (EXPLAIN_NAME, EXPLAIN_CONFIG, IDENTIFY_CONFIG, AUGMENT_NAME, LADDER_NAME, "gap.json"):
+        for name in (CHECK_NAME, EXPLAIN_NAME, EXPLAIN_CONFIG, IDENTIFY_CONFIG, AUGMENT_NAME, LADDER_NAME, "gap.json"):
             remove(self.path / name)
         shutil.rmtree(self.networks, ignore_errors=True)
         self._replacing = False

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trueup.core.attribution import Attribution
 from trueup.core.augment_result import AUGMENT_NAME
-from trueup.core.close_result import NO_TIME, CloseResult, StepName
+from trueup.core.check_result import CHECK_NAME, CheckResult
+from trueup.core.close_result import NO_TIME, STEPS, CloseResult, StepName
 from trueup.core.fit_result import FitResult
 from trueup.core.results import Ladder
 from trueup.core.time_limit import TimeLimit
@@ -18,6 +19,7 @@ from trueup.dataset import Dataset
 from trueup.errors import TrueupError
 from trueup.robots import RobotSpec
 from trueup.stages import close_words as words
+from trueup.stages.checking import check_inputs, check_setup
 from trueup.stages.close_asked import asked_of_data
 from trueup.stages.close_budget import Budget, fitted_motion
 from trueup.stages.close_folder import EXPLAIN_CONFIG, EXPLAIN_NAME, LADDER_NAME, CloseFolder
@@ -68,6 +70,8 @@ class Closed:
         replayed: the replay of the stock model; None if that was not asked for.
         measurement: gap, analysis, traces, quality, of all runs; likewise.
         imported: the import, None if the dataset was there.
+        checked: what was found wrong with the set-up; None if that was not asked for or failed.
+        stopped: whether the call ended there, for something is certainly wrong.
         attribution: where the gap comes from; None if that was not asked for or failed.
         identified: the fit; likewise.
         networks: those that were trained.
@@ -80,6 +84,8 @@ class Closed:
     replayed: ReplaySummary | None = None
     measurement: Measurement | None = None
     imported: ImportSummary | None = None
+    checked: CheckResult | None = None
+    stopped: bool = False
     attribution: Attribution | None = None
     identified: Identified | None = None
     networks: tuple[Trained, ...] = ()
@@ -101,6 +107,7 @@ class CloseSteps:
     jobs: int | None
     folder: CloseFolder
     budget: Budget
+    force: bool = False
     track: Track = silent
     watch: Watch = field(default_factory=Watch)
 
@@ -122,6 +129,10 @@ class CloseSteps:
             measurement, ladder = self._measure(rungs)
             self.budget.took(measure_s=time.perf_counter() - began)
             step.what = words.main_number(measurement, STOCK)
+        checked = self._check() if asked("check") else None
+        if checked is not None and checked.certain and not self.force:
+            closed = Closed(self.dataset, self.folder.result, ladder, replayed, measurement, checked=checked)
+            return self._stopped(closed, checked)
         identified = self._identify(replayed) if asked("identify") else None
         trained = self._augment(identified) if asked("augment") else ()
         notes = list(replayed.command_notes)
@@ -147,6 +158,7 @@ class CloseSteps:
             ladder=ladder,
             replayed=replayed,
             measurement=measurement,
+            checked=checked,
             attribution=attribution,
             identified=identified,
             networks=trained,
@@ -209,6 +221,29 @@ class CloseSteps:
 
     def _holds_more(self, rungs: Collection[str]) -> bool:
         return self.folder.holds_more(rungs, self.dataset.hash)
+
+    def _check(self) -> CheckResult | None:
+        path = self.folder.path / CHECK_NAME
+        inputs, earlier = check_inputs(self.dataset, self.robot, model=self.model), self.folder.earlier("check")
+        kept = earlier is not None and earlier.inputs == inputs and path.is_file()
+        found: CheckResult | None = None
+        self.watch.on_step("check")
+        with self.folder.step("check", may_fail=True) as step:
+            step.inputs, step.kept = inputs, kept
+            found = CheckResult.load(path) if kept else check_setup(self.dataset, self.robot, model=self.model)
+            if not kept:
+                found.save(path)
+            step.what = words.of_findings(found)
+        return found
+
+    def _stopped(self, closed: Closed, checked: CheckResult) -> Closed:
+        """What there is where a fit would only hide what is wrong."""
+        why = f"the set-up is wrong ({words.of_certain(checked)}); --force goes on as it is"
+        for name in STEPS[STEPS.index("check") + 1 :]:
+            done = self.folder.result.step(name)
+            if self.folder.result.is_asked(name) and (done is None or not done.finished):
+                self.folder.leave_out(name, why)
+        return replace(closed, result=self.folder.result, stopped=True)
 
     def _explain(self, replayed: ReplaySummary) -> Attribution | None:
         path, limit = self.folder.path / EXPLAIN_NAME, self.budget.of("explain")

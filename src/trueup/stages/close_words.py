@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from trueup.core.attribution import UNEXPLAINED, Attribution
+from trueup.core.check_result import SEVERITIES, CheckResult
 from trueup.core.fit_result import FitResult
 from trueup.errors import TrueupError
 from trueup.stages.close_networks import Trained
@@ -21,6 +22,24 @@ def main_number(measurement: Measurement, run: str) -> str:
             total = splits[split][signal][metric].total
             return f"{signal} {metric} {total.value:.4g} {total.unit} on {split}"
     return "no positions to compare"
+
+
+def of_findings(checked: CheckResult) -> str:
+    """How many findings there are of which kind, the certain ones by name."""
+    if not checked.findings:
+        return f"nothing wrong seen in {checked.motions} motions"
+    certain = of_certain(checked)
+    counts = [
+        f"{sum(finding.severity == severity for finding in checked.findings)} {severity}"
+        for severity in SEVERITIES
+        if any(finding.severity == severity for finding in checked.findings)
+    ]
+    return ", ".join(counts) + (f": {certain}" if certain else "")
+
+
+def of_certain(checked: CheckResult) -> str:
+    """What is certainly wrong, in a few words; empty if nothing is."""
+    return "; ".join(f"{finding.kind} {', '.join(finding.joints)}".strip() for finding in checked.certain)
 
 
 def shares(attribution: Attribution) -> str:

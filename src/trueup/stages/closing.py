@@ -46,10 +46,11 @@ def close(
     jobs: int | None = None,
     overwrite: bool = False,
     resume: bool = False,
+    force: bool = False,
     track: Track = silent,
     watch: Watch | None = None,
 ) -> Closed:
-    """From logs to a corrected simulator: import, replay, gap, explain, identify, augment.
+    """From logs to a corrected simulator: import, replay, gap, check, explain, identify, augment.
 
     Every step is the command of its name, with the same results, and its files lie in `out`: those of `gap`, `explain`
     and `fit`, `networks/`, ladder.json with all rungs, close.json with the steps. Logs are imported into `out/dataset`.
@@ -77,6 +78,7 @@ def close(
         overwrite: replace the results that are in `out`. They stay until there is a replay for new ones.
         resume: go on where an earlier call was interrupted, or ended, that asked for the same robot, model,
             configuration, seed and motions. Other methods add networks. One that was to replace results does so.
+        force: go on where the check is certain that the set-up is wrong; without it the call ends there.
         track: shows progress.
         watch: who is told more.
 
@@ -174,5 +176,6 @@ def close(
                 watch=watch,
                 folder=folder,
                 budget=budget,
+                force=force,
             )
             return replace(steps.climb(), imported=imported)

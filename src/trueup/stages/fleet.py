@@ -152,7 +152,7 @@ def summarized(fits: dict[str, FitResult]) -> tuple[FleetParameter, ...]:
             unit: parameter
             for unit, fit in fits.items()
             for parameter in fit.parameters
-            if parameter.name == name and parameter.identified == "yes" and not parameter.at_bound
+            if parameter.name == name and parameter.identified in ("yes", "effective") and not parameter.at_bound
         }
         relative = first.transform == "log"
         scaled = {unit: scale for unit, parameter in known.items() if (scale := _scaled(parameter, relative))}

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from trueup.core.parameters import Parameter, SearchRange
 from trueup.core.units import joint_unit
-from trueup.identify.candidate import Candidate, Nominal
+from trueup.identify.candidate import Candidate, JointSize, Nominal
 
 # Where a part of the gap comes from; the order in which attribution takes them away.
 Cause = Literal["delay", "gains", "friction", "gravity", "inertia"]
+
+# Bounds of what is sized: a share of the start, and a multiple of what is large.
+_LEAST, _MOST = 1e-3, 30.0
 
 
 def motion_target(motion: str, joint: str) -> str:
@@ -44,6 +47,9 @@ class Quantity:
         addable: whether a start from the user puts it into a model that has none.
         brakes: whether more of it makes a joint slower, whatever else is the case.
         relative: whether it is a change of what the model says, so that a fitted model says it no longer.
+        sized: what is large for a joint of this size [its unit]; start, bounds and scale follow it. None where the
+            catalogue's own hold for robots of any size.
+        optional: whether a robot may have none of it, as of friction: the search may go down to next to nothing.
     """
 
     name: str
@@ -59,6 +65,8 @@ class Quantity:
     addable: bool = False
     brakes: bool = False
     relative: bool = False
+    sized: Callable[[JointSize], float] | None = None
+    optional: bool = False
 
     def targets(self, nominal: Nominal, motions: Sequence[str] = ()) -> tuple[str, ...]:
         """Names of all joints, bodies or joints in motions, whether the model has the number there or not."""
@@ -96,12 +104,14 @@ class Quantity:
         places = self.places(nominal, target)
         said = self.read(nominal, places[0])
         alike = all(self.read(nominal, place) == said for place in places)
-        search = self.search
+        search = self._search(nominal, places[0])
         value = said if said is not None else start or 0.0
         low, high = search.low, search.high
         if search.transform == "log":
             value = max(value, search.start, low)
-            low, high = max(low, value / search.span), min(high, value * search.span)
+            # A model may say much more than a joint of this size can have.
+            least = min(value, search.start) if self.sized is not None and search.start > 0 else value
+            low, high = max(low, least / search.span), min(high, value * search.span)
         if said is not None and (said > 0.0 or search.transform == "linear"):
             low, high = min(low, said), max(high, said)
         return Parameter(
@@ -115,6 +125,17 @@ class Quantity:
             prior_std=search.prior_std,
             nominal=said if alike else None,
         )
+
+    def _search(self, nominal: Nominal, place: str) -> SearchRange:
+        """The range for a joint of its size: a start of a few percent of what is large, and room beyond it."""
+        search = self.search
+        if self.sized is None or not place:
+            return search
+        large = self.sized(nominal.size(split_motion_target(place)[1] if self.of == "motion" else place))
+        if search.transform == "log":
+            start = search.start * large
+            return replace(search, start=start, low=_LEAST * start, high=_MOST * large, span=1.0 / _LEAST)
+        return replace(search, low=-_MOST * large, high=_MOST * large, scale=search.scale * large)
 
     def _unit(self, nominal: Nominal, places: Sequence[str]) -> str:
         if self.of not in ("joint", "motion"):

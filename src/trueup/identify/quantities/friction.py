@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from trueup.core.parameters import SearchRange
-from trueup.identify.candidate import Candidate, Nominal
+from trueup.identify.candidate import Candidate, JointSize, Nominal
 from trueup.identify.drive import Drive
 from trueup.identify.quantities.base import Cause, Quantity
 from trueup.robots.friction import LAWS, Law, Number
@@ -20,6 +20,7 @@ def _own(
     unit: str,
     excite: str,
     search: SearchRange,
+    sized: Callable[[JointSize], float],
     *,
     cause: Cause = "friction",
     brakes: bool = False,
@@ -36,7 +37,12 @@ def _own(
         else:
             setattr(candidate.spec.joint(joint), name, value)
 
-    return Quantity(name, label, unit, "joint", cause, read, write, excite, search, brakes=brakes)
+    return Quantity(
+        *(name, label, unit, "joint", cause, read, write, excite, search),
+        brakes=brakes,
+        sized=sized,
+        optional=True,
+    )
 
 
 def _quantity(number: Number, law: Law) -> Quantity:
@@ -66,14 +72,22 @@ _DRIVES: Mapping[str, tuple[Callable[[Drive], bool], str]] = {
 }
 
 FRICTION: tuple[Quantity, ...] = (
-    _own("damping", "viscous friction", "Nm s/rad", FAST, SearchRange("log", start=0.01, low=1e-6), brakes=True),
-    _own("frictionloss", "Coulomb friction", "Nm", SLOW, SearchRange("log", start=0.02, low=1e-6), brakes=True),
+    # Of the usual torque: at one rad/s (or m/s), and at rest.
+    _own(
+        *("damping", "viscous friction", "Nm s/rad", FAST, SearchRange("log", start=0.02), lambda size: size.torque),
+        brakes=True,
+    ),
+    _own(
+        *("frictionloss", "Coulomb friction", "Nm", SLOW, SearchRange("log", start=0.02), lambda size: size.torque),
+        brakes=True,
+    ),
     _own(
         "armature",
         "rotor inertia at the joint",
         "kg m2",
         _HARDER,
-        SearchRange("log", start=1e-3, low=1e-7),
+        SearchRange("log", start=0.1),
+        lambda size: size.inertia,
         cause="inertia",
     ),
     *(_quantity(number, law) for law in LAWS.values() for number in law.numbers if number.excite),

@@ -102,7 +102,7 @@ def _write_torque_limit(candidate: Candidate, joint: str, value: float) -> None:
 
 
 def _read_delay(nominal: Nominal, joint: str) -> float:
-    return nominal.given.controller.gain("delay_s", joint)
+    return nominal.given.controller.gain("delay_s", joint) - nominal.given.replay.command_shift_s
 
 
 def _write_delay(candidate: Candidate, joint: str, value: float) -> None:
@@ -138,7 +138,7 @@ SERVO: tuple[Quantity, ...] = (
         _read_delay,
         _write_delay,
         "let {target} start and reverse quickly",
-        SearchRange(low=0.0, high=0.2, scale=0.02),
+        SearchRange(low=-0.02, high=0.2, scale=0.02),
     ),
     Quantity(
         *("kp", "stiffness of the servo", "Nm/rad", "joint", "gains"),
@@ -169,8 +169,9 @@ SERVO: tuple[Quantity, ...] = (
         _term("torque_offset"),
         _write_torque_offset,
         "move {target} slowly in both directions through several poses",
-        SearchRange(low=-50.0, high=50.0, scale=0.5, prior_std=1.0),
+        SearchRange(scale=0.1, prior_std=1.0),
         needs="a drive other than a plugin",
+        sized=lambda size: size.torque,
     ),
     Quantity(
         *("torque_gain", "torque per commanded torque", "1", "joint", "gains"),

@@ -13,6 +13,7 @@ from trueup.identify.regression.inverse_dynamics_result import (
     InverseDynamicsFit,
     JointTerms,
 )
+from trueup.identify.regression.servo_start import ServoStart, servo_start
 from trueup.identify.regression.torque_start import TorqueStart, torque_start
 
 __all__ = [
@@ -27,9 +28,11 @@ __all__ = [
     "JointFit",
     "JointTerms",
     "Score",
+    "ServoStart",
     "TorqueStart",
     "fit_graybox",
     "fit_inverse_dynamics",
     "inverse_dynamics_from_episodes",
+    "servo_start",
     "torque_start",
 ]

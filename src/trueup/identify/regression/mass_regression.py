@@ -185,7 +185,7 @@ def _bounded(
         scale = 1.0 / np.sqrt(sizes**2 + precision)
         factor = np.linalg.cholesky((gram + np.diag(precision)) * scale[:, None] * scale)
         right = np.linalg.solve(factor, scale * (noise**-2.0 @ moments + precision * center))
-        values = scale * lsq_linear(factor.T, right, bounds=(low / scale, np.full(count, np.inf))).x
+        values = scale * lsq_linear(factor.T, right, bounds=(low / scale, np.full(count, np.inf)), method="bvls").x
         left = np.mean((load - table @ values) ** 2, axis=0)
         noise = np.maximum(np.sqrt(left), 1e-6 * np.abs(load).max() + 1e-12)
     return np.asarray(values)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,6 +28,9 @@ _REUSES = 2
 # A Jacobian from as near as this, in z, is that of the end.
 _NEARBY = 0.01
 _EARLY_PRIOR = 0.01
+# Dampings of the last steps, how many there are at most, and the gain that is too small to go on, in observations.
+_UNDAMPED = (1e-12, 1e-7, 1e-4, 1e-2)
+_POLISHED, _SETTLED = 6, 0.05
 
 
 @dataclass(frozen=True)
@@ -150,6 +153,8 @@ class GaussNewton:
         colors: parameters of one color change different residuals and share a candidate of the Jacobian, (P,); each
             has its own if not given.
         support: index of a parameter that shares its color -> which residuals it can change, (N,).
+        slopes: a cheaper approximation of `residuals`, of which derivatives are taken; `residuals` itself if None. The
+            search ends at a minimum of `residuals` all the same, since that is where no step goes down.
         settings: how to search.
 
     Attributes:
@@ -169,9 +174,10 @@ class GaussNewton:
         logarithmic: Bool[np.ndarray, "P"] | None = None,
         colors: Int[np.ndarray, "P"] | None = None,
         support: Support | None = None,
+        slopes: Residuals | None = None,
         settings: GaussNewtonSettings | None = None,
     ) -> None:
-        self._residuals = residuals
+        self._residuals, self._slopes = residuals, slopes or residuals
         self._colors = np.arange(low.size) if colors is None else colors
         self._support = support or (lambda _index: np.ones(0, dtype=bool))
         self.low, self.high = low, high
@@ -241,23 +247,77 @@ class GaussNewton:
         state.history.append(state.cost)
         self._advance(finished=finished)
 
+    def renew(self) -> None:
+        """Simulate the best parameters again, since the residuals of all have changed; a new Jacobian will be taken."""
+        self.residual, self._latest, self.state.jacobian_z = None, None, None
+        self._start()
+        self.state.square = self.square
+
+    def polish(self, jacobian: Float64[np.ndarray, "P N"], weight: float | None = None) -> Float64[np.ndarray, "P N"]:
+        """Go on with given derivatives to the minimum that they see, without holding back where they are small.
+
+        Along what the data leave open, a search ends anywhere, since its cost hardly changes; only the prior decides
+        there. Ends when a step lowers the cost by less than a twentieth of one observation.
+
+        Args:
+            jacobian: derivatives at the present z, (P, N).
+            weight: of the prior, where the present residual does not tell it; as usual if None.
+
+        Returns:
+            Derivatives at the new one, in agreement with the steps, (P, N).
+
+        Raises:
+            DataError: the model cannot be simulated here.
+        """
+        state = self.state
+        if self.residual is None:
+            self._start()
+        assert self.residual is not None
+        self._loss = self.loss_of(self.residual)
+        weight = self._prior_weight(self.residual) if weight is None else weight
+        state.cost = self._cost(self.residual, state.z, weight)
+        for _ in range(_POLISHED):
+            move = self._tried(*self._normal(jacobian, weight), _UNDAMPED, weight)
+            if move.cost >= state.cost:
+                break
+            gained = state.cost - move.cost
+            jacobian = self._corrected(jacobian, move)
+            state.z, state.cost, self.residual = move.z, move.cost, move.residual
+            if gained < _SETTLED * weight:
+                break
+        state.square = float(self.residual @ self.residual)
+        return jacobian
+
     def _best_move(self, jacobian: Float64[np.ndarray, "P N"], weight: float, *, fresh: bool) -> _Move | None:
         """The best of several steps, None if none goes down; with an old Jacobian, only if it promises enough."""
         state = self.state
         normal, gradient = self._normal(jacobian, weight)
         for factors in _DAMPINGS if fresh else _DAMPINGS[:1]:
             dampings = [min(max(state.damping * factor, _LEAST_DAMPING), _MOST_DAMPING) for factor in factors]
-            steps = [self._bounded_step(normal, gradient, damping) for damping in dampings]
-            expected = [_expected(normal, gradient, step) for step in steps]
-            if not fresh and max(expected) < self.settings.tolerance * state.cost:
-                return None
-            z = np.array([self._moved(step) for step in steps])
-            tried = self._residuals(z)
-            costs = [self._cost(own, row, weight) for own, row in zip(tried, z, strict=True)]
-            best = int(np.argmin(costs))
-            if costs[best] < state.cost:
-                return _Move(steps[best], z[best], tried[best], costs[best], dampings[best], expected[best])
+            if not fresh:
+                steps = [self._bounded_step(normal, gradient, damping) for damping in dampings]
+                if max(_expected(normal, gradient, step) for step in steps) < self.settings.tolerance * state.cost:
+                    return None
+            move = self._tried(normal, gradient, dampings, weight)
+            if move.cost < state.cost:
+                return move
         return None
+
+    def _tried(
+        self,
+        normal: Float64[np.ndarray, "P P"],
+        gradient: Float64[np.ndarray, "P"],
+        dampings: Sequence[float],
+        weight: float,
+    ) -> _Move:
+        """The best of the steps with these dampings."""
+        steps = [self._bounded_step(normal, gradient, damping) for damping in dampings]
+        z = np.array([self._moved(step) for step in steps])
+        tried = self._residuals(z)
+        costs = [self._cost(own, row, weight) for own, row in zip(tried, z, strict=True)]
+        best = int(np.argmin(costs))
+        expected = _expected(normal, gradient, steps[best])
+        return _Move(steps[best], z[best], tried[best], costs[best], dampings[best], expected)
 
     def _normal(
         self, jacobian: Float64[np.ndarray, "P N"], weight: float
@@ -293,27 +353,55 @@ class GaussNewton:
         A parameter at its upper bound is moved down; one whose candidate cannot be simulated is moved the other way,
         and has derivative zero if that fails too.
         """
-        assert self.residual is not None
-        return self._differences(self.state.z, self.residual, step)
+        return self._differences(self.state.z, step)
+
+    def central_jacobian(self, step: float) -> Float64[np.ndarray, "P N"]:
+        """The same by central differences, whose error is of order step^2; one-sided next to a bound.
+
+        Raises:
+            DataError: the model cannot be simulated here.
+        """
+        if self.residual is None:
+            self._start()
+        return self._differences(self.state.z, step, central=True)
 
     def _differences(
-        self, z: Float64[np.ndarray, "P"], r: Float64[np.ndarray, "N"], step: float
+        self, z: Float64[np.ndarray, "P"], step: float, *, central: bool = False
     ) -> Float64[np.ndarray, "P N"]:
         signs = np.where(z + step <= self.high, 1.0, -1.0)
         signs[(signs < 0) & (z - step < self.low)] = 1.0
         # One row per color: parameters of one color change different residuals.
         members = np.equal.outer(np.unique(self._colors), self._colors)
-        moved = self._residuals(z + members * signs * step)
+        first = members.argmax(axis=0)
+        moved, base = self._moved_and_base(z, members * signs * step)
         failed = ~np.isfinite(moved).all(axis=1)
         if failed.any():
             signs[members[failed].any(axis=0)] *= -1.0
-            moved[failed] = self._residuals((z + members * signs * step)[failed])
-        slopes = moved[members.argmax(axis=0)] - r
+            moved[failed] = self._slopes((z + members * signs * step)[failed])
+        slopes = moved[first] - base
         slopes /= (signs * step)[:, None]
-        for index in np.flatnonzero(members[members.argmax(axis=0)].sum(axis=1) > 1):
+        if central:
+            inside = (z - signs * step >= self.low) & (z - signs * step <= self.high)
+            rows = np.flatnonzero([bool(inside[own].all()) for own in members])
+            if rows.size:
+                back = np.full_like(moved, np.nan)
+                back[rows] = self._slopes((z - members * signs * step)[rows])
+                other = (base - back[first]) / (signs * step)[:, None]
+                both = np.isfinite(other).all(axis=1) & ~failed[first]
+                slopes[both] = 0.5 * (slopes[both] + other[both])
+        for index in np.flatnonzero(members[first].sum(axis=1) > 1):
             slopes[index, ~self._support(int(index))] = 0.0
         slopes[~np.isfinite(slopes).all(axis=1)] = 0.0
         return np.asarray(slopes)
+
+    def _moved_and_base(
+        self, z: Float64[np.ndarray, "P"], moves: Float64[np.ndarray, "C P"]
+    ) -> tuple[Float64[np.ndarray, "C N"], Float64[np.ndarray, "N"]]:
+        """What slopes are taken of, moved and not."""
+        if self._slopes is self._residuals and self.residual is not None and np.array_equal(z, self.state.z):
+            return self._slopes(z + moves), self.residual
+        found = self._slopes(np.concatenate([z[None], z + moves]))
+        return found[1:], found[0]
 
     def _start(self) -> Float64[np.ndarray, "N"]:
         r = self._residuals(self.state.z[None])[0]
@@ -373,7 +461,7 @@ class GaussNewton:
             return self.jacobian(step)
         if self._latest is None:
             # A resumed search has the same derivatives as one that was not interrupted.
-            self._latest = self._differences(place, self._residuals(place[None])[0], step)
+            self._latest = self._differences(place, step)
         return self._latest
 
     def promised(self, jacobian: Float64[np.ndarray, "P N"]) -> float:

@@ -19,6 +19,7 @@ from trueup.report.sections.open_questions import open_section
 from trueup.report.sections.parameters import parameters_section
 from trueup.report.sections.provenance import provenance_section
 from trueup.report.sections.robustness import robustness_section
+from trueup.report.sections.setup import setup_section
 from trueup.report.sections.steps import steps_section
 from trueup.report.sections.traces import traces_section
 from trueup.report.sections.usage import usage_section
@@ -27,6 +28,7 @@ from trueup.report.sections.verdict import verdict_section
 # Each takes the run and returns its section, or None when there is nothing to show.
 SECTIONS: tuple[Callable[[RunFolder], Section | None], ...] = (
     verdict_section,
+    setup_section,
     ladder_section,
     attribution_section,
     parameters_section,

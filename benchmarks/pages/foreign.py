@@ -1,0 +1,324 @@
+"""docs/verdict-worth.md, from what `python -m benchmarks foreign` has measured, complete or not."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from statistics import median
+from typing import Any
+
+from benchmarks import foreign_verdicts as verdicts
+from benchmarks.foreign import BY_NAME, ORACLE_SEED, SEEDS
+from benchmarks.foreign_plants import FINE_S
+from benchmarks.foreign_verdicts import Cell, Number
+from benchmarks.pages import foreign_figure
+from benchmarks.pages.markdown import table
+from benchmarks.table import bound
+
+NAME = "verdict-worth.svg"
+ABOUT = "How far the truth is from each number called determined, in units of its interval"
+TEXT = """# What the verdict is worth
+
+`trueup identify` says of each number whether the data determine it, and of itself whether it is `ok`
+([how sure](identification.md#how-sure)). Here this is held against the truth, on robots of other people. Their logs are
+simulated at {step_ms:g} ms by code that shares nothing with trueup, in MuJoCo or DART, with noise on every measurement:
+
+- **Group A**, {a} robots with a drive each: the nominal model is wrong in numbers that a fit can find, such as gains,
+  friction, armatures, delays and masses.
+- **Group B**, {b} robots: the same, and one thing that no number expresses: feedback that is late, an integral part,
+  play or springs in the gears, a payload that nobody mentions, a sign that is wrong in the log.
+
+Each is drawn with {seeds} seeds and given to the command as its user would, without any configuration:
+`trueup close logs --robot robot.yaml --out out --until identify --splits 70/15/15`.
+
+{missing}## The bars
+
+{bars}
+
+A number *called determined* was fitted and has `identified: yes`. It *holds the truth* if the truth lies in its
+interval; numbers without a truth are not counted. *Error* is that of numbers that are positive by nature (gains,
+friction, armatures, masses, delays), relative to the truth. What a fit leaves is held against the noise that was added
+to the positions, not against what the fit takes for noise. A fit that did not come about keeps no bar.
+
+## Robots whose model can be right
+
+{robots}
+
+*Status* is said by seed. *Determined* is of the numbers that were fitted, over all seeds; *error* is a median, *left /
+noise* that of the worst seed, *s* the time of the whole command, a median. *Widths* are those of intervals over those
+of another fit of seed {oracle_seed}, as a median over the numbers that both call determined. That fit is told the time
+step and the timing of commands in `robot.yaml` (`simulation: {{timestep_s: …}}`, `replay: {{command: …}}`), and no
+budget ends it.
+
+{remarks}
+
+![{about}]({name})
+
+By kind of number:
+
+{kinds}
+
+## Robots with something that no number expresses
+
+{causes}
+
+A cause is *named* if a finding of the [check](check.md) that is certain or likely, or a sentence of the fit, says one
+of the words for it; if that names joints, one of them must be the cause's. The words:
+
+{words}
+
+*Wrong* counts numbers called determined whose interval does not hold the truth; where the status is `ok`, they break
+the bar. `stopped` means that the check was certain, so that nothing was fitted. A payload belongs to the mass of the
+body that it hangs at.
+
+## Make this page again
+
+```sh
+python -m benchmarks foreign --oracle
+```
+
+measures what `benchmarks/results/foreign.json` does not have yet, and `make pages` writes the page. A call that is
+interrupted loses the cell that it was at. `--cases demo_arm,ur5e`, `--seeds 0` and `--jobs 2` choose what is measured,
+and how many at a time; `--again` measures what is there, too; without `--oracle`, the fits that are told step and
+timing are left out. The file has every number of every fit, so that it can be asked something else.
+"""
+
+
+def page(result: Mapping[str, Any]) -> str:
+    """The page that belongs to a result."""
+    a, b = (verdicts.of_group(result["cells"], group) for group in "AB")
+    cases = [case.group for case in BY_NAME.values()]
+    return TEXT.format(
+        step_ms=1e3 * FINE_S,
+        a=cases.count("A"),
+        b=cases.count("B"),
+        seeds=len(SEEDS),
+        missing=missing_words(result),
+        bars=bar_table(result),
+        robots=robot_table(a, verdicts.ratios(result)) if a else "Not measured yet.",
+        oracle_seed=ORACLE_SEED,
+        remarks="\n\n".join(filter(None, remarks(result))),
+        words=word_table(),
+        about=ABOUT,
+        name=NAME,
+        kinds=kind_table(verdicts.all_numbers(cell for own in a.values() for cell in own))
+        if a
+        else "Not measured yet.",
+        causes=cause_table(b) if b else "Not measured yet.",
+    )
+
+
+def figures(result: Mapping[str, Any]) -> dict[str, str]:
+    """The truth in units of intervals."""
+    cases = verdicts.of_group(result["cells"], "A")
+    panels = {
+        case: [verdicts.off(row) for row in verdicts.judged(verdicts.all_numbers(own))] for case, own in cases.items()
+    }
+    return {NAME: foreign_figure.figure(ABOUT, panels)}
+
+
+def missing(result: Mapping[str, Any]) -> dict[str, dict[str, list[int]]]:
+    """Kind of cell -> case -> seeds that are not measured."""
+    wanted = {"cells": SEEDS, "oracles": (ORACLE_SEED,)}
+    found: dict[str, dict[str, list[int]]] = {}
+    for kind, seeds in wanted.items():
+        for name, case in BY_NAME.items():
+            left = [seed for seed in seeds if f"{name}/{seed}" not in result[kind]]
+            if left and (kind == "cells" or case.group == "A"):
+                found.setdefault(kind, {})[name] = left
+    return found
+
+
+def missing_words(result: Mapping[str, Any]) -> str:
+    """Which cells are not there; empty if all are."""
+    left = missing(result)
+    if not left:
+        return ""
+    said = []
+    if cells := left.get("cells"):
+        count = sum(map(len, cells.values()))
+        whole = [f"`{name}`" for name, seeds in cells.items() if len(seeds) == len(SEEDS)]
+        parts = [
+            f"`{name}` with seed {' and '.join(map(str, seeds))}"
+            for name, seeds in cells.items()
+            if len(seeds) < len(SEEDS)
+        ]
+        names = "; ".join([f"all of {', '.join(whole)}"] * bool(whole) + parts)
+        said.append(f"{count} of {len(SEEDS) * len(BY_NAME)} fits are missing: {names}.")
+    if oracles := left.get("oracles"):
+        names = ", ".join(f"`{name}`" for name in oracles)
+        said.append(f"The fits with step and timing known are missing of {names}.")
+    return f"**Incomplete.** {' '.join(said)}\nWhat follows is about the others.\n\n"
+
+
+def bar_table(result: Mapping[str, Any]) -> str:
+    """Every bar, and whether it is kept."""
+    found = verdicts.bars(result)
+    rows = []
+    for name in verdicts.NAMES:
+        row = next((row for row in found if row.name.startswith(name)), None)
+        if row is None:
+            rows.append((name, "", "", "not measured"))
+            continue
+        unit = "" if row.unit == "numbers" else f" {row.unit}"
+        word = "kept" if row.ok else "**missed**"
+        rows.append((row.name, f"{bound(asdict(row))}{unit}", f"{row.value:.3g}{unit}", word))
+    return table(("", "asked", "found", ""), rows)
+
+
+def robot_table(cases: Mapping[str, Sequence[Cell]], ratios: Mapping[str, float]) -> str:
+    """One row per robot and drive of group A."""
+    heads = ("robot", "drive, commands", "engine", "status", "determined", "hold the truth", "error", "left / noise")
+    rows = []
+    for case, cells in cases.items():
+        numbers = verdicts.all_numbers(cells)
+        left = [own for cell in cells if (own := verdicts.left(cell)) is not None]
+        rows.append(
+            (
+                f"`{case}`",
+                f"{cells[0]['drive']}, {cells[0]['commands']}",
+                cells[0]["engine"],
+                ", ".join(_status(cell) for cell in cells),
+                f"{len(verdicts.called(numbers))} of {sum(not row['frozen'] for row in numbers)}",
+                _held(numbers),
+                _percent(verdicts.middle_error(numbers)),
+                f"{max(left):.2f}" if left else "",
+                f"{ratios[case]:.2f}" if case in ratios else "",
+                f"{median(cell['seconds'] for cell in cells):.0f}",
+            )
+        )
+    return table((*heads, "widths", "s"), rows, left=4)
+
+
+def kind_table(rows: Sequence[Number]) -> str:
+    """One row per quantity."""
+    kinds: dict[str, list[Number]] = {}
+    for row in rows:
+        kinds.setdefault(row["name"].partition("[")[0], []).append(row)
+    heads = ("quantity", "fitted", "determined", "hold the truth", "error")
+    found = []
+    for name, own in kinds.items():
+        fitted = sum(not row["frozen"] for row in own)
+        cells = (str(fitted), str(len(verdicts.called(own))), _held(own), _percent(verdicts.middle_error(own)))
+        if fitted:
+            found.append((f"`{name}`", *cells))
+    return table(heads, found)
+
+
+def cause_table(cases: Mapping[str, Sequence[Cell]]) -> str:
+    """One row per fit of group B, since what is said differs from seed to seed."""
+    heads = ("robot", "seed", "cause", "status", "named", "what was said", "wrong", "left / noise", "s")
+    rows = []
+    for case, cells in cases.items():
+        for cell in cells:
+            judged, left = verdicts.judged(cell["numbers"]), verdicts.left(cell)
+            wrong = [row for row in judged if not verdicts.holds(row)]
+            rows.append(
+                (
+                    f"`{case}`",
+                    str(cell["seed"]),
+                    cell["cause"]["kind"],
+                    _status(cell),
+                    "yes" if verdicts.naming(cell) else "**no**",
+                    _said(cell),
+                    f"{len(wrong)} of {len(judged)}" if cell["numbers"] else "",
+                    "" if left is None else f"{left:.2f}",
+                    f"{cell['seconds']:.0f}",
+                )
+            )
+    return table(heads, rows, left=6)
+
+
+def _said(cell: Cell) -> str:
+    """What names the cause, else whom the check accuses, else what the fit says first."""
+    if named := verdicts.naming(cell):
+        text = named[0]
+    elif accused := verdicts.accusations(cell):
+        text = "; ".join(f"{item['kind']}: {item['evidence']}" for item in accused[:2])
+    elif cell["statements"]:
+        text = cell["statements"][0]
+    else:
+        text = (cell["said"].splitlines() or [""])[-1]
+    text = " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;")
+    return text if len(text) <= 220 else f"{text[:220].rsplit(' ', 1)[0]} …"
+
+
+def word_table() -> str:
+    """What names a cause."""
+    rows = [
+        (cause, ", ".join(f"`{kind}`" for kind in kinds), " ".join(f"`{word}`" for word in words))
+        for cause, (kinds, words) in verdicts.ACCEPTED.items()
+    ]
+    return table(("cause", "kind of finding", "words of a sentence, as regular expressions"), rows, left=3)
+
+
+def remarks(result: Mapping[str, Any]) -> Iterator[str]:
+    """What else is known of group A: false accusations, sums, and where it was measured; a paragraph each."""
+    cells = [cell for own in verdicts.of_group(result["cells"], "A").values() for cell in own]
+    if cells:
+        yield _accused_words(cells)
+    if result["oracles"]:
+        yield _told_words(result["oracles"].values())
+    if sums := verdicts.all_sums(cells):
+        yield _sum_words(sums)
+    yield _machine_words(result)
+
+
+def _accused_words(cells: Sequence[Cell]) -> str:
+    """What the check says of set-ups in which nothing is wrong."""
+    accused = [cell for cell in cells if verdicts.accusations(cell)]
+    if not accused:
+        return f"The check finds nothing wrong in any of these {len(cells)} set-ups, and nothing is."
+    said = f"In {len(accused)} of these {len(cells)} set-ups the check finds something that is or may be wrong"
+    names = [
+        f"`{cell['case']}`, seed {cell['seed']}: {item['kind']} ({item['severity']})"
+        for cell in accused
+        for item in verdicts.accusations(cell)
+    ]
+    return f"{said}: {'; '.join(names)}."
+
+
+def _told_words(oracles: Collection[Cell]) -> str:
+    """Whether fits kept to the time step and the timing that they were told."""
+    kept = sum(all(own["fit"].get(key) == value for key, value in own["given"].items()) for own in oracles)
+    return (
+        "A fit looks for a better step and timing also where it is told the right ones: of those that were told, "
+        f"{kept} of\n{len(oracles)} kept to both."
+    )
+
+
+def _sum_words(sums: Sequence[Number]) -> str:
+    """What is known of sums whose parts are not."""
+    held = sum(map(verdicts.holds, sums))
+    return (
+        "On a position servo, `kv` and `damping` act alike, and mostly only their sum shows. A fit states no sums, so\n"
+        "they are in no bar; a part that it calls determined counts by itself. Over all "
+        f"{len(sums)} joints of such servos\nthe sum is off by {100 * verdicts.sum_error(sums):.1f} % (median), and "
+        f"95 % of the draws in `fit.samples.npz` hold the true one in {held}."
+    )
+
+
+def _machine_words(result: Mapping[str, Any]) -> str:
+    """Where, when and on which commits the cells were measured."""
+    made = [cell["made"] for kind in ("cells", "oracles") for cell in result[kind].values()]
+    if not made:
+        return ""
+    machines, commits = (sorted({str(own[key]) for own in made}) for key in ("machine", "git"))
+    days = sorted({own["created"][:10] for own in made})
+    when = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
+    several = ", which are several" if len(commits) > 1 else ""
+    return f"Measured on {'; '.join(machines)}, {when}, commit {', '.join(f'`{own}`' for own in commits)}{several}."
+
+
+def _status(cell: Cell) -> str:
+    """The status of a fit; marked where a budget has shortened the search."""
+    return f"`{cell['status']}`" + (" (short of time)" if cell["fit"].get("short_of_time") else "")
+
+
+def _held(rows: Sequence[Number]) -> str:
+    judged = verdicts.judged(rows)
+    return f"{sum(map(verdicts.holds, judged))} of {len(judged)}" if judged else ""
+
+
+def _percent(share: float | None) -> str:
+    return "" if share is None else f"{100 * share:.1f} %"

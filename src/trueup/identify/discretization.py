@@ -1,0 +1,151 @@
+"""What a simulation adds of its own: time step, dry friction's rigidity, and the command between two stamps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from trueup.identify.problem import Problem
+from trueup.identify.uncertainty import noise_of, precision_of
+from trueup.robots import CommandTiming, RobotSpec
+
+# The time step is compared with a quarter of it; once it is a quarter, with half of that, and at last with this part.
+_QUARTER, _LAST = 4, 32
+# Twice the difference of logarithmic likelihoods above which data have decided between two ways.
+DECIDED = 10.0
+# A number that a quarter of the time step moves by more than this many of its standard deviations is worth it.
+_MATTERS = 0.5
+
+
+@dataclass(frozen=True)
+class Discretization:
+    """One way to simulate logs.
+
+    Attributes:
+        divisor: of the model's time step.
+        command: `held` from stamp to stamp, or `linear` between them.
+        rigid: whether dry friction holds a joint as if it were rigid, or as softly as the model's constraint solver
+            has it, which lets it creep.
+    """
+
+    divisor: int = 1
+    command: CommandTiming = "held"
+    rigid: bool = True
+
+    @property
+    def retimed(self) -> Discretization:
+        """The same with the other timing of the command."""
+        return replace(self, command="linear" if self.command == "held" else "held")
+
+    def of(self, robot: RobotSpec, timestep_s: float) -> RobotSpec:
+        """The robot simulated this way; `timestep_s` is the time step that is divided [s]."""
+        simulation = robot.simulation
+        if self.divisor > 1:
+            simulation = replace(simulation, timestep_s=timestep_s / self.divisor)
+        return replace(robot, simulation=simulation, replay=replace(robot.replay, command=self.command))
+
+
+@dataclass(frozen=True, eq=False)
+class Alternative:
+    """What a fit would find if the logs were simulated in another way, linearized about the present fit.
+
+    Attributes:
+        way: the other way.
+        shift: change of the estimate, (P,), in z.
+        gain: by how much it explains the data better: twice the difference of logarithmic likelihoods, each sample
+            counted as often as the better residual's memory allows; negative where it is worse.
+    """
+
+    way: Discretization
+    shift: Float64[np.ndarray, "P"]
+    gain: float
+
+    def matters(self, now: Discretization, std: Float64[np.ndarray, "P"]) -> bool:
+        """Whether a finer step moves a number by more than half of its standard deviation, and data do not object.
+
+        Once the step is a quarter, data have to ask for a finer one: what is left to a step of zero is known by then.
+
+        Args:
+            now: the present way.
+            std: standard deviations of the parameters, (P,), in z.
+        """
+        moved = np.max(np.abs(self.shift) / np.maximum(std, 1e-12), initial=0.0)
+        asked = self._possible if now.divisor == 1 else self.gain > DECIDED and self.way.divisor < _LAST
+        return bool(asked and moved > _MATTERS)
+
+    def unknown(self, now: Discretization) -> Float64[np.ndarray, "P"] | float:
+        """One standard deviation of what is not known of the change by the time step, in z.
+
+        The error of a step h is proportional to h: from h to h / k, a number changes by (1 - 1 / k) of what is left to
+        a step of zero. Where the finer step halves the present one and is taken, as much again is left, and half of
+        that is one standard deviation; at the model's own step, all of the change is.
+        """
+        if now.divisor > 1:
+            return 0.5 * self.shift
+        return self.shift if self._possible else 0.0
+
+    @property
+    def _possible(self) -> bool:
+        return self.gain > -DECIDED
+
+
+def probability(gain: float) -> float:
+    """Of one way against another as likely before, by twice the difference of their logarithmic likelihoods."""
+    return float(1.0 / (1.0 + np.exp(-0.5 * np.clip(gain, -200.0, 200.0))))
+
+
+def alternative(
+    now: Problem,
+    other: Problem,
+    here: tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]],
+    there: tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]],
+    weight: float,
+    way: Discretization,
+) -> Alternative:
+    """Compare the present way with another one, each at its own minimum.
+
+    Args:
+        now: the fit as it is simulated now.
+        other: the same fit simulated the other way.
+        here: parameters and residual at the minimum of `now`, as `Search.polished` has them.
+        there: likewise of `other`.
+        weight: of the prior, the variance of one observation.
+        way: the other way.
+    """
+    mean, _ = now.parameters.prior
+    precision = precision_of(now.parameters)
+    noise = noise_of(now, here[1]).weight, noise_of(other, there[1]).weight
+    present, instead = (
+        float(own @ own + weight * (place - mean) @ precision @ (place - mean)) for place, own in (here, there)
+    )
+    least = noise[1] if instead < present else noise[0]
+    return Alternative(way, there[0] - here[0], (present - instead) / max(least, 1e-300))
+
+
+def finer(now: Discretization) -> Discretization:
+    """What a way is compared with, to tell what its time step does."""
+    return replace(now, divisor=_QUARTER if now.divisor == 1 else 2 * now.divisor)
+
+
+def in_words(way: Discretization, before: Discretization, timestep_s: float) -> tuple[str, ...]:
+    """What was changed, for people; `timestep_s` is that of the model as it came [s]."""
+    said = []
+    if way.divisor != before.divisor:
+        said.append(
+            f"fitted with a time step of {1e3 * timestep_s / way.divisor:.3g} ms instead of {1e3 * timestep_s:.3g} ms, "
+            "at which numbers would change by more than their intervals; robot.fitted.yaml says so"
+        )
+    if way.command != before.command:
+        what = "moves on between its stamps" if way.command == "linear" else "is held between its stamps"
+        said.append(
+            f"the command {what}: this explains the logs better (replay: {{command: {way.command}}} in "
+            "robot.fitted.yaml)"
+        )
+    if not way.rigid:
+        said.append(
+            "dry friction creeps as softly as the model's solreffriction says: this explains the logs better than "
+            "friction that holds"
+        )
+    return tuple(said)

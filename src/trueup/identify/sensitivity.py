@@ -1,0 +1,205 @@
+"""How a residual really changes with the parameters: derivatives that are checked against the residual itself."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from trueup.core.parameters import ParameterSet
+from trueup.identify.problem import Problem
+from trueup.identify.uncertainty import precision_of
+
+# Directions along which derivatives cancel to less than this share of their size are looked at, the weakest first.
+_CANCELED = 0.3
+_MOST_DIRECTIONS = 12
+# As near as derivatives are taken, and as far as the residual should have changed by so many standard deviations, but
+# not further than the last; in z of the parameter that moves most.
+_NEAR, _FAR, _FARTHEST = 0.01, 3.0, 1.0
+_ROUNDS = 2
+# The weakest directions along which others follow a move not further than this, in z, and how many times.
+_MOST_FOLLOWED, _CURVED, _FOLLOWED = 6, 0.2, 4
+
+
+def verified(
+    problem: Problem,
+    z: Float64[np.ndarray, "P"],
+    jacobian: Float64[np.ndarray, "P N"],
+    weight: float,
+    *,
+    quick: bool = False,
+) -> Float64[np.ndarray, "P N"]:
+    """The Jacobian without what it claims to see along directions in which the residual does not change.
+
+    A derivative has an error, from curvature and from the kinks of dry friction, where slopes of single parameters do
+    not add up. Along a combination of parameters that changes nothing (all torques and masses times the same factor,
+    say) the true derivatives cancel, and their errors do not: they look like information. So the residual itself is
+    simulated along such directions v, and its central difference d takes the place of J^T v: with V the directions
+    and D their differences as rows, J <- J + pinv(V) (D - V J). Directions are those of `invariant`, and those in which
+    derivatives nearly cancel, by the eigenvectors of J J^T with each row of J divided by its norm. They are looked for
+    again when these are mended.
+
+    Then the residual is simulated as far out as it should have changed by three standard deviations: where it changes
+    by less than that, in either sense, |r(z + t v) - r(z)| = rho |t J^T v| with rho < 1, the derivatives along v are
+    scaled by rho. At last the same less far out, where the other parameters follow by steps of Gauss-Newton, since
+    what changes nothing may be a curve: a number is determined only if moving it, with all others free to follow,
+    changes the residual.
+
+    Args:
+        problem: what is simulated.
+        z: best parameters, (P,).
+        jacobian: at z, (P, N).
+        weight: variance of one independent observation.
+        quick: look along the directions of `invariant` only.
+
+    Returns:
+        Derivatives, (P, N).
+    """
+    norms = np.linalg.norm(jacobian, axis=1)
+    alive = np.flatnonzero(norms > 0)
+    low, high = problem.parameters.bounds
+    raw = jacobian[alive] / norms[alive, None]
+    unit, known, slopes = raw, np.zeros((0, alive.size)), np.zeros((0, raw.shape[1]))
+    own = invariant(problem.parameters, z)[:, alive] * norms[alive]
+    for number in range(1 if quick else _ROUNDS + 1):
+        far = number == _ROUNDS
+        if number or not own.size:
+            squares, vectors = np.linalg.eigh(unit @ unit.T)
+            weak = np.flatnonzero(squares < _CANCELED**2)[:_MOST_DIRECTIONS]
+            own = vectors[:, weak].T
+        if not own.size:
+            break
+        own = own / np.linalg.norm(own, axis=1)[:, None]
+        directions = np.zeros((len(own), z.size))
+        directions[:, alive] = own / norms[alive]
+        reach = _NEAR / np.abs(directions).max(axis=1)
+        if far:
+            measurable = _FAR * np.sqrt(weight / np.maximum(squares[weak], 1e-300))
+            reach = np.clip(measurable, reach, reach * _FARTHEST / _NEAR)
+        moves = directions * reach[:, None]
+        places = np.clip(np.stack([z + moves, z - moves]), low, high)
+        seen = problem.slopes(np.concatenate([z[None], *places]))
+        changed = (seen[1:] - seen[0]).reshape(2, len(own), -1)
+        if not far:
+            usable = np.isfinite(changed).all(axis=(0, 2)) & (places == np.stack([z + moves, z - moves])).all(
+                axis=(0, 2)
+            )
+            known = np.concatenate([known, own[usable]])
+            slopes = np.concatenate([slopes, ((changed[0] - changed[1]) / (2 * reach[:, None]))[usable]])
+            unit = raw + np.linalg.pinv(known, rcond=1e-6) @ (slopes - known @ raw)
+            continue
+        kept = _kept(changed, places - z, unit, alive, norms)
+        unit = unit - ((1.0 - kept)[:, None] * own).T @ (own @ unit)
+        # What changes nothing may be a curve: from not so far, the others follow.
+        few = slice(0, _MOST_FOLLOWED)
+        moves = (directions * np.minimum(reach, _CURVED / np.abs(directions).max(axis=1))[:, None])[few]
+        kept = _followed(problem, z, weight, unit, own[few], np.stack([moves, -moves]), alive, norms)
+        unit = unit - ((1.0 - kept)[:, None] * own[few]).T @ (own[few] @ unit)
+    real = jacobian.copy()
+    real[alive] = unit * norms[alive, None]
+    return real
+
+
+def _kept(
+    changed: Float64[np.ndarray, "2 K N"],
+    moves: Float64[np.ndarray, "2 K P"],
+    unit: Float64[np.ndarray, "A N"],
+    alive: Int64[np.ndarray, "A"],
+    norms: Float64[np.ndarray, "P"],
+) -> Float64[np.ndarray, "K"]:
+    """Of what derivatives promise of moves, the share that the residual has changed by, the least of both senses."""
+    promised = np.linalg.norm((moves[..., alive] * norms[alive]) @ unit, axis=2)
+    change = np.linalg.norm(changed, axis=2)
+    # A place that cannot be simulated says nothing against the derivatives, and one on a bound says little.
+    ratio = np.where(np.isfinite(change) & (promised > 0), change / np.maximum(promised, 1e-300), 1.0)
+    return np.asarray(np.minimum(1.0, ratio.min(axis=0)))
+
+
+def _followed(
+    problem: Problem,
+    z: Float64[np.ndarray, "P"],
+    weight: float,
+    unit: Float64[np.ndarray, "A N"],
+    own: Float64[np.ndarray, "K A"],
+    moves: Float64[np.ndarray, "2 K P"],
+    alive: Int64[np.ndarray, "A"],
+    norms: Float64[np.ndarray, "P"],
+) -> Float64[np.ndarray, "K"]:
+    """`_kept` of moves along `own` where the other parameters follow across them, as derivatives and prior see it."""
+    prior = np.diag(precision_of(problem.parameters))[alive] / norms[alive] ** 2
+    squares = unit @ unit.T + weight * np.diag(prior)
+    across = [np.eye(row.size) - np.outer(row, row) for row in own]
+    inverses = [np.linalg.pinv(only @ squares @ only, rcond=1e-12, hermitian=True) for only in across]
+    low, high = problem.parameters.bounds
+    places, kept = np.clip(z + moves, low, high), np.ones(len(own))
+    for _ in range(_FOLLOWED):
+        seen = problem.slopes(np.concatenate([z[None], *places]))
+        changed = (seen[1:] - seen[0]).reshape(2, len(own), -1)
+        kept = np.minimum(kept, _kept(changed, moves, unit, alive, norms))
+        steps = [-np.nan_to_num(changed[:, row]) @ unit.T @ inverse for row, inverse in enumerate(inverses)]
+        places[..., alive] += np.stack(steps, axis=1) / norms[alive]
+        places = np.clip(places, low, high)
+    return kept
+
+
+def split_shifts(
+    parameters: ParameterSet,
+    z: Float64[np.ndarray, "P"],
+    jacobian: Float64[np.ndarray, "P N"],
+    weight: float,
+) -> list[Float64[np.ndarray, "P"]]:
+    """One standard deviation of how the damping of each position servo may be split into `kv` and `damping`, in z.
+
+    Only the sum counts, unless the drive saturates. Where one of them is small, derivatives by its logarithm are, too,
+    and the other one looks as if it were known alone. Nothing is known of the split: each share of the sum is as
+    likely as any other, with a standard deviation of sum / sqrt(12), or as the data say if they say more. That they do
+    not show damping at all, so that it was left out, does not tell that there is none.
+
+    Args:
+        parameters: of the fit.
+        z: best estimate, (P,).
+        jacobian: verified, at z, (P, N).
+        weight: variance of one independent observation.
+    """
+    free = parameters.free
+    index = {item.name: number for number, item in enumerate(free)}
+    values = parameters.values(z)
+    found = []
+    for item in free:
+        pair = f"damping[{item.target}]"
+        if item.quantity != "kv" or pair not in values or f"kp[{item.target}]" not in values:
+            continue
+        mine, its, shift = values[item.name], values[pair], np.zeros(z.size)
+        width = (mine + its) / np.sqrt(12.0)
+        if pair in index:
+            slope = jacobian[index[pair]] / max(its, 1e-300) - jacobian[index[item.name]] / max(mine, 1e-300)
+            width = min(width, float(np.sqrt(weight / max(float(slope @ slope), 1e-300))))
+            shift[index[pair]] = np.log1p(width / max(its, 1e-300))
+        shift[index[item.name]] = -width / max(mine, width)
+        found.append(shift)
+    return found
+
+
+def invariant(parameters: ParameterSet, z: Float64[np.ndarray, "P"]) -> Float64[np.ndarray, "K P"]:
+    """Directions along which the equations of motion say that little or nothing changes, in z, (K, P).
+
+    All torques and masses times the same factor give the same motion: d(value) = value for everything that is counted
+    in N, Nm or kg. What the damping of a position servo loses, viscous friction of its joint can take over: d(kv) =
+    -d(damping). Whether it is so in this fit (a torque may be known, a servo saturated) is for the simulation to say.
+    """
+    free = parameters.free
+    rate = np.array([1.0 if item.transform == "log" else item.scale for item in free])
+    values = np.array([np.exp(own) if item.transform == "log" else own for item, own in zip(free, z, strict=True)])
+    # The change in z for a change of the value by one of its unit.
+    per_unit = np.where([item.transform == "log" for item in free], 1.0 / np.maximum(values, 1e-300), 1.0 / rate)
+    sized = np.array([item.unit.startswith(("N", "kg")) for item in free])
+    scaled = np.where([item.transform == "log" for item in free], 1.0, values)
+    found = [np.where(sized, scaled, 0.0)]
+    names = [item.name for item in free]
+    for index, item in enumerate(free):
+        partner = f"damping[{item.target}]"
+        if item.quantity == "kv" and partner in names:
+            row = np.zeros(len(free))
+            row[index], row[names.index(partner)] = per_unit[index], -per_unit[names.index(partner)]
+            found.append(row)
+    rows = np.array(found)
+    return np.asarray(rows[np.abs(rows).max(axis=1) > 0])

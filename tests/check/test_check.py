@@ -1,0 +1,339 @@
+"""A set-up that is wrong is named, with the lines that mend it; one that is right, or only imprecise, is let alone."""
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from check.arm_logs import arm, changed, logs, look, mirrored, scaled, swapped
+from trueup.check import mended
+from trueup.core.check_result import CheckResult, Finding, Mend
+
+SIDES = {"both": (True, True), "measured": (True, False), "command": (False, True)}
+NAMES = ("yaw", "lift", "elbow")
+SIGNALS = ("position", "velocity", "torque")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Signal and seed -> robot, model, logs; made once."""
+    folder, known = tmp_path_factory.mktemp("arm"), {}
+
+    def make(signal, seed=0):
+        if (signal, seed) not in known:
+            robot, path = arm(folder, signal)
+            known[signal, seed] = robot, path, logs(robot, path, np.random.default_rng([seed, 3]))
+        return known[signal, seed]
+
+    return make
+
+
+def certain(findings):
+    return [(finding.kind, finding.joints) for finding in findings if finding.severity == "certain"]
+
+
+def assert_named(robot, path, episodes, kind, joints):
+    """It is certain, alone, and its first lines mend it."""
+    findings = look(robot, path, episodes)
+    assert [(what, set(names)) for what, names in certain(findings)] == [(kind, set(joints))], findings
+    first = next(finding for finding in findings if finding.severity == "certain")
+    assert first.evidence.endswith(".")
+    assert first.mends[0].where == "robot.yaml"
+    robot = mended(robot, first.mends[0].lines)
+    assert certain(look(robot, path, episodes)) == []
+    return robot
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("signal", SIGNALS)
+def test_a_set_up_that_is_right_raises_nothing(made, signal, seed):
+    assert look(*made(signal, seed)) == ()
+
+
+@pytest.mark.parametrize(
+    ("signal", "joint", "side"),
+    [
+        *(("position", 1, side) for side in SIDES),
+        *(("velocity", 1, side) for side in SIDES),
+        *(("torque", 2, side) for side in SIDES),
+        *((signal, 0, "command") for signal in SIGNALS),
+    ],
+)
+def test_a_mirrored_joint_is_named(made, signal, joint, side):
+    robot, path, episodes = made(signal)
+    measured, command = SIDES[side]
+    wrong = changed(episodes, mirrored(joint), measured=measured, command=command)
+    right = assert_named(robot, path, wrong, "sign", [NAMES[joint]])
+    if joint:  # of a vertical axis nobody can tell which of the two it was
+        rule = right.joints[joint]
+        sign = rule.sign if rule.command is None or rule.command.sign is None else rule.command.sign
+        assert (rule.sign, sign) == (-1 if measured else 1, -1 if command else 1)
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("signal", SIGNALS)
+def test_swapped_joints_are_named(made, signal, side):
+    robot, path, episodes = made(signal)
+    measured, command = SIDES[side]
+    wrong = changed(episodes, swapped(1, 2), measured=measured, command=command)
+    right = assert_named(robot, path, wrong, "swap", ["lift", "elbow"])
+    assert {joint.log for joint in right.joints if joint.log} == ({"lift", "elbow"} if measured else set())
+
+
+@pytest.mark.parametrize(
+    ("signal", "side", "factor", "zero", "rule"),
+    [
+        ("position", "both", 180 / math.pi, 0.0, ("deg", 1.0)),
+        ("position", "measured", 180 / math.pi, 0.0, ("deg", 1.0)),
+        ("position", "command", 1000.0, 0.0, (None, 1.0)),
+        ("position", "both", 4096 / (2 * math.pi), 2048.0, ("1", 2 * math.pi / 4096)),
+        ("velocity", "measured", 180 / math.pi, 0.0, ("deg", 1.0)),
+        ("torque", "measured", 0.5 / math.pi, 0.0, ("rev", 1.0)),
+    ],
+)
+def test_units_are_named(made, signal, side, factor, zero, rule):
+    robot, path, episodes = made(signal)
+    measured, command = SIDES[side]
+    wrong = changed(episodes, scaled(1, factor, zero), measured=measured, command=command)
+    right = assert_named(robot, path, wrong, "unit", ["lift"])
+    assert (right.joints[1].log_unit, right.joints[1].scale) == (rule[0], pytest.approx(rule[1], rel=1e-5))
+    if side == "command":
+        assert right.joints[1].command.log_unit == "mrad"
+
+
+@pytest.mark.parametrize("signal", SIGNALS)
+def test_a_whole_log_in_degrees_is_named_by_one_finding(made, signal):
+    robot, path, episodes = made(signal)
+    wrong = changed(episodes, lambda name, values: np.degrees(values) if name == "position" else values)
+    right = assert_named(robot, path, wrong, "unit", NAMES)
+    assert [joint.log_unit for joint in right.joints] == ["deg"] * 3
+
+
+@pytest.mark.parametrize(("signal", "side"), [("position", "both"), ("position", "measured"), ("torque", "measured")])
+def test_a_zero_that_is_a_quarter_turn_off_is_named(made, signal, side):
+    robot, path, episodes = made(signal)
+    measured, command = SIDES[side]
+    wrong = changed(episodes, scaled(1, 1.0, 0.5 * math.pi), measured=measured, command=command)
+    right = assert_named(robot, path, wrong, "offset", ["lift"])
+    assert right.joints[1].offset == pytest.approx(-0.5 * math.pi, abs=1e-5)
+
+
+@pytest.mark.parametrize("signal", SIGNALS)
+def test_a_gear_is_named(made, signal):
+    robot, path, episodes = made(signal)
+    wrong = changed(episodes, scaled(2, 10.0, rates=True), measured=False)
+    right = assert_named(robot, path, wrong, "scale", ["elbow"])
+    # Torques of the motor's side go the other way than its positions.
+    exponent = 1.0 if signal == "torque" else -1.0
+    assert right.joints[2].command.scale == pytest.approx(10.0**exponent, rel=0.05)
+
+
+@pytest.mark.parametrize("direction", [(0, 0, 1), (1, 0, 0)])
+@pytest.mark.parametrize("signal", ["position", "torque"])
+def test_gravity_that_pulls_elsewhere_is_named(tmp_path, signal, direction):
+    robot, path = arm(tmp_path, signal)
+    episodes = logs(robot, path, np.random.default_rng(5), gravity=9.81 * np.array(direction))
+    findings = look(robot, path, episodes)
+    assert certain(findings) == [("gravity", ())]
+    line = findings[0].mends[0].lines
+    path.write_text(
+        re.sub(r' gravity="[^"]*"', "", path.read_text()).replace("<option ", line.removesuffix("/>") + " ")
+    )
+    assert certain(look(robot, path, episodes)) == []
+
+
+def test_weight_that_something_else_carries_is_named(tmp_path):
+    robot, path = arm(tmp_path, "torque")
+    episodes = logs(robot, path, np.random.default_rng(5), gravity=np.zeros(3))
+    right = assert_named(robot, path, episodes, "gravity-compensation", [])
+    assert right.simulation.gravity_compensation
+
+
+@pytest.mark.parametrize(
+    ("signal", "late_s"), [("position", -0.4), ("torque", 0.3), ("torque", -0.15), ("velocity", -0.3)]
+)
+def test_clocks_that_are_apart_are_named(made, signal, late_s):
+    robot, path, episodes = made(signal)
+    wrong = [
+        replace(episode, command=replace(episode.command, time_s=episode.command.time_s - late_s))
+        for episode in episodes
+    ]
+    right = assert_named(robot, path, wrong, "delay", [])
+    # A servo's own lag is no part of it.
+    assert right.controller.delay_s + right.clock.command_shift_s == pytest.approx(late_s, abs=0.1)
+
+
+@pytest.mark.parametrize(("signal", "factor"), [("position", 1000.0), ("torque", 1000.0), ("torque", 0.5)])
+def test_stamps_in_another_unit_are_named(made, signal, factor):
+    robot, path, episodes = made(signal)
+    wrong = [
+        replace(
+            episode,
+            measured=replace(episode.measured, time_s=factor * episode.measured.time_s),
+            command=replace(episode.command, time_s=factor * episode.command.time_s),
+        )
+        for episode in episodes
+    ]
+    assert assert_named(robot, path, wrong, "clock", []).clock.scale == pytest.approx(1.0 / factor)
+
+
+def test_positions_in_torque_motors_are_named(made, tmp_path):
+    _, path, episodes = made("position")
+    robot, _ = arm(tmp_path, "torque")
+    wrong = [
+        replace(
+            episode,
+            command=replace(
+                episode.command, signals={"torque": episode.command["position"]}, units={"torque": ("Nm",) * 3}
+            ),
+        )
+        for episode in episodes
+    ]
+    (found,) = [finding for finding in look(robot, path, wrong) if finding.severity == "certain"]
+    assert found.kind == "control-mode"
+    controller = mended(robot, found.mends[0].lines).controller
+    assert controller.kind == "position"
+    assert controller.kp == pytest.approx(60.0, rel=0.3)
+    assert certain(look(mended(robot, found.mends[0].lines), path, episodes)) == []
+
+
+def test_two_mistakes_are_named_one_after_the_other(made):
+    robot, path, episodes = made("torque")
+    wrong = changed(changed(episodes, mirrored(1)), scaled(2, 180 / math.pi), command=False)
+    findings = look(robot, path, wrong)
+    assert sorted(certain(findings)) == [("sign", ("lift",)), ("unit", ("elbow",))]
+    for finding in findings:
+        if finding.severity == "certain":
+            robot = mended(robot, finding.mends[0].lines)
+    assert certain(look(robot, path, wrong)) == []
+
+
+def test_the_same_column_twice_is_named(made):
+    robot, path, episodes = made("position")
+    wrong = [
+        replace(
+            episode, measured=replace(episode.measured, signals={**episode.measured.signals, **episode.command.signals})
+        )
+        for episode in episodes
+    ]
+    assert certain(look(robot, path, wrong)) == [("command-is-measurement", NAMES)]
+
+
+def test_a_log_without_its_command_is_named(made):
+    robot, path, episodes = made("velocity")
+    wrong = replace(robot, controller=replace(robot.controller, kind="position", kp=50.0))
+    (found,) = look(wrong, path, episodes)
+    assert (found.kind, found.severity) == ("no-command", "certain")
+    assert "kind: velocity" in found.mends[0].lines
+    (none,) = look(robot, path, [replace(episode, command=None) for episode in episodes])
+    assert "have no command" in none.evidence
+
+
+def loaded(model):
+    model.body_mass[-1] += 1.0
+
+
+def test_a_payload_is_likely_and_weighed(tmp_path):
+    robot, path = arm(tmp_path, "torque")
+    (found,) = look(robot, path, logs(robot, path, np.random.default_rng(6), change=loaded))
+    assert (found.kind, found.severity) == ("payload", "likely")
+    assert found.numbers["mass_kg"] == pytest.approx(1.0, rel=0.3)
+    assert "sites: [tool]" in found.mends[0].lines
+
+
+def weightless(model):
+    model.opt.gravity[:] = 0
+
+
+def test_a_servo_that_stands_where_the_model_sags_is_likely(tmp_path):
+    robot, path = arm(tmp_path, "position")
+    findings = look(robot, path, logs(robot, path, np.random.default_rng(6), change=weightless, still=True))
+    assert certain(findings) == []
+    assert {"integral", "gravity-compensation"} & {finding.kind for finding in findings}
+
+
+def test_joints_that_never_move_are_said(made):
+    robot, path, episodes = made("position")
+
+    def held(name, values):
+        values[:, 0] = 0.3 if name == "position" else 0.0
+        return values
+
+    (dead,) = look(robot, path, changed(episodes, held, command=False))
+    assert (dead.kind, dead.severity, dead.joints) == ("idle-joint", "likely", ("yaw",))
+    (quiet,) = look(robot, path, changed(episodes, held))
+    assert (quiet.kind, quiet.severity) == ("idle-joint", "note")
+
+
+def imprecise(rng):
+    """Another robot of the kind: other gains, masses, friction, and drives that are weak."""
+
+    def change(model):
+        model.body_mass[:] *= rng.uniform(0.7, 1.5)
+        model.body_mass[-1] += rng.uniform(0.0, 0.4)
+        model.dof_frictionloss[:] *= rng.uniform(0.0, 6.0)
+        model.dof_damping[:] *= rng.uniform(0.3, 4.0)
+        stiffer = np.exp(rng.uniform(np.log(0.25), np.log(4.0), model.nu))
+        if model.actuator_biasprm[0, 1]:
+            model.actuator_gainprm[:, 0] *= stiffer
+            model.actuator_biasprm[:, 1] *= stiffer
+            model.actuator_biasprm[:, 2] *= np.sqrt(stiffer)
+            model.actuator_forcelimited[:] = 1
+            model.actuator_forcerange[:] = np.array([-1.0, 1.0]) * rng.uniform(2.0, 20.0)
+
+    return change
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("signal", SIGNALS)
+def test_a_model_that_is_imprecise_is_no_wrong_set_up(tmp_path, signal, seed):
+    robot, path = arm(tmp_path, signal)
+    rng = np.random.default_rng([seed, 9])
+    episodes = logs(robot, path, rng, change=imprecise(rng), still=signal == "position" and seed == 1)
+    step = 0.003
+
+    def coarse(name, values):
+        return step * np.round(values / step) if name == "position" else values
+
+    assert certain(look(robot, path, changed(episodes, coarse, command=False))) == []
+
+
+def test_drawn_mistakes_are_named(made):
+    """Of mistakes drawn at random at least 95 in 100 are named, and mended by their first lines."""
+    rng, total, named = np.random.default_rng(11), 0, 0
+    for _ in range(20):
+        signal, side = rng.choice(SIGNALS), rng.choice(list(SIDES))
+        robot, path, episodes = made(str(signal), int(rng.integers(2)))
+        joint = int(rng.integers(1, 3))
+        draws = {
+            "sign": (mirrored(joint), {NAMES[joint]}),
+            "swap": (swapped(joint, 0), {NAMES[joint], NAMES[0]}),
+            "unit": (scaled(joint, float(rng.choice([180 / math.pi, 1000.0]))), {NAMES[joint]}),
+        }
+        kind = str(rng.choice(list(draws)))
+        change, joints = draws[kind]
+        measured, command = SIDES["measured" if kind == "unit" and signal != "position" else str(side)]
+        wrong = changed(episodes, change, measured=measured, command=command)
+        findings = look(robot, path, wrong)
+        total += 1
+        if [(what, set(names)) for what, names in certain(findings)] == [(kind, joints)]:
+            first = next(finding for finding in findings if finding.severity == "certain")
+            named += certain(look(mended(robot, first.mends[0].lines), path, wrong)) == []
+    assert named >= 0.95 * total
+
+
+def test_a_result_is_read_back(tmp_path):
+    finding = Finding(
+        "sign",
+        "certain",
+        "Lift counts the other way round.",
+        ("lift",),
+        (Mend("robot.yaml", "joints: []", "so"),),
+        {"left": 0.1},
+    )
+    result = CheckResult((finding,), motions=3, unseen=("Whether …",), seconds=0.5, provenance={"seed": None})
+    result.save(tmp_path / "check.json")
+    assert CheckResult.load(tmp_path / "check.json") == result
+    assert result.certain == (finding,)

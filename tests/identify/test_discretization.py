@@ -1,0 +1,112 @@
+"""Two ways to simulate the same logs are compared by steps that stay in the valley of what the data determine."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identify.plain_truth import pendulum_logs
+from trueup.core.parameters import Parameter, ParameterSet
+from trueup.identify import IdentifyConfig, Nominal
+from trueup.identify.discretization import Discretization, alternative, finer
+from trueup.identify.model_search import ModelSearch
+from trueup.identify.problem import Problem
+from trueup.identify.search import Search, Stopwatch
+from trueup.identify.solution import SolveSettings
+from trueup.identify.uncertainty import noise_of
+
+NOISE = 1e-3
+
+
+class Valley(Problem):
+    """A residual that shows the sum of two numbers well, and each of them next to not at all, as kv and damping."""
+
+    def __init__(self, total):
+        self.total, self.columns = total, np.array([0])
+        self.coarse, self.starts = None, {}
+        self.parameters = ParameterSet(
+            tuple(
+                Parameter(name, value, "1", 1e-3, 1e3, transform="log", prior_std=2.0)
+                for name, value in (("kv", 1.7), ("damping", 0.3))
+            )
+        )
+        time = np.arange(400) / 400
+        self._shapes = np.sin(7 * time), 1e-4 * np.cos(5 * time)
+        noise = NOISE * np.random.default_rng(0).standard_normal(400)
+        shapes = np.stack(self._shapes, axis=1)
+        # What is left at the minimum tells nothing of either number.
+        self._noise = noise - shapes @ np.linalg.lstsq(shapes, noise, rcond=None)[0]
+
+    def residuals(self, z):
+        one, other = np.exp(z).T
+        total = np.outer(one + other - self.total, self._shapes[0])
+        return total + np.outer(one - 1.7, self._shapes[1]) + self._noise
+
+    def colors(self):
+        return np.arange(2)
+
+    def by_segment(self, residual):
+        yield None, "position", residual.reshape(-1, 1)
+
+    def jacobian(self, z):
+        steps = 1e-6 * np.eye(2)
+        return (self.residuals(z + steps) - self.residuals(z - steps)) / 2e-6
+
+
+def search(problem):
+    return Search(problem, SolveSettings(), Stopwatch(), checkpoint=None, on_progress=None)
+
+
+def compared(now, other):
+    z = now.parameters.start
+    weight = noise_of(now, now.residuals(z[None])[0]).weight
+    ends = [search(problem).polished(z, now.jacobian(z), weight) for problem in (now, other)]
+    return alternative(now, other, *ends, weight, finer(Discretization()))
+
+
+@pytest.mark.parametrize("there", [2.2, 1.8, 2.4])
+def test_numbers_that_make_up_for_each_other_do_not_hide_what_a_finer_step_finds(there):
+    now, fine = Valley(2.0), Valley(there)
+    z = now.parameters.start
+    found = compared(now, fine)
+    assert abs(found.gain) < 10.0  # both explain the data
+    assert np.exp(z + found.shift).sum() == pytest.approx(there, abs=0.01)
+    assert found.matters(Discretization(), np.array([0.05, 0.3]))
+
+
+def test_a_way_that_cannot_explain_the_data_is_seen():
+    now, other = Valley(2.0), Valley(2.0)
+    other._noise = other._noise + 5 * NOISE * np.sin(40 * np.arange(400))
+    found = compared(now, other)
+    assert found.gain < -100.0
+    assert not found.matters(Discretization(), np.array([1e-6, 1e-6]))
+
+
+def test_a_delay_that_was_taken_for_damping_is_given_back(tmp_path):
+    pendulum = pendulum_logs(tmp_path)
+    late_s = 0.03
+    logs = {
+        split: [replace(log, command=replace(log.command, time_s=log.command.time_s - late_s)) for log in own]
+        for split, own in pendulum.episodes.items()
+    }
+    fit = dict.fromkeys(("delay_s", "kp", "kv", "frictionloss", "armature"), "all")
+    config = IdentifyConfig(fit=fit, models={})
+    search = ModelSearch(
+        Nominal(pendulum.robot, pendulum.model), logs, config, jobs=1, seed=0, checkpoints=None, on_progress=None
+    )
+    best = search._try("base", fit)
+    found = best.solution
+    assert found.values["delay_s[j]"] == pytest.approx(late_s, abs=0.003)
+    # As far along the valley as a search gets that takes all of it for damping, and for the inertia that belongs to it.
+    kp, total = found.values["kp[j]"], found.values["kv[j]"] + 0.1
+    changed = {
+        "delay_s[j]": 0.0,
+        "kv[j]": found.values["kv[j]"] + kp * late_s,
+        "armature[j]": found.values["armature[j]"] + kp * late_s**2 / 2 + total * late_s,
+    }
+    z = found.parameters.at({**found.values, **changed}).start
+    (row,) = search.problem_of(best).residuals(z[None])
+    valley = replace(best, solution=replace(found, z=z, residual=row, rms=float(np.linalg.norm(row))))
+    back = search._exchanged(valley, fit, rough=False, limit=None)
+    assert back.solution.rms < 1.01 * found.rms
+    assert back.solution.values["delay_s[j]"] == pytest.approx(late_s, abs=0.003)

@@ -1,0 +1,180 @@
+"""Information that is real: directions in which nothing changes hold none, others all of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from identify.plain_truth import pendulum_logs
+from trueup.identify import IdentifyConfig, identify
+from trueup.identify.candidate import Nominal
+from trueup.identify.config import make_parameters
+from trueup.identify.discretization import Alternative, Discretization, probability
+from trueup.identify.problem import Problem
+from trueup.identify.search import Search, Stopwatch
+from trueup.identify.segments import SegmentRule, make_segments
+from trueup.identify.sensitivity import invariant, split_shifts, verified
+from trueup.identify.solution import SolveSettings
+from trueup.identify.uncertainty import noise_level, noise_of
+
+SCALED = ("kp", "kv", "damping", "frictionloss", "armature", "mass")
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory):
+    return pendulum_logs(tmp_path_factory.mktemp("pendulum"))
+
+
+def problem_of(pendulum, fit):
+    nominal = Nominal(pendulum.robot, pendulum.model)
+    segments, _ = make_segments(pendulum.episodes["train"], nominal.simulator, SegmentRule())
+    parameters = make_parameters(dict.fromkeys(fit, "all"), nominal).at(pendulum.truth)
+    return Problem(nominal, parameters, segments)
+
+
+def test_torques_and_masses_times_a_factor_are_the_same_motion_and_hold_no_information(pendulum):
+    problem = problem_of(pendulum, SCALED)
+    z = problem.parameters.start
+    (scale, *_) = invariant(problem.parameters, z)
+    far = problem.residuals(np.array([z, z + 0.5 * scale]))
+    assert np.abs(far[1] - far[0]).max() < 1e-6 * np.abs(far[0]).max()
+    search = Search(problem, SolveSettings(), Stopwatch(), checkpoint=None, on_progress=None)
+    jacobian = search.certain_jacobian(z)
+    weight = noise_of(problem, far[0]).weight
+    real = verified(problem, z, jacobian, weight)
+    assert np.linalg.norm(scale @ real) ** 2 / weight < 0.1
+    # What the data do show, of a delay or a ratio of gains, stays.
+    other = np.zeros_like(z)
+    other[0] = 1.0
+    assert np.linalg.norm(other @ real) == pytest.approx(np.linalg.norm(other @ jacobian), rel=0.1)
+
+
+def test_the_split_of_damping_between_servo_and_joint_is_not_known(pendulum):
+    problem = problem_of(pendulum, SCALED)
+    z = problem.parameters.at({"kv[j]": 0.999, "damping[j]": 0.001}).start
+    weight = noise_of(problem, problem.residuals(z[None])[0]).weight
+    search = Search(problem, SolveSettings(), Stopwatch(), checkpoint=None, on_progress=None)
+    real = verified(problem, z, search.certain_jacobian(z), weight)
+    (shift,) = split_shifts(problem.parameters, z, real, weight)
+    names = [item.name for item in problem.parameters.free]
+    assert shift[names.index("kv[j]")] == pytest.approx(-1.0 / np.sqrt(12.0), rel=0.01)
+    moved = problem.parameters.values(z + shift)
+    assert moved["damping[j]"] == pytest.approx(0.001 + 1.0 / np.sqrt(12.0), rel=0.01)
+    # Where the data tell the two apart, they are believed.
+    apart = np.zeros_like(real)
+    apart[names.index("kv[j]"), 0] = 1000.0 * np.sqrt(weight)
+    (shift,) = split_shifts(problem.parameters, z, apart, weight)
+    assert shift[names.index("kv[j]")] == pytest.approx(-1e-3, rel=0.01)
+
+
+def test_with_masses_that_are_known_the_scale_is_seen(pendulum):
+    problem = problem_of(pendulum, SCALED[:-1])
+    z = problem.parameters.start
+    search = Search(problem, SolveSettings(), Stopwatch(), checkpoint=None, on_progress=None)
+    weight = noise_of(problem, problem.residuals(z[None])[0]).weight
+    real = verified(problem, z, search.certain_jacobian(z), weight)
+    (scale, *_) = invariant(problem.parameters, z)
+    assert np.linalg.norm(scale @ real) ** 2 / weight > 1000.0
+
+
+def test_everything_free_is_not_determined_and_not_ok(pendulum):
+    fit = dict.fromkeys(("kp", "damping", "frictionloss", "armature", "mass"), "all")
+    found = identify(
+        pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
+    ).result
+    assert found.status != "ok"
+    for name, true in pendulum.truth.items():
+        if name in found.values:
+            low, high = found[name].interval
+            assert low < true < high, found[name]
+    assert found["kp[j]"].identified != "yes"
+
+
+def test_a_finer_truth_is_found_and_its_numbers_lie_in_their_intervals(pendulum):
+    """The truth has a twentieth of the model's time step, as a robot has none."""
+    assert mujoco.MjModel.from_xml_path(str(pendulum.model)).opt.timestep == pytest.approx(0.005)
+    fit = dict.fromkeys(("delay_s", "kp", "kv", "frictionloss", "armature"), "all")
+    found = identify(
+        pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
+    ).result
+    assert found.data["timestep_s"] < 0.005
+    assert any("time step" in line for line in found.statements)
+    for name in ("kp[j]", "frictionloss[j]", "armature[j]"):
+        low, high = found[name].interval
+        assert low < pendulum.truth[name] < high, found[name]
+        assert found[name].value == pytest.approx(pendulum.truth[name], rel=0.1)
+
+
+def in_intervals(found, truth):
+    """The numbers that are called determined, and which of them do not hold the truth."""
+    known = [item for item in found.parameters if item.identified == "yes" and item.name in truth]
+    return known, [item for item in known if not item.interval[0] <= truth[item.name] <= item.interval[1]]
+
+
+def test_a_logged_torque_tells_the_scale_of_all_torques(tmp_path):
+    pendulum = pendulum_logs(tmp_path, torque=True, mass=0.6)
+    fit = dict.fromkeys(("kp", "kv", "frictionloss", "armature"), "all") | {"mass": {"prior_std": 0.1}}
+    found = identify(
+        pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
+    ).result
+    known, missed = in_intervals(found, pendulum.truth)
+    assert {"kp[j]", "mass[link]"} <= {item.name for item in known}
+    assert not missed
+    assert found["mass[link]"].value == pytest.approx(0.6, rel=0.02)
+    assert any("torque is weighed" in line for line in found.statements)
+    mirrored = [
+        replace(
+            log, measured=replace(log.measured, signals={**log.measured.signals, "torque": -log.measured["torque"]})
+        )
+        for log in pendulum.episodes["train"]
+    ]
+    logs = {"train": mirrored, "val": pendulum.episodes["val"]}
+    other = identify(logs, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})).result
+    assert any("torque is not used" in line for line in other.statements)
+    assert other["kp[j]"].identified != "yes" or in_intervals(other, pendulum.truth)[1] == []
+
+
+def test_windows_begin_where_the_motion_that_follows_says(tmp_path):
+    pendulum = pendulum_logs(tmp_path, driven=True)
+    fit = dict.fromkeys(("damping", "frictionloss", "armature"), "all") | {"mass": {"prior_std": 0.1}}
+    found = identify(
+        pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
+    ).result
+    assert found.whiteness["j"].rms < 1.3 * 3e-4  # of the encoder; with starts as they are measured it is 1 mrad
+    known, missed = in_intervals(found, pendulum.truth)
+    assert known
+    assert not missed
+
+
+def test_friction_that_creeps_is_told_from_friction_that_holds(tmp_path):
+    fit = dict.fromkeys(("kp", "kv", "frictionloss", "armature"), "all")
+    for soft in (True, False):
+        pendulum = pendulum_logs(tmp_path, soft=soft, frictionloss=0.4)
+        found = identify(
+            pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
+        ).result
+        assert any("creeps" in line for line in found.statements) == soft
+        assert found["frictionloss[j]"].value == pytest.approx(0.4, rel=0.03)
+
+
+def test_third_differences_show_the_noise_and_not_what_moves_slowly():
+    rng = np.random.default_rng(0)
+    slow = 3.0 * np.sin(np.arange(4000) / 60.0)
+    assert noise_level([slow + 0.1 * rng.standard_normal(4000)]) == pytest.approx(0.1, rel=0.05)
+    assert noise_level([np.zeros(2)]) == 0.0
+
+
+def test_what_is_unknown_of_a_change_by_the_step_is_half_of_what_is_left():
+    shift = np.array([0.3, -0.1])
+    now, way = Discretization(4), Discretization(8)
+    open_ = Alternative(way, shift, gain=0.0)
+    np.testing.assert_allclose(open_.unknown(now), 0.5 * shift)
+    assert Alternative(way, shift, gain=-100.0).unknown(Discretization()) == 0.0
+    assert Alternative(Discretization(4), shift, gain=0.0).matters(Discretization(), np.array([0.1, 1.0]))
+    assert not Alternative(Discretization(4), shift, gain=0.0).matters(Discretization(), np.array([1.0, 1.0]))
+    assert not Alternative(Discretization(4), shift, gain=-100.0).matters(Discretization(), np.array([0.1, 1.0]))
+    assert probability(0.0) == 0.5
+    assert probability(20.0) + probability(-20.0) == pytest.approx(1.0)
