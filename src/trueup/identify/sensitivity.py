@@ -77,8 +77,7 @@ def verified(
             reach = np.clip(measurable, reach, reach * _FARTHEST / _NEAR)
         moves = directions * reach[:, None]
         places = np.clip(np.stack([z + moves, z - moves]), low, high)
-        seen = problem.slopes(np.concatenate([z[None], *places]))
-        changed = (seen[1:] - seen[0]).reshape(2, len(own), -1)
+        changed = _changes(problem, z, places)
         if not far:
             usable = np.isfinite(changed).all(axis=(0, 2)) & (places == np.stack([z + moves, z - moves])).all(
                 axis=(0, 2)
@@ -88,15 +87,30 @@ def verified(
             unit = raw + np.linalg.pinv(known, rcond=1e-6) @ (slopes - known @ raw)
             continue
         kept = _kept(changed, places - z, unit, alive, norms)
-        unit = unit - ((1.0 - kept)[:, None] * own).T @ (own @ unit)
+        unit = _lowered(unit, own, kept)
         # What changes nothing may be a curve: from not so far, the others follow.
         few = slice(0, _MOST_FOLLOWED)
         moves = (directions * np.minimum(reach, _CURVED / np.abs(directions).max(axis=1))[:, None])[few]
         kept = _followed(problem, z, weight, unit, own[few], np.stack([moves, -moves]), alive, norms)
-        unit = unit - ((1.0 - kept)[:, None] * own[few]).T @ (own[few] @ unit)
+        unit = _lowered(unit, own[few], kept)
     real = jacobian.copy()
     real[alive] = unit * norms[alive, None]
     return real
+
+
+def _changes(
+    problem: Problem, z: Float64[np.ndarray, "P"], places: Float64[np.ndarray, "2 K P"]
+) -> Float64[np.ndarray, "2 K N"]:
+    """What the residual that derivatives are taken of changes by from z to each place."""
+    seen = problem.slopes(np.concatenate([z[None], *places]))
+    return np.asarray((seen[1:] - seen[0]).reshape(*places.shape[:2], -1))
+
+
+def _lowered(
+    unit: Float64[np.ndarray, "A N"], own: Float64[np.ndarray, "K A"], kept: Float64[np.ndarray, "K"]
+) -> Float64[np.ndarray, "A N"]:
+    """Derivatives of which only these shares are kept along these directions."""
+    return np.asarray(unit - ((1.0 - kept)[:, None] * own).T @ (own @ unit))
 
 
 def _kept(
@@ -132,8 +146,7 @@ def _followed(
     low, high = problem.parameters.bounds
     places, kept = np.clip(z + moves, low, high), np.ones(len(own))
     for _ in range(_FOLLOWED):
-        seen = problem.slopes(np.concatenate([z[None], *places]))
-        changed = (seen[1:] - seen[0]).reshape(2, len(own), -1)
+        changed = _changes(problem, z, places)
         kept = np.minimum(kept, _kept(changed, moves, unit, alive, norms))
         steps = [-np.nan_to_num(changed[:, row]) @ unit.T @ inverse for row, inverse in enumerate(inverses)]
         places[..., alive] += np.stack(steps, axis=1) / norms[alive]

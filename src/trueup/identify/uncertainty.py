@@ -326,22 +326,12 @@ def _fitted(posterior: Posterior, parameter: Parameter, index: int | None, value
     )
 
 
-def disowned(parameters: Sequence[FittedParameter]) -> tuple[FittedParameter, ...]:
-    """The same after a fit that explains nothing: whatever its derivatives say, it has not determined them."""
+def relabelled(
+    parameters: Sequence[FittedParameter], before: Sequence[Identified], now: Identified, sentence: str
+) -> tuple[FittedParameter, ...]:
+    """The same where the fit as a whole says otherwise of what its derivatives say; what is not fitted stays."""
     return tuple(
-        item
-        if item.frozen or item.identified == "no"
-        else replace(item, identified="no", sentence="not determined: the fitted model does not explain these motions")
-        for item in parameters
-    )
-
-
-def effective(parameters: Sequence[FittedParameter], why: str) -> tuple[FittedParameter, ...]:
-    """The same after a fit whose model lacks something: what the data determine is no property of the robot."""
-    return tuple(
-        replace(item, identified="effective", sentence=f"effective value: the data determine it, but {why}")
-        if item.identified == "yes" and not item.frozen
-        else item
+        replace(item, identified=now, sentence=sentence) if item.identified in before and not item.frozen else item
         for item in parameters
     )
 
