@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -38,7 +38,15 @@ class Plain:
 
 
 def pendulum_logs(
-    folder: Path, *, seconds: float = 6.0, torque: bool = False, driven: bool = False, soft: bool = False, **true: float
+    folder: Path,
+    *,
+    seconds: float = 6.0,
+    torque: bool = False,
+    driven: bool = False,
+    soft: bool = False,
+    shaped: bool = True,
+    logged_late_s: float = 0.0,
+    **true: float,
 ) -> Plain:
     """Four motions for train and two for val: sines, steps, and rests; commands are held as they are logged.
 
@@ -48,14 +56,15 @@ def pendulum_logs(
         torque: log the servo's torque, too.
         driven: by torques, from a controller that nobody knows.
         soft: friction creeps as MuJoCo's default does.
+        shaped: a link of another mass has the model's shape, so that its inertia grows with it; or the model's inertia.
+        logged_late_s: stamps of commands are so late.
         true: numbers that are otherwise than in `TRUTH`.
     """
     path = folder / "pendulum.xml"
     kind, rigid, truth = MOTOR if driven else SERVO, "" if soft else RIGID, {**TRUTH, **true}
 
     def written(step_s: float, numbers: Mapping[str, float]) -> str:
-        # A body that weighs more of the same shape turns as much more heavily, as a fitted mass has it.
-        inertia = 0.008 * numbers["mass"]
+        inertia = 0.008 * (numbers["mass"] if shaped else MODEL["mass"])
         actuator = kind.format(**numbers)
         return PENDULUM.format(step=step_s, rigid=rigid, actuator=actuator, inertia=inertia, **numbers)
 
@@ -64,12 +73,14 @@ def pendulum_logs(
     robot = RobotSpec("pendulum", (JointSpec("j"),), path.name, controller=ControllerSpec("model", command=command))
     model = mujoco.MjModel.from_xml_string(written(_FINE_S, truth))
     logs = [_log(model, number, seconds, torque=torque, driven=driven) for number in range(6)]
+    if logged_late_s:
+        logs = [replace(log, command=replace(log.command, time_s=log.command.time_s + logged_late_s)) for log in logs]
     names = {name: f"{name}[{'link' if name == 'mass' else 'j'}]" for name in TRUTH}
     return Plain(
         robot,
         path,
         {"train": logs[:4], "val": logs[4:]},
-        {**{names[name]: value for name, value in truth.items()}, "delay_s[j]": 0.0},
+        {**{names[name]: value for name, value in truth.items()}, "delay_s[j]": -logged_late_s},
     )
 
 

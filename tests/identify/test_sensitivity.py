@@ -18,7 +18,7 @@ from trueup.identify.search import Search, Stopwatch
 from trueup.identify.segments import SegmentRule, make_segments
 from trueup.identify.sensitivity import invariant, split_shifts, verified
 from trueup.identify.solution import SolveSettings
-from trueup.identify.uncertainty import noise_level, noise_of
+from trueup.identify.uncertainty import noise_level, noise_of, resolution_of
 
 SCALED = ("kp", "kv", "damping", "frictionloss", "armature", "mass")
 
@@ -137,6 +137,35 @@ def test_a_logged_torque_tells_the_scale_of_all_torques(tmp_path):
     assert other["kp[j]"].identified != "yes" or in_intervals(other, pendulum.truth)[1] == []
 
 
+def test_the_shape_of_a_link_is_no_better_known_than_its_mass(tmp_path):
+    """Its mass grew by a fifth and its inertia did not, which the armature makes up for."""
+    pendulum = pendulum_logs(tmp_path, torque=True, mass=0.6, shaped=False)
+    fit = dict.fromkeys(("kp", "kv", "frictionloss", "armature"), "all") | {"mass": {"prior_std": 0.1}}
+    found = identify(
+        pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
+    ).result
+    known, missed = in_intervals(found, pendulum.truth)
+    assert {"kp[j]", "mass[link]"} <= {item.name for item in known}
+    assert not missed
+    assert found["armature[j]"].value != pytest.approx(pendulum.truth["armature[j]"], rel=0.015)
+
+
+def test_a_bound_that_nobody_asked_for_is_moved_where_it_is_hit(tmp_path):
+    pendulum = pendulum_logs(tmp_path, logged_late_s=0.04)
+    fit = dict.fromkeys(("delay_s", "kp", "kv", "frictionloss", "armature"), "all")
+    found = identify(
+        pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
+    ).result
+    assert found["delay_s[j]"].value == pytest.approx(-0.04, abs=1e-3)  # the catalogue ends at -0.02
+    assert found["delay_s[j]"].at_bound == ""
+    asked = {**fit, "delay_s": {"low": -0.02}}
+    kept = identify(
+        pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=asked, models={})
+    ).result
+    assert kept["delay_s[j]"].at_bound == "low"
+    assert kept["delay_s[j]"].value == -0.02
+
+
 def test_windows_begin_where_the_motion_that_follows_says(tmp_path):
     pendulum = pendulum_logs(tmp_path, driven=True)
     fit = dict.fromkeys(("damping", "frictionloss", "armature"), "all") | {"mass": {"prior_std": 0.1}}
@@ -165,6 +194,24 @@ def test_third_differences_show_the_noise_and_not_what_moves_slowly():
     slow = 3.0 * np.sin(np.arange(4000) / 60.0)
     assert noise_level([slow + 0.1 * rng.standard_normal(4000)]) == pytest.approx(0.1, rel=0.05)
     assert noise_level([np.zeros(2)]) == 0.0
+
+
+def test_what_a_model_lacks_from_time_to_time_is_not_taken_for_noise():
+    rng = np.random.default_rng(1)
+    pieces = [0.1 * rng.standard_normal(500) for _ in range(6)]
+    for piece in pieces:
+        for begin in range(50, 500, 100):
+            piece[begin : begin + 40] += 0.5 * rng.standard_normal(40)
+    assert np.sqrt(np.mean(np.concatenate(pieces) ** 2)) > 3 * 0.1
+    assert noise_level(pieces) == pytest.approx(0.1, rel=0.1)
+
+
+def test_an_encoder_s_tick_is_seen_in_its_readings():
+    rng = np.random.default_rng(2)
+    moved = np.cumsum(rng.standard_normal(2000)) * 1e-3
+    assert resolution_of(np.round(moved / 2e-3) * 2e-3) == pytest.approx(2e-3)
+    assert resolution_of(moved) == 0.0
+    assert resolution_of(np.zeros(10)) == 0.0
 
 
 def test_what_is_unknown_of_a_change_by_the_step_is_half_of_what_is_left():

@@ -18,6 +18,10 @@ def split_name(name: str) -> tuple[str, str]:
     return about, target.removesuffix("]")
 
 
+# By how much a bound that is hit moves at most, of what is positive by nature.
+_WIDER = 30.0
+
+
 @dataclass(frozen=True)
 class SearchRange:
     """Where and how far a kind of number is looked for, if nobody says.
@@ -222,6 +226,17 @@ class ParameterSet:
             moved.append(replace(parameter, value=value, prior_mean=mean))
         return ParameterSet(tuple(moved))
 
+    def within(self, bounds: Mapping[str, tuple[float, float]]) -> ParameterSet:
+        """The same parameters with other bounds; those that are not named keep theirs, and so do frozen ones."""
+        return ParameterSet(
+            tuple(
+                replace(item, low=bounds[item.name][0], high=bounds[item.name][1])
+                if item.name in bounds and not item.frozen
+                else item
+                for item in self
+            )
+        )
+
     def freeze(self, names: Iterable[str]) -> ParameterSet:
         """The same parameters with the free ones among these left as the model has them.
 
@@ -237,6 +252,17 @@ class ParameterSet:
         return ParameterSet(
             tuple(replace(parameter, frozen=True) if parameter.name in chosen else parameter for parameter in self)
         )
+
+
+def widened(parameter: Parameter, bound: str) -> tuple[float, float]:
+    """Bounds with room beyond the `low` or the `high` one: half of their distance, in z, or a factor of 30 at most."""
+    low, high = parameter.to_z(parameter.low), parameter.to_z(parameter.high)
+    reach = 0.5 * (high - low)
+    if parameter.transform == "log":
+        factor = float(np.exp(min(reach, np.log(_WIDER))))
+        return (parameter.low / factor, parameter.high) if bound == "low" else (parameter.low, parameter.high * factor)
+    change = reach * parameter.scale
+    return (parameter.low - change, parameter.high) if bound == "low" else (parameter.low, parameter.high + change)
 
 
 def _as_the_model(parameter: Parameter) -> Parameter | None:

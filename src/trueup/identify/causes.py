@@ -37,6 +37,9 @@ _ONE = (0.5, 2.0)
 _ANY, _POSITIVE = (-np.inf, np.inf), (0.0, np.inf)
 
 # Something of each joint in each simulation step of each window, (W, N, J), or at each measured stamp, (T, J).
+# A time step takes its forces from as long ago [s].
+_LEAST_LATE_S = 0.0005
+
 Field = Mapping[Segment, np.ndarray]
 
 
@@ -352,6 +355,7 @@ class Cause:
         size: the size that is told, by the coefficient; None where parameters hide an unknown part of it.
         whole: whether its columns make sense only together.
         single: whether only one joint is looked for, since several look alike.
+        least: a smaller size is no cause, since every simulation has as much of its own.
     """
 
     name: str
@@ -362,6 +366,7 @@ class Cause:
     size: Callable[[float], float] | None = float
     whole: bool = False
     single: bool = False
+    least: float = 0.0
 
 
 def late_feedback(late_s: float) -> Cause:
@@ -373,6 +378,7 @@ def late_feedback(late_s: float) -> Cause:
         lambda motions: motions.late(late_s),
         # What parameters cannot hide of it goes with the square.
         size=lambda share: late_s * max(share, 0.0) ** 0.5,
+        least=_LEAST_LATE_S,
     )
 
 

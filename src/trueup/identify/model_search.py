@@ -15,7 +15,7 @@ from jaxtyping import Float64
 
 from trueup.core.episode import Episode
 from trueup.core.fit_result import ModelRow, Suspect
-from trueup.core.parameters import ParameterSet
+from trueup.core.parameters import ParameterSet, widened
 from trueup.core.ray_workers import Cluster
 from trueup.core.time_limit import OutOfTime, TimeLimit
 from trueup.errors import DataError, NotIdentifiable, TrueupError
@@ -36,13 +36,15 @@ from trueup.identify.quantities import quantity
 from trueup.identify.scoring import Scorer, Scores
 from trueup.identify.search import Search, Stopwatch
 from trueup.identify.segments import Segment, make_segments, usable
-from trueup.identify.sensitivity import split_shifts
+from trueup.identify.sensitivity import shape_shifts, split_shifts
 from trueup.identify.solution import OnModel, Solution
 from trueup.identify.solve import solve
 from trueup.identify.start import idle_names, off_bounds, regressed_start, servo_regressed, swept_start
 from trueup.identify.suspects import suspects_of
 from trueup.identify.uncertainty import (
     Posterior,
+    absent_at,
+    bound_of,
     noise_of,
     posterior_of,
     remaining_step,
@@ -69,6 +71,8 @@ _ALIKE = 1.3
 _EXCHANGED = (-1.0, -0.5, 0.3, 0.6, 0.9)
 # How often, at most; each time a search follows.
 _EXCHANGES = 3
+# How often bounds that were hit are moved.
+_WIDENINGS = 2
 # Of an armature, the share that is left at least.
 _LEAST_KEPT = 0.2
 # No torque is simulated better than to this share of its size.
@@ -137,6 +141,8 @@ class ModelSearch:
         self._scorer = Scorer(nominal, self.usable, jobs=jobs, seed=seed)
         self._finer: Alternative | None = None
         self._undecided: list[dict[str, float]] = []
+        # Wider bounds than those of the catalogue, for what ended on these.
+        self._room: dict[str, tuple[float, float]] = {}
         # A solution that was brought to the minimum of the present way, with parameters and residual there.
         self._minimum: (
             tuple[Solution, Discretization, tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]]] | None
@@ -154,6 +160,10 @@ class ModelSearch:
         rough, limit = bool(models), self._until(_BASE)
         for _ in range(_EXCHANGES):
             before, best = best, self._exchanged(best, fit, rough=rough, limit=limit)
+            if best is before:
+                break
+        for _ in range(_WIDENINGS):
+            before, best = best, self._widened(best, fit, rough=rough, limit=limit)
             if best is before:
                 break
         best = self._heard(best, fit, rough=rough, limit=limit)
@@ -240,7 +250,8 @@ class ModelSearch:
         left = remaining_step(problem, found.z, found.residual, found.jacobian)
         weight = noise_of(problem, found.residual).weight
         split = split_shifts(found.parameters, found.z, found.jacobian, weight)
-        return known.widened([left, *undecided, *split, step * np.ones(found.z.size), unknown])
+        shapes = shape_shifts(problem, found.z, found.jacobian, weight)
+        return known.widened([left, *undecided, *split, *shapes, step * np.ones(found.z.size), unknown])
 
     def suspects(self, item: TriedModel) -> tuple[Suspect, ...] | None:
         """What the model may lack; None where no time is left to look for it."""
@@ -507,6 +518,22 @@ class ModelSearch:
         place = replace(best, solution=replace(found, z=z))
         return self._further(place, fit, "lags for delays", (), rough=rough, limit=limit)
 
+    def _widened(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
+        """The same model with more room where it ended on a bound that nobody has asked for."""
+        if _over(limit):
+            return best
+        found = best.solution
+        asked = {name for name, choice in fit.items() if isinstance(choice, Mapping) and {"low", "high"} & set(choice)}
+        room = {
+            item.name: widened(item, edge)
+            for item, z in zip(found.parameters.free, found.z, strict=True)
+            if item.quantity not in asked and (edge := bound_of(item, float(z))) and not absent_at(item, edge)
+        }
+        if not room:
+            return best
+        self._room |= room
+        return self._further(best, fit, "wider", (), rough=rough, limit=limit)
+
     @staticmethod
     def _by_joint(problem: Problem, residual: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "J"]:
         """Squares of a residual, summed up by joint."""
@@ -695,7 +722,7 @@ class ModelSearch:
         """
         began = time.perf_counter()
         parameters = freeze_still(make_parameters(fit, self.nominal, self.motions), self.seen).freeze(left_out)
-        parameters = parameters.at(dict.fromkeys(absent, 0.0)).hold(absent)
+        parameters = parameters.within(self._room).at(dict.fromkeys(absent, 0.0)).hold(absent)
         settings = replace(self._settings, starts=starts or self._settings.starts)
         if rough:
             newton = settings.gauss_newton

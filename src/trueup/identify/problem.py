@@ -331,6 +331,10 @@ class Problem:
         own = self.weights.of(signal, self.nominal.robot.joint_names) * self._joint_weights
         return np.asarray(own[self.columns] * self.scale)
 
+    def in_residual(self, signal: str, values: Float64[np.ndarray, "K"]) -> Float64[np.ndarray, "K"]:
+        """What values of a signal of the joints that count are in the residual."""
+        return np.asarray(values * self._factor(signal))
+
     def unscaled_rms(self, residual: Float64[np.ndarray, "M"], column: int) -> float:
         """Root mean square of position residuals of one joint in the joint's unit [rad or m]."""
         weight = self.weights.signals["position"] * float(self._joint_weights[column]) * self.scale

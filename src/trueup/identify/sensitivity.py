@@ -7,6 +7,7 @@ from jaxtyping import Float64, Int64
 
 from trueup.core.parameters import ParameterSet
 from trueup.identify.problem import Problem
+from trueup.identify.quantities import quantity
 from trueup.identify.uncertainty import precision_of
 
 # Directions along which derivatives cancel to less than this share of their size are looked at, the weakest first.
@@ -18,6 +19,8 @@ _NEAR, _FAR, _FARTHEST = 0.01, 3.0, 1.0
 _ROUNDS = 2
 # The weakest directions along which others follow a move not further than this, in z, and how many times.
 _MOST_FOLLOWED, _CURVED, _FOLLOWED = 6, 0.2, 4
+# How well the inertia of a body is known beside its mass, one standard deviation of its logarithm.
+_SHAPE = 0.1
 
 
 def verified(
@@ -190,6 +193,47 @@ def split_shifts(
         shift[index[item.name]] = -width / max(mine, width)
         found.append(shift)
     return found
+
+
+def shape_shifts(
+    problem: Problem,
+    z: Float64[np.ndarray, "P"],
+    jacobian: Float64[np.ndarray, "P N"],
+    weight: float,
+) -> list[Float64[np.ndarray, "P"]]:
+    """What the estimate changes by, in z, if a body whose mass was fitted has another shape than the model's.
+
+    A mass is fitted with the radii of gyration that the model has. Those of a real link are known no better than its
+    mass, by a tenth in its inertia, and what they are wrong by other numbers make up for, armatures most of all. With g
+    the derivative of the residual by the logarithm of the inertia, one standard deviation is
+    -(J J^T + w L)^-1 J g / 10, with L the precision of the prior.
+
+    Args:
+        problem: of the fit.
+        z: best estimate, (P,).
+        jacobian: verified, at z, (P, N).
+        weight: variance of one independent observation.
+
+    Returns:
+        One (P,) for each such body; of none whose inertia is fitted, too.
+    """
+    names, shape = problem.parameters.names, quantity("inertia_scale")
+    bodies = [
+        item.target
+        for item in problem.parameters.free
+        if item.quantity == "mass" and item.target and f"inertia_scale[{item.target}]" not in names
+    ]
+    extra = [shape.parameter(problem.nominal, body) for body in shape.holders(problem.nominal) if body in bodies]
+    if not extra:
+        return []
+    wider = problem.with_parameters(ParameterSet((*problem.parameters, *extra)))
+    moves = _NEAR * np.eye(len(extra), z.size + len(extra), z.size)
+    here = np.concatenate([z, np.zeros(len(extra))])
+    seen = wider.slopes(np.concatenate([here + moves, here - moves])).reshape(2, len(extra), -1)
+    slopes = np.nan_to_num((seen[0] - seen[1]) / (2.0 * _NEAR))
+    curve = jacobian @ jacobian.T + weight * precision_of(problem.parameters)
+    shifts = -_SHAPE * np.linalg.pinv(curve, rcond=1e-14, hermitian=True) @ jacobian @ slopes.T
+    return list(shifts.T)
 
 
 def invariant(parameters: ParameterSet, z: Float64[np.ndarray, "P"]) -> Float64[np.ndarray, "K P"]:

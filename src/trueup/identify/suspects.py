@@ -22,7 +22,7 @@ from trueup.identify.causes import CAUSES, Cause, Column, Motions, late_feedback
 from trueup.identify.problem import Forces, Problem
 from trueup.identify.solution import Solution, SolveSettings
 from trueup.identify.solvers import Loss
-from trueup.identify.uncertainty import as_least_squares, noise_level, noise_of, precision_of
+from trueup.identify.uncertainty import as_least_squares, noise_level, noise_of, precision_of, unresolved
 
 # A small push, as a share of the rms torque of the drive.
 _PUSH = 0.05
@@ -316,8 +316,16 @@ class Suspicion:
     def _noise(self) -> Float64[np.ndarray, "K"]:
         """Mean square of what the measurement adds to the residual of each joint, in the scale of train."""
         problem = self.train.problem
-        blocks = [own for _, _, own in problem.by_segment(self.train.residual)]
-        return np.array([noise_level([own[:, k] for own in blocks]) ** 2 for k in range(problem.columns.size)])
+        total, samples = np.zeros(problem.columns.size), 0
+        blocks = list(problem.by_segment(self.train.residual))
+        for signal in dict.fromkeys(name for _, name, _ in blocks):
+            pieces = [own for _, name, own in blocks if name == signal]
+            noise = np.array([noise_level([own[:, k] for own in pieces]) for k in range(problem.columns.size)])
+            if signal == "position":
+                noise = np.maximum(noise, problem.in_residual(signal, unresolved(problem)))
+            count = sum(len(own) for own in pieces)
+            total, samples = total + count * noise**2, samples + count
+        return total / samples
 
     def excess(self, rest: Rest, residual: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "K"]:
         """Squares of each joint beyond the noise of the measurement, and no less than a share of that."""
@@ -598,10 +606,20 @@ class Suspicion:
         every = list(range(self.train.problem.columns.size))
         if item.cause.whole and min(value for value in self._shares(item, every)[:2] if value is not None) < _ON_ALL:
             return False
+        if item.cause.size is not None and max(self._sizes(item).values()) < item.cause.least:
+            return False
         train, val, gain = self._shares(item, about)
         if val is None:
             return train > _EXPLAINS_ALONE
         return train > _EXPLAINS and val > _EXPLAINS and gain > _LEAST_ON_VAL
+
+    @staticmethod
+    def _sizes(item: Tested) -> dict[int | None, float]:
+        """Joint -> size of a cause that has one; of two columns of a joint, the first is what is told."""
+        assert item.place is not None
+        assert item.cause.size is not None
+        found = list(zip(item.columns, item.place.sizes, strict=True))
+        return {column.joint: item.cause.size(float(value)) for column, value in reversed(found)}
 
     def _named(
         self, item: Tested, train: float, val: float | None, gain: float, rivals: Sequence[Tested], about: list[int]
@@ -617,10 +635,8 @@ class Suspicion:
             which = [name for number, name in enumerate(motions.joints) if number in item.alike]
             where, unit = " or ".join(which) or ", ".join(joints), motions.unit(numbers[0], cause.unit)
             if cause.size is not None:
-                # Of two columns of a joint, the first is what is told.
-                found = list(zip(item.columns, item.place.sizes, strict=True))
-                own = {column.joint: float(value) for column, value in reversed(found)}
-                sizes = tuple(cause.size(own[number]) for number in numbers)
+                own = self._sizes(item)
+                sizes = tuple(own[number] for number in numbers)
         size = f"{', '.join(f'{value:.2g}' for value in sizes)} {unit}".strip()
         words = cause.words.format(joints=where, size=size)
         what = (

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64
+from scipy.stats import chi2
 
 from trueup.core.fit_result import Direction, FittedParameter, Identified, Whiteness
 from trueup.core.parameters import Parameter, ParameterSet
@@ -20,8 +21,12 @@ _NO, _WEAK = 0.5, 0.25
 # Standard deviations in z: a factor of 1.5 either way is known, one of 4 weakly (or a fifth, or 0.7, of a large
 # change).
 _KNOWN, _VAGUE = 0.2, 0.7
-# What is left is called noise up to this ratio.
-_NOISE = 1.1
+# What is left is called noise up to this ratio, or with a memory of less than so many samples.
+_NOISE, _FORGETFUL = 1.1, 1.3
+# Third differences that are looked at together, the share of them that is calm, and how many are too few for that.
+_STRETCH, _CALM, _FEW_STRETCHES = 20, 0.1, 20
+# Readings that differ by less are the same [digits].
+_LEAST_DIGITS = 9
 # Of a motion, a share that no model is asked to explain: logs without noise are those of simulations.
 _RESOLVED = 1e-4
 _PARTNER = 0.9
@@ -299,11 +304,11 @@ def _fitted(posterior: Posterior, parameter: Parameter, index: int | None, value
     interval, at_bound, identified, sentence = (value, value), "", "no", "kept at its value, not fitted"
     if index is not None:
         interval = posterior.interval(index)
-        at_bound = _bound(parameter, float(posterior.z[index]))
+        at_bound = bound_of(parameter, float(posterior.z[index]))
         if parameter.prior_std is not None:
             share = float(min(1.0, posterior.covariance[index, index] / parameter.prior_std**2))
         identified = _identified(posterior, index, share)
-        absent = at_bound == "low" and (parameter.low == 0.0 or quantity(parameter.quantity).optional)
+        absent = absent_at(parameter, at_bound)
         sentence = _sentence(posterior, index, identified, at_bound, absent=absent)
     return FittedParameter(
         name=parameter.name,
@@ -336,7 +341,13 @@ def relabelled(
     )
 
 
-def _bound(parameter: Parameter, z: float) -> str:
+def absent_at(parameter: Parameter, bound: str) -> bool:
+    """Whether ending on this bound means that the robot has none of it."""
+    return bound == "low" and (parameter.low == 0.0 or quantity(parameter.quantity).optional)
+
+
+def bound_of(parameter: Parameter, z: float) -> str:
+    """`low` or `high` for a number on that bound, empty inside of them."""
     low, high = parameter.to_z(parameter.low), parameter.to_z(parameter.high)
     reach = _AT_BOUND * (high - low)
     return "low" if z <= low + reach else "high" if z >= high - reach else ""
@@ -376,30 +387,58 @@ def _partners(posterior: Posterior, index: int) -> list[str]:
 
 
 def noise_level(pieces: Sequence[Float64[np.ndarray, "_"]]) -> float:
-    """Standard deviation of the white noise in a residual, from its third differences.
+    """Standard deviation of the white noise in a residual, from its third differences where these are smallest.
 
     Of white noise of variance s^2, third differences have variance (1 + 9 + 9 + 1) s^2 = 20 s^2; what changes slowly
-    from sample to sample hardly appears in them. Zero with fewer than four samples.
+    from sample to sample hardly appears in them. What a model lacks may change quickly, too, but not all the time: dry
+    friction does at reversals. So each stretch of 20 differences gives a mean square, and the lower decile of these
+    is compared with that of white noise, which is nearly chi-squared with 20 / (1 + 2 sum of squared
+    autocorrelations) degrees of freedom (Bartlett). All of them count where there are few. Zero with fewer than four
+    samples.
     """
-    differences = np.concatenate([np.diff(piece, 3) for piece in pieces])
-    return float(np.sqrt(np.mean(differences**2) / 20.0)) if differences.size else 0.0
+    squares = [np.diff(piece, 3) ** 2 / 20.0 for piece in pieces]
+    every = np.concatenate(squares)
+    if not every.size:
+        return 0.0
+    stretches = [own[: own.size // _STRETCH * _STRETCH].reshape(-1, _STRETCH).mean(axis=1) for own in squares]
+    means = np.concatenate(stretches)
+    if means.size < _FEW_STRETCHES:
+        return float(np.sqrt(np.mean(every)))
+    # Of third differences of white noise: autocorrelations -15/20, 6/20 and -1/20.
+    freedom = _STRETCH / (1.0 + 2.0 * (15**2 + 6**2 + 1) / 20**2)
+    calm = float(np.quantile(means, _CALM)) * freedom / float(chi2.ppf(_CALM, freedom))
+    return float(np.sqrt(min(calm, float(np.mean(every)))))
+
+
+def resolution_of(values: Float64[np.ndarray, "_"]) -> float:
+    """The tick of an encoder whose readings are multiples of one; 0 where readings hardly repeat."""
+    found = np.unique(np.round(values, _LEAST_DIGITS))
+    return float(np.median(np.diff(found))) if 1 < found.size < values.size / 2 else 0.0
+
+
+def unresolved(problem: Problem) -> Float64[np.ndarray, "K"]:
+    """What the measured positions of each joint that counts do not tell apart: the least that is noise [rad or m]."""
+    moved = np.concatenate([segment.plan.measured["position"][segment.counts] for segment in problem.segments])
+    moved = moved[:, problem.columns]
+    # A reading is off by up to half a tick, all of that alike likely.
+    ticks = np.array([resolution_of(own) for own in moved.T]) / np.sqrt(12.0)
+    return np.asarray(np.maximum(ticks, _RESOLVED * np.std(moved, axis=0)))
 
 
 def whiteness_of(problem: Problem, residual: Float64[np.ndarray, "N"]) -> dict[str, Whiteness]:
     """Joint -> whether what is left of its position looks like noise, and how large that is."""
     found = {}
     blocks = [(segment, values) for segment, signal, values in problem.by_segment(residual) if signal == "position"]
-    joints = problem.nominal.robot.joint_names
+    joints, least = problem.nominal.robot.joint_names, unresolved(problem)
     for place, column in enumerate(problem.columns):
         pieces = [values[:, place] for _, values in blocks]
         step_s = float(np.median([np.median(np.diff(segment.plan.measured.time_s)) for segment, _ in blocks]))
         memory = memory_of(pieces)
         rms = problem.unscaled_rms(np.concatenate(pieces), int(column))
         noise = rms * noise_level(pieces) / max(float(np.sqrt(np.mean(np.concatenate(pieces) ** 2))), 1e-300)
-        moved = np.concatenate([segment.plan.measured["position"][segment.counts, column] for segment, _ in blocks])
-        noise = max(noise, _RESOLVED * float(np.std(moved)))
+        noise = max(noise, float(least[place]))
         correlation_s = (memory - 1.0) * step_s
-        white = memory < 2.0 or rms < _NOISE * noise
+        white = memory < _FORGETFUL or rms < _NOISE * noise
         what = f"{joints[column]}: what is left ({rms:.3g})"
         sentence = (
             f"{what} is the noise of the measurement"

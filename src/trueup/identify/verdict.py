@@ -15,8 +15,8 @@ from trueup.identify.uncertainty import Posterior, unexplained
 # From good to bad.
 FIT_STATUSES: tuple[FitStatus, ...] = get_args(FitStatus)
 _SHOWN_CORRELATION = 0.3
-# Times the noise of the measurement, above which something is left that the model lacks.
-_UNEXPLAINED = 1.3
+# Times the noise of the measurement, above which something is left that the model lacks: of all joints, and of one.
+_UNEXPLAINED, _OF_ONE = 1.3, 1.7
 # A logged signal that is simulated this much worse than before, by at least this share of what it does.
 _WORSE, _VISIBLE = 1.1, 0.01
 # What is looked for where something is left.
@@ -89,8 +89,8 @@ def doubt(evidence: Evidence) -> str:
         return "the search did not end"
     if evidence.suspects:
         return "the model lacks something: " + ", ".join(item.name.replace("-", " ") for item in evidence.suspects)
-    if (ratio := unexplained(evidence.whiteness)) > _UNEXPLAINED:
-        return f"what is left is {ratio:.2g} times the noise"
+    if _of_what_is_left(evidence) is not None:
+        return "more is left than noise"
     if _of_signals(evidence) is not None:
         return "a logged signal became worse"
     return "it makes motions no better" if any(item.status != "ok" for item in _of_motion(evidence)) else ""
@@ -113,10 +113,11 @@ def _of_starts(evidence: Evidence) -> _Judged | None:
 
 def _of_what_is_left(evidence: Evidence) -> _Judged | None:
     ratio = unexplained(evidence.whiteness)
-    if ratio <= _UNEXPLAINED:
+    of_one = {joint: unexplained({joint: item}) for joint, item in evidence.whiteness.items()}
+    joint = max(of_one, key=lambda name: of_one[name], default="")
+    if ratio <= _UNEXPLAINED and of_one.get(joint, 1.0) <= _OF_ONE:
         return None
-    worst = max(evidence.whiteness.items(), key=lambda item: item[1].rms / (item[1].noise or item[1].rms or 1.0))
-    joint, item = worst
+    item = evidence.whiteness[joint]
     return _Judged(
         "unexplained",
         f"what is left is {ratio:.2g} times the noise of the measurement (most of {joint}: {item.rms:.3g}, noise "

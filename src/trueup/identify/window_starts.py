@@ -57,7 +57,8 @@ def window_starts(
     the residual of the best start is r - S (S^T S)^-1 S^T r, which is linear in r.
 
     Dry friction makes S itself depend on x. So S is that of the best start, found by a few steps of Gauss-Newton, each
-    window's taken where it explains the window better.
+    window's taken where it explains the window better. Where the problem has a larger time step for its derivatives, S
+    is taken with that.
 
     Source: Golub, Pereyra 1973, "The differentiation of pseudo-inverses and nonlinear least squares problems whose
     variables separate"; multiple shooting with free states as by Bock 1983, "Recent advances in parameter
@@ -66,8 +67,8 @@ def window_starts(
     Args:
         problem: with windows; its own `starts` do not count.
         z: of the free parameters, (P,).
-        begun: starts that were the best of parameters nearby, from which one step is enough; None begins where it was
-            measured.
+        begun: starts that were the best of parameters nearby, from which one step is enough, with S as it is there;
+            None begins where it was measured.
 
     Returns:
         Starts by segment; of none whose motion cannot be simulated.
@@ -82,7 +83,7 @@ def window_starts(
     }
     known = {segment: _known(segment) for segment in problem.segments}
     for _ in range(1 if begun else _ROUNDS):
-        base, sensitivity = _slopes(problem, z, shifts)
+        base, sensitivity = _residuals(problem, z, shifts), _slopes(problem, z, shifts)
         if not np.isfinite(base).all() or not np.isfinite(sensitivity).all():
             return {}
         variance = float(np.mean(base**2))
@@ -104,7 +105,8 @@ def window_starts(
                 better = np.flatnonzero(after < before)
                 shifts[segment][:, better] = tried[segment][:, better]
                 moves[segment][:, better] = 0.0
-    _, sensitivity = _slopes(problem, z, shifts)
+    if not begun:
+        sensitivity = _slopes(problem, z, shifts)
     if not np.isfinite(sensitivity).all():
         return {}
     starts = {}
@@ -151,8 +153,12 @@ def _residuals(
 
 def _slopes(
     problem: Problem, z: Float64[np.ndarray, "P"], shifts: Mapping[Segment, Float64[np.ndarray, "2 W J"]]
-) -> tuple[Float64[np.ndarray, "N"], Float64[np.ndarray, "N K"]]:
-    """The residual, and its derivatives by positions and then velocities of the starts."""
+) -> Float64[np.ndarray, "N K"]:
+    """Derivatives of the residual by positions and then velocities of the starts."""
+    coarse = problem.coarse
+    if coarse is not None and coarse.size == problem.size:
+        pairs = zip(coarse.segments, problem.segments, strict=True)
+        problem, shifts = coarse, {other: shifts[own] for other, own in pairs}
     base, slopes = _residuals(problem, z, shifts), []
     for kind, step in enumerate((_POSITION, _VELOCITY)):
         for joint in range(_joints(problem)):
@@ -160,7 +166,7 @@ def _slopes(
             for own in moved.values():
                 own[kind, :, joint] += step
             slopes.append((_residuals(problem, z, moved) - base) / step)
-    return base, np.stack(slopes, axis=1)
+    return np.stack(slopes, axis=1)
 
 
 def _placed(windows: Mapping[Segment, Int[np.ndarray, "M"]]) -> Iterator[tuple[Segment, slice, Int[np.ndarray, "M"]]]:
