@@ -74,13 +74,24 @@ def pendulum_logs(
     model = mujoco.MjModel.from_xml_string(written(_FINE_S, truth))
     logs = [_log(model, number, seconds, torque=torque, driven=driven) for number in range(6)]
     if logged_late_s:
-        logs = [replace(log, command=replace(log.command, time_s=log.command.time_s + logged_late_s)) for log in logs]
+        logs = [replace(log, command=_later(log.command, logged_late_s)) for log in logs]
     names = {name: f"{name}[{'link' if name == 'mass' else 'j'}]" for name in TRUTH}
     return Plain(
         robot,
         path,
         {"train": logs[:4], "val": logs[4:]},
         {**{names[name]: value for name, value in truth.items()}, "delay_s[j]": -logged_late_s},
+    )
+
+
+def _later(told: TimeSeries, late_s: float) -> TimeSeries:
+    """The same with later stamps; until then, the first command is told."""
+    before = np.arange(0.0, late_s - 1e-9, 1 / _RATE_HZ)
+    rows = np.concatenate([np.zeros(before.size, dtype=int), np.arange(told.time_s.size)])
+    return replace(
+        told,
+        time_s=np.concatenate([before, told.time_s + late_s]),
+        signals={name: own[rows] for name, own in told.signals.items()},
     )
 
 

@@ -162,10 +162,6 @@ class ModelSearch:
             before, best = best, self._exchanged(best, fit, rough=rough, limit=limit)
             if best is before:
                 break
-        for _ in range(_WIDENINGS):
-            before, best = best, self._widened(best, fit, rough=rough, limit=limit)
-            if best is before:
-                break
         best = self._heard(best, fit, rough=rough, limit=limit)
         best = self._settled(best, fit, rough=rough, limit=limit)
         best = self._retimed(best, fit, rough=rough, limit=limit)
@@ -423,13 +419,14 @@ class ModelSearch:
         Both are searched from the same start: a fit that has made up for the wrong one with its numbers is far away.
         """
         limit = self._until(_BASE)
-        best = self._try("base", fit, rough=rough, limit=limit)
+        best = self._widened(self._try("base", fit, rough=rough, limit=limit), fit, rough=rough, limit=limit)
         if not self._between_stamps or _over(limit):
             return best
         now, self.way = self.way, self.way.retimed
         begun = best.solution.parameters
         delays = {item.name: item.value + self._later for item in begun.free if item.quantity == "delay_s"}
         other = self._try(f"base, {self.way.command}", fit, begun=begun.at(delays), rough=rough, limit=limit)
+        other = self._widened(other, fit, rough=rough, limit=limit)
         return self._better_timed(best, now, other)
 
     def _retimed(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
@@ -520,19 +517,16 @@ class ModelSearch:
 
     def _widened(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
         """The same model with more room where it ended on a bound that nobody has asked for."""
-        if _over(limit):
-            return best
-        found = best.solution
         asked = {name for name, choice in fit.items() if isinstance(choice, Mapping) and {"low", "high"} & set(choice)}
-        room = {
-            item.name: widened(item, edge)
-            for item, z in zip(found.parameters.free, found.z, strict=True)
-            if item.quantity not in asked and (edge := bound_of(item, float(z))) and not absent_at(item, edge)
-        }
-        if not room:
-            return best
-        self._room |= room
-        return self._further(best, fit, "wider", (), rough=rough, limit=limit)
+        for _ in range(_WIDENINGS):
+            ended = zip(best.solution.parameters.free, best.solution.z, strict=True)
+            edges = [(item, bound_of(item, float(z))) for item, z in ended if item.quantity not in asked]
+            room = {item.name: widened(item, edge) for item, edge in edges if edge and not absent_at(item, edge)}
+            if not room or _over(limit):
+                break
+            self._room |= room
+            best = self._further(best, fit, "wider", (), rough=rough, limit=limit)
+        return best
 
     @staticmethod
     def _by_joint(problem: Problem, residual: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "J"]:

@@ -31,6 +31,8 @@ _EARLY_PRIOR = 0.01
 # Dampings of the last steps, how many there are at most, and the gain that is too small to go on, in observations.
 _UNDAMPED = (1e-12, 1e-7, 1e-4, 1e-2)
 _POLISHED, _SETTLED = 6, 0.05
+# An undamped step that keeps so much of its promise needs no other beside it.
+_KEPT = 0.5
 
 
 @dataclass(frozen=True)
@@ -257,7 +259,7 @@ class GaussNewton:
         """Go on with given derivatives to the minimum that they see, without holding back where they are small.
 
         Along what the data leave open, a search ends anywhere, since its cost hardly changes; only the prior decides
-        there. Ends when a step lowers the cost by less than a twentieth of one observation.
+        there. Ends when a step lowers the cost, or promises to, by less than a twentieth of one observation.
 
         Args:
             jacobian: derivatives at the present z, (P, N).
@@ -277,7 +279,12 @@ class GaussNewton:
         weight = self._prior_weight(self.residual) if weight is None else weight
         state.cost = self._cost(self.residual, state.z, weight)
         for _ in range(_POLISHED):
-            move = self._tried(*self._normal(jacobian, weight), _UNDAMPED, weight)
+            normal, gradient = self._normal(jacobian, weight)
+            if _expected(normal, gradient, self._bounded_step(normal, gradient, _UNDAMPED[0])) < _SETTLED * weight:
+                break
+            move = self._tried(normal, gradient, _UNDAMPED[:1], weight)
+            if not state.cost - move.cost > _KEPT * move.expected:
+                move = min(move, self._tried(normal, gradient, _UNDAMPED[1:], weight), key=lambda own: own.cost)
             if move.cost >= state.cost:
                 break
             gained = state.cost - move.cost
