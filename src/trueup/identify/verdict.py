@@ -64,20 +64,10 @@ def verdict(evidence: Evidence, beforehand: Sequence[str]) -> tuple[FitStatus, t
         evidence: what is known of the fit.
         beforehand: what was said before the search.
     """
-    judged = [
-        _of_starts(evidence),
-        _of_what_is_left(evidence),
-        _of_suspects(evidence),
-        _of_numbers(evidence),
-        _of_bounds(evidence),
-        _of_signals(evidence),
-        _of_search(evidence),
-        *_of_motion(evidence),
-    ]
-    found = [item for item in judged if item is not None]
+    found = _judged(evidence)[::-1]
     statuses: list[FitStatus] = ["ok", *(item.status for item in found)]
     status = max(statuses, key=FIT_STATUSES.index)
-    first = [item.text for item in reversed(found) if item.status == status and status != "ok"]
+    first = [item.text for item in found if item.status == status and status != "ok"]
     rest = [item.text for item in found if item.text not in first]
     remarks = _remarks(evidence)
     return status, tuple(text for text in (*first, *beforehand, *rest, *remarks) if text)
@@ -85,30 +75,39 @@ def verdict(evidence: Evidence, beforehand: Sequence[str]) -> tuple[FitStatus, t
 
 def doubt(evidence: Evidence) -> str:
     """Why numbers that the data determine need not be the robot's, in a few words; empty if nothing is known of it."""
-    if evidence.solution.solver["stop"] != "converged":
-        return "the search did not end"
-    if evidence.suspects:
-        return "the model lacks something: " + ", ".join(item.name.replace("-", " ") for item in evidence.suspects)
-    if _of_what_is_left(evidence) is not None:
-        return "more is left than noise"
-    if _of_signals(evidence) is not None:
-        return "a logged signal became worse"
-    return "it makes motions no better" if any(item.status != "ok" for item in _of_motion(evidence)) else ""
+    return next((item.doubt for item in reversed(_judged(evidence)) if item.doubt), "")
+
+
+def _judged(evidence: Evidence) -> list[_Judged]:
+    """All that was looked at and says something, the gravest doubt last."""
+    looked = [
+        _of_numbers(evidence),
+        _of_bounds(evidence),
+        *_of_motion(evidence),
+        _of_signals(evidence),
+        _of_what_is_left(evidence),
+        _of_suspects(evidence),
+        _of_starts(evidence),
+        _of_search(evidence),
+    ]
+    return [item for item in looked if item is not None]
 
 
 @dataclass(frozen=True)
 class _Judged:
-    """One thing that was looked at, and what it makes of the status."""
+    """One thing that was looked at, what it makes of the status, and why it lets one doubt determined numbers."""
 
     status: FitStatus
     text: str
+    doubt: str = ""
 
 
 def _of_starts(evidence: Evidence) -> _Judged | None:
     agreement = evidence.solution.agreement
     if agreement is None:
         return None
-    return _Judged(_DISAGREEMENT.get(agreement.verdict, "ok"), agreement.text)
+    status = _DISAGREEMENT.get(agreement.verdict, "ok")
+    return _Judged(status, agreement.text, "searches ended at different places" if status == "not-converged" else "")
 
 
 def _of_what_is_left(evidence: Evidence) -> _Judged | None:
@@ -123,6 +122,7 @@ def _of_what_is_left(evidence: Evidence) -> _Judged | None:
         f"what is left is {ratio:.2g} times the noise of the measurement (most of {joint}: {item.rms:.3g}, noise "
         f"{item.noise or 0.0:.2g}): the model lacks something, and fitted numbers may be off by more than their "
         "intervals to make up for it" + _or_else(evidence),
+        "more is left than noise",
     )
 
 
@@ -138,7 +138,9 @@ def _of_suspects(evidence: Evidence) -> _Judged | None:
     """What explains more than the model: its numbers are bent, however little is left."""
     if not evidence.suspects:
         return None
-    return _Judged("unexplained", "what the model lacks: " + "; ".join(item.sentence for item in evidence.suspects))
+    names = ", ".join(item.name.replace("-", " ") for item in evidence.suspects)
+    sentences = "; ".join(item.sentence for item in evidence.suspects)
+    return _Judged("unexplained", f"what the model lacks: {sentences}", f"the model lacks something: {names}")
 
 
 def _of_numbers(evidence: Evidence) -> _Judged | None:
@@ -181,6 +183,7 @@ def _of_signals(evidence: Evidence) -> _Judged | None:
         f"the fitted model simulates a logged signal worse than the nominal one: {', '.join(worse[:6])}"
         + (", …" if len(worse) > 6 else "")
         + "; its numbers are not the robot's, or the signal has another sign, scale or unit",
+        "a logged signal became worse",
     )
 
 
@@ -188,7 +191,7 @@ def _of_search(evidence: Evidence) -> _Judged | None:
     solver = evidence.solution.solver
     if solver["stop"] != "converged":
         text = f"the search stopped early ({solver['stop']}): raise solver.max_iterations, or give it more time"
-        return _Judged("not-converged", text)
+        return _Judged("not-converged", text, "the search did not end")
     return _Judged("ok", str(solver["remark"])) if "remark" in solver else None
 
 
@@ -208,7 +211,7 @@ def _of_motion(evidence: Evidence) -> list[_Judged]:
                 f"the fitted model is no better than {rival} on {judge}: {after.value:.4g} against {before.value:.4g} "
                 f"{after.unit}; is this the log of another robot?"
             )
-            found.append(_Judged("no-better", text))
+            found.append(_Judged("no-better", text, "it makes motions no better"))
     if judge == "train":
         found.append(_Judged("ok", "there is no val split: the fit is judged on the motions that it was fitted to"))
     return found
