@@ -358,15 +358,15 @@ def test_a_step_has_its_part_of_what_is_left(monkeypatch):
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     budget = Budget(100.0, STEPS)
     now[0] += 20.0  # import, replay and gap took long
-    assert budget.of("identify").left_s == pytest.approx(80.0 * 0.5)
+    assert budget.of("identify").left_s == pytest.approx(80.0 * 0.55)
     now[0] += 50.0  # and the fit longer than it was given
-    assert budget.of("augment").left_s == pytest.approx(30.0 * 0.3 / 0.5)
+    assert budget.of("augment").left_s == pytest.approx(30.0 * 0.35 / 0.45)
     now[0] += 10.0
-    assert budget.of("explain").left_s == pytest.approx(20.0 * 0.15 / 0.2)
+    assert budget.of("explain").left_s == pytest.approx(20.0 * 0.05 / 0.1)
     assert Budget(None, STEPS).of("explain") is None
     # Who asks for less gives the rest more.
-    assert Budget(100.0, STEPS[:6]).of("identify").left_s == pytest.approx(100.0 * 0.5 / 0.7)
-    assert Budget(100.0, STEPS[:5]).of("explain").left_s == pytest.approx(100.0 * 0.15 / 0.2)
+    assert Budget(100.0, STEPS[:6]).of("identify").left_s == pytest.approx(100.0 * 0.55 / 0.65)
+    assert Budget(100.0, STEPS[:5]).of("explain").left_s == pytest.approx(100.0 * 0.05 / 0.1)
 
 
 @given(

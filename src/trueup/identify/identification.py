@@ -167,7 +167,7 @@ def identify(
             data_hash=data_hash,
         ),
     )
-    return Identification(result, search.nominal, posterior.parameters, posterior)
+    return Identification(result, search.logs.nominal, posterior.parameters, posterior)
 
 
 def refuse_one_start(config: IdentifyConfig | None) -> None:

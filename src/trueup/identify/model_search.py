@@ -18,7 +18,7 @@ from trueup.core.fit_result import ModelRow, Suspect
 from trueup.core.parameters import ParameterSet, widened
 from trueup.core.ray_workers import Cluster
 from trueup.core.time_limit import OutOfTime, TimeLimit
-from trueup.errors import DataError, NotIdentifiable, TrueupError
+from trueup.errors import DataError, NotIdentifiable
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import AUTO, IdentifyConfig, make_parameters
 from trueup.identify.discretization import (
@@ -27,7 +27,6 @@ from trueup.identify.discretization import (
     Discretization,
     alternative,
     finer,
-    in_words,
     probability,
 )
 from trueup.identify.excitation import excitation_of, freeze_still
@@ -35,8 +34,9 @@ from trueup.identify.problem import Problem, Weights
 from trueup.identify.quantities import quantity
 from trueup.identify.scoring import Scorer, Scores
 from trueup.identify.search import Search, Stopwatch
-from trueup.identify.segments import Segment, make_segments, usable
+from trueup.identify.segments import usable
 from trueup.identify.sensitivity import shape_shifts, split_shifts
+from trueup.identify.simulated_logs import SimulatedLogs
 from trueup.identify.solution import OnModel, Solution
 from trueup.identify.solve import solve
 from trueup.identify.start import idle_names, off_bounds, regressed_start, servo_regressed, swept_start
@@ -52,7 +52,6 @@ from trueup.identify.uncertainty import (
     unexplained,
     whiteness_of,
 )
-from trueup.identify.window_starts import WindowStarts, window_starts
 
 # A richer model must make motions that it was not fitted to better by this share.
 _WORTH = 0.01
@@ -125,19 +124,10 @@ class ModelSearch:
         self.notes = () if nominal.robot.payload else _payload_note(self._train)
         self._signal = nominal.robot.controller.signal
         self.seen = excitation_of(self._train, nominal.robot.scored_joints, self._signal, nominal.commanded_limits)
-        self._weights = Weights(self.config.weights, self.config.joints)
         self._torque_said = ""
-        # Where windows begin, for each way to simulate, with parameters of these values.
-        self._starts: dict[Discretization, Mapping[Segment, WindowStarts]] = {}
-        self._place: Mapping[str, float] = {}
         self._settings = self.config.solver.settings(seed)
-        self._timestep_s = nominal.simulator.timestep_s
-        self._own = self.way = Discretization(command=nominal.robot.replay.command)
-        self._cut: dict[Discretization, tuple[Nominal, list[Segment]]] = {}
-        segments, refused = self._segments_of(nominal)
-        self._cut[self.way] = nominal, segments
-        self._unfitted = {name: error.summary for name, error in refused.items()}
-        self.motions = [segment.episode_id for segment in segments]
+        self.logs = SimulatedLogs(nominal, self.usable, self.config, jobs=jobs, seed=seed)
+        self.motions = [segment.episode_id for segment in self.logs.segments]
         self._scorer = Scorer(nominal, self.usable, jobs=jobs, seed=seed)
         self._finer: Alternative | None = None
         self._undecided: list[dict[str, float]] = []
@@ -204,7 +194,7 @@ class ModelSearch:
         its numbers make up for, one way at each step.
         """
         found, finer_step = item.solution, self._finer
-        if finer_step is None or finer_step.gain < -DECIDED or self.way.divisor == 1:
+        if finer_step is None or finer_step.gain < -DECIDED or self.logs.way.divisor == 1:
             return item
         low, high = found.parameters.bounds
         z = np.clip(found.z + finer_step.shift, low, high)
@@ -225,7 +215,7 @@ class ModelSearch:
 
     def problem_of(self, item: TriedModel) -> Problem:
         """The problem that a model's fit has solved."""
-        return self._problem(item.solution.parameters)
+        return self.logs.problem(item.solution.parameters)
 
     def posterior_of(self, item: TriedModel) -> Posterior:
         """What is known after a model's fit, by its own derivatives."""
@@ -238,11 +228,11 @@ class ModelSearch:
         known = posterior_of(problem, found.z, found.residual, found.jacobian)
         # The robot takes new commands at a rate of its own, and holds them: by half of that time they are later.
         unknown = np.zeros(found.z.size)
-        if self.way.command != "held":
-            late = 0.125 * self._period_s
+        if self.logs.way.command != "held":
+            late = 0.125 * self.logs.period_s
             unknown = np.array([late / item.scale * (item.quantity == "delay_s") for item in found.parameters.free])
         undecided = [np.array([own.get(item.name, 0.0) for item in found.parameters.free]) for own in self._undecided]
-        step = 0.0 if self._finer is None else self._finer.unknown(self.way)
+        step = 0.0 if self._finer is None else self._finer.unknown(self.logs.way)
         left = remaining_step(problem, found.z, found.residual, found.jacobian)
         weight = noise_of(problem, found.residual).weight
         split = split_shifts(found.parameters, found.z, found.jacobian, weight)
@@ -254,7 +244,7 @@ class ModelSearch:
         if _over(self._limit):
             return None
         found = self.searched or item.solution
-        problem, held_out = self._problem(found.parameters), self._held_out(found.parameters)
+        problem, held_out = self.logs.problem(found.parameters), self.logs.held_out(found.parameters)
         try:
             with ExitStack() as stack:
                 for own in (problem, held_out):
@@ -264,22 +254,6 @@ class ModelSearch:
                 return suspects_of(problem, held_out, found, self._settings)
         except OutOfTime:
             return None
-
-    def _held_out(self, parameters: ParameterSet, way: Discretization | None = None) -> Problem | None:
-        """The motions of val, simulated as those of the fit; None without."""
-        way, logs = way or self.way, self.usable.get("val")
-        if not logs:
-            return None
-        nominal, _ = self._simulated(way)
-        try:
-            segments, _ = make_segments(logs, nominal.simulator, self.config.data.rule(nominal.robot, self._seed))
-        except DataError:
-            return None
-        coarse = self._held_out(parameters, replace(way, divisor=1)) if way.divisor > 1 else None
-        problem = Problem(nominal, parameters, segments, weights=self._weights, jobs=self._jobs, coarse=coarse)
-        if self.config.data.window_s is not None:
-            problem.starts = window_starts(problem, problem.parameters.at(self._place).start)
-        return problem
 
     def _certain(self, item: TriedModel) -> TriedModel:
         """The same model with verified derivatives, at the minimum that these see."""
@@ -291,8 +265,7 @@ class ModelSearch:
         except OutOfTime:
             self.short_of_time.append(item.row.name)
             return replace(item, solution=replace(found, solver={**found.solver, "stop": "time"}))
-        self._begun_at(solution.values)
-        self._starts[self.way] = problem.starts
+        self.logs.begin_at(solution.values, problem.starts)
         return replace(item, solution=solution, val=self._on_val(solution))
 
     def scored_row(self, item: TriedModel, *, chosen: bool) -> ModelRow:
@@ -332,7 +305,7 @@ class ModelSearch:
     @property
     def torque_seen(self) -> bool:
         """Whether the logs' torques enter the residual, or drive the robot."""
-        return self._signal == "torque" or bool(self._weights.signals.get("torque"))
+        return self._signal == "torque" or bool(self.logs.weights.signals.get("torque"))
 
     @property
     def why(self) -> str:
@@ -350,16 +323,16 @@ class ModelSearch:
     @property
     def data(self) -> dict[str, Any]:
         """What was fitted to."""
-        _, segments = self._simulated(self.way)
+        segments = self.logs.segments
         return {
             "episodes": sorted({segment.episode_id for segment in segments}),
             "seconds": round(sum(segment.seconds for segment in segments), 2),
-            "timestep_s": self.nominal.simulator.timestep_s,
-            "command": self.way.command,
+            "timestep_s": self.logs.nominal.simulator.timestep_s,
+            "command": self.logs.way.command,
             "window_s": self.config.data.window_s,
-            "replay_window_s": self.nominal.robot.replay.window_s,
-            "samples": self._problem(ParameterSet(())).size,
-            **({"torque_weights": dict(self._weights.own["torque"])} if self._weights.own else {}),
+            "replay_window_s": self.logs.nominal.robot.replay.window_s,
+            "samples": self.logs.problem(ParameterSet(())).size,
+            **({"torque_weights": dict(self.logs.weights.own["torque"])} if self.logs.weights.own else {}),
             "flagged": self._flagged,
             "refused": self._refused,
         }
@@ -367,51 +340,14 @@ class ModelSearch:
     @property
     def _refused(self) -> dict[str, dict[str, str]]:
         """Split -> motion -> why it can be neither fitted nor scored."""
-        train = {**self._scorer.refused.get("train", {}), **self._unfitted}
+        train = {**self._scorer.refused.get("train", {}), **self.logs.unfitted}
         return {**self._scorer.refused, **({"train": train} if train else {})}
-
-    @property
-    def nominal(self) -> Nominal:
-        """The model as it came, simulated as the fit does."""
-        return self._simulated(self.way)[0]
 
     @property
     def ways_in_words(self) -> tuple[str, ...]:
         """How the fit simulates otherwise than the robot's description says."""
-        said = in_words(self.way, self._own, self._timestep_s)
+        said = self.logs.in_words
         return (*said, self._torque_said) if self._torque_said else said
-
-    def _simulated(self, way: Discretization) -> tuple[Nominal, list[Segment]]:
-        """The model and the pieces of the logs for one way to simulate them."""
-        if way not in self._cut:
-            own, _ = self._cut[self._own]
-            nominal = Nominal(way.of(own.given, self._timestep_s), own.path, hard_friction=way.rigid)
-            self._cut[way] = nominal, self._segments_of(nominal)[0]
-        return self._cut[way]
-
-    def _segments_of(self, nominal: Nominal) -> tuple[list[Segment], dict[str, TrueupError]]:
-        rule = self.config.data.rule(nominal.robot, self._seed)
-        return make_segments(self._train, nominal.simulator, rule)
-
-    def _problem(self, parameters: ParameterSet, way: Discretization | None = None) -> Problem:
-        """The fit, simulated as it is now or in another way."""
-        way = way or self.way
-        nominal, segments = self._simulated(way)
-        # The derivatives of the larger step serve as well, and take a fraction of the time.
-        coarse = self._problem(parameters, replace(way, divisor=1)) if way.divisor > 1 else None
-        problem = Problem(nominal, parameters, segments, weights=self._weights, jobs=self._jobs, coarse=coarse)
-        if self.config.data.window_s is not None:
-            if way not in self._starts:
-                own = problem.parameters.at(
-                    {name: self._place[name] for name in parameters.names if name in self._place}
-                )
-                self._starts[way] = window_starts(problem, own.start)
-            problem.starts = self._starts[way]
-        return problem
-
-    def _begun_at(self, values: Mapping[str, float]) -> None:
-        """Where windows begin is looked for again, with these parameters."""
-        self._starts, self._place = {}, values
 
     def _timed(self, fit: Mapping[str, Any], *, rough: bool) -> TriedModel:
         """The base model, with the command held between its stamps or moving on, whichever explains the logs better.
@@ -420,12 +356,12 @@ class ModelSearch:
         """
         limit = self._until(_BASE)
         best = self._widened(self._try("base", fit, rough=rough, limit=limit), fit, rough=rough, limit=limit)
-        if not self._between_stamps or _over(limit):
+        if not self.logs.between_stamps or _over(limit):
             return best
-        now, self.way = self.way, self.way.retimed
+        now, self.logs.way = self.logs.way, self.logs.way.retimed
         begun = best.solution.parameters
-        delays = {item.name: item.value + self._later for item in begun.free if item.quantity == "delay_s"}
-        other = self._try(f"base, {self.way.command}", fit, begun=begun.at(delays), rough=rough, limit=limit)
+        delays = {item.name: item.value + self.logs.later_s for item in begun.free if item.quantity == "delay_s"}
+        other = self._try(f"base, {self.logs.way.command}", fit, begun=begun.at(delays), rough=rough, limit=limit)
         other = self._widened(other, fit, rough=rough, limit=limit)
         return self._better_timed(best, now, other)
 
@@ -435,10 +371,10 @@ class ModelSearch:
         Where numbers depend on the step, a wrong step may have decided.
         """
         rival = self._rival
-        if self.way.divisor == 1 or rival is None or _over(limit):
+        if self.logs.way.divisor == 1 or rival is None or _over(limit):
             return best
-        now, self.way = self.way, self.way.retimed
-        other = self._further(rival, fit, f"{self.way.command}, finer", (), rough=rough, limit=limit)
+        now, self.logs.way = self.logs.way, self.logs.way.retimed
+        other = self._further(rival, fit, f"{self.logs.way.command}, finer", (), rough=rough, limit=limit)
         self._undecided.clear()
         return self._better_timed(best, now, other)
 
@@ -455,11 +391,11 @@ class ModelSearch:
             self._undecided.append({name: root * (other_one[name] - one[name]) for name in one if name in other_one})
         if gain > 0 and (gain > DECIDED or best.solution.rms > other.solution.rms):
             self._rival = best if other.solution.rms > best.solution.rms / _HOPELESS else None
-            self._scorer = Scorer(self.nominal, self.usable, jobs=self._jobs, seed=self._seed)
+            self._scorer = Scorer(self.logs.nominal, self.usable, jobs=self._jobs, seed=self._seed)
             return replace(other, row=replace(other.row, name="base"), val=self._on_val(other.solution))
         self._rival = other if best.solution.rms > other.solution.rms / _HOPELESS else None
-        self.way = now
-        self._begun_at(best.solution.values)
+        self.logs.way = now
+        self.logs.begin_at(best.solution.values)
         return best
 
     def _exchanged(
@@ -494,7 +430,7 @@ class ModelSearch:
             ).start
 
         lags = {}
-        for joint in self.nominal.robot.joint_names:
+        for joint in self.logs.nominal.robot.joint_names:
             lag = sum(values.get(f"{name}[{joint}]", 0.0) for name in ("kv", "damping"))
             if f"delay_s[{joint}]" in free and values.get(f"kp[{joint}]", 0.0) > 0.0 and lag > 0.0:
                 lags[joint] = lag / values[f"kp[{joint}]"]
@@ -503,7 +439,7 @@ class ModelSearch:
         ways = [(0.0, False), *((share, inertia) for share in _EXCHANGED for inertia in (True, False))]
         tried = problem.residuals(np.array([placed(dict.fromkeys(lags, way)) for way in ways]))
         squares = np.nan_to_num([self._by_joint(problem, row) for row in tried], nan=np.inf)
-        names = [self.nominal.robot.joint_names[column] for column in problem.columns]
+        names = [self.logs.nominal.robot.joint_names[column] for column in problem.columns]
         chosen = {
             name: ways[number]
             for name, number in zip(names, np.argmin(squares, axis=0), strict=True)
@@ -533,25 +469,6 @@ class ModelSearch:
         """Squares of a residual, summed up by joint."""
         return np.asarray(np.sum([np.sum(own**2, axis=0) for _, _, own in problem.by_segment(residual)], axis=0))
 
-    @property
-    def _later(self) -> float:
-        """By how much delays of the present timing are longer than those of the other one [s].
-
-        A held command is late by half of the time between two.
-        """
-        return 0.5 * self._period_s * (1.0 if self.way.command == "linear" else -1.0)
-
-    @property
-    def _between_stamps(self) -> bool:
-        """Whether there are simulation steps between the stamps of a command that moves."""
-        return self._period_s > 1.5 * self._timestep_s
-
-    @cached_property
-    def _period_s(self) -> float:
-        """Usual time between two commands [s]."""
-        steps = [np.diff(log.commanded().time_s) for log in self._train]
-        return float(np.median(np.concatenate(steps))) if any(own.size for own in steps) else 0.0
-
     def _explained(self, item: TriedModel) -> bool:
         """Whether what a fit leaves is no more than the noise of the measurement."""
         left = whiteness_of(self.problem_of(item), item.solution.residual)
@@ -574,20 +491,20 @@ class ModelSearch:
         """The same model, fitted with a finer time step while numbers depend on it and the data do not object."""
         while not _over(limit):
             self._finer = self._compared(best)
-            if self._finer is None or not self._finer.matters(self.way, self.posterior_of(best).std):
+            if self._finer is None or not self._finer.matters(self.logs.way, self.posterior_of(best).std):
                 break
-            self.way = self._finer.way
-            self._scorer = Scorer(self.nominal, self.usable, jobs=self._jobs, seed=self._seed)
+            self.logs.way = self._finer.way
+            self._scorer = Scorer(self.logs.nominal, self.usable, jobs=self._jobs, seed=self._seed)
             best = self._further(best, fit, "finer", left_out, rough=rough, limit=limit)
         return best
 
     def _braked(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
         """The same model with dry friction as soft as the model has it, if the logs say so: those of simulations do."""
         friction = [item for item in best.solution.parameters if item.quantity == "frictionloss"]
-        own = self.nominal.model.dof_frictionloss.any()
+        own = self.logs.nominal.model.dof_frictionloss.any()
         if _over(limit) or (not own and not any(best.solution.values[item.name] > 0.0 for item in friction)):
             return best
-        return self._chosen(best, fit, replace(self.way, rigid=False), rough=rough, limit=limit)
+        return self._chosen(best, fit, replace(self.logs.way, rigid=False), rough=rough, limit=limit)
 
     def _chosen(
         self,
@@ -608,8 +525,8 @@ class ModelSearch:
             names = [item.name for item in found.parameters.free]
             self._undecided.append(dict(zip(names, shift.tolist(), strict=True)))
             return best
-        self.way = way
-        self._scorer = Scorer(self.nominal, self.usable, jobs=self._jobs, seed=self._seed)
+        self.logs.way = way
+        self._scorer = Scorer(self.logs.nominal, self.usable, jobs=self._jobs, seed=self._seed)
         low, high = found.parameters.bounds
         moved = replace(best, solution=replace(found, z=np.clip(found.z + other.shift, low, high)))
         return self._further(moved, fit, "another way", (), rough=rough, limit=limit)
@@ -631,11 +548,11 @@ class ModelSearch:
         if self._signal == "torque" or self.config.signals.get("torque") != AUTO or _over(limit):
             return best
         found, base = best.solution, self.config.weights
-        _, segments = self._simulated(self.way)
+        segments = self.logs.segments
         delays = {item.target: found.values[item.name] for item in found.parameters if item.quantity == "delay_s"}
-        late = {name: delays.get(name, delays.get("", 0.0)) for name in self.nominal.robot.scored_joints}
+        late = {name: delays.get(name, delays.get("", 0.0)) for name in self.logs.nominal.robot.scored_joints}
         both = Weights({**base, "torque": 1.0}, self.config.joints, torque_delay_s=late)
-        problem = Problem(self.nominal, found.parameters, segments, weights=both, jobs=self._jobs)
+        problem = Problem(self.logs.nominal, found.parameters, segments, weights=both, jobs=self._jobs)
         blocks = list(problem.by_segment(problem.residuals(found.z[None])[0] / problem.scale))
         rows = [
             (values, segment.plan.measured["torque"][segment.rows("torque", problem.columns)][:, problem.columns])
@@ -644,7 +561,7 @@ class ModelSearch:
         ]
         if not rows:
             return best
-        names = [self.nominal.robot.joint_names[column] for column in problem.columns]
+        names = [self.logs.nominal.robot.joint_names[column] for column in problem.columns]
         joint_weights = np.array([self.config.joints.get(name, 1.0) for name in names])
         left, measured = (np.concatenate(own) for own in zip(*rows, strict=True))
         left = left / joint_weights
@@ -653,7 +570,7 @@ class ModelSearch:
         factor = float(one @ other) / max(float(one @ one), 1e-300)
         explained = 1.0 - float(np.mean((factor * one - other) ** 2)) / max(float(np.mean(other**2)), 1e-300)
         if not (explained > _HEARD and _SAME_UNIT[0] < factor < _SAME_UNIT[1]):
-            self._weights = Weights(base, self.config.joints)
+            self.logs.weights = Weights(base, self.config.joints)
             self._torque_said = (
                 "the logged torque is not used: the best multiple of the simulated one "
                 f"({factor:.3g} times) explains {max(0.0, 100 * explained):.0f} % of it; has it another sign, unit or "
@@ -664,19 +581,19 @@ class ModelSearch:
         positions = np.concatenate([values for _, signal, values in blocks if signal == "position"])
         usual = float(np.sqrt(np.mean(positions**2)))
         own = {name: usual / float(std) for name, std in zip(names, away, strict=True)}
-        self._weights = replace(both, own={"torque": own})
+        self.logs.weights = replace(both, own={"torque": own})
         self._torque_said = "the logged torque is weighed, each joint's by what the fit leaves of it"
         return self._further(best, fit, "with torque", left_out, rough=rough, limit=limit)
 
     def _compared(self, item: TriedModel, way: Discretization | None = None) -> Alternative | None:
         """What another way, or a finer time step, would find; None where it cannot be simulated, or no time is left."""
-        found, way = item.solution, way or finer(self.way)
-        now, other = self.problem_of(item), self._problem(found.parameters, way)
+        found, way = item.solution, way or finer(self.logs.way)
+        now, other = self.problem_of(item), self.logs.problem(found.parameters, way)
         weight = noise_of(now, found.residual).weight
         # Both have nearly the same derivatives: with these, corrected by what steps show, each comes to its minimum.
-        if self._minimum is None or self._minimum[0] is not found or self._minimum[1] != self.way:
+        if self._minimum is None or self._minimum[0] is not found or self._minimum[1] != self.logs.way:
             here = self._polished(now, found, weight)
-            self._minimum = (found, self.way, here) if here is not None else None
+            self._minimum = (found, self.logs.way, here) if here is not None else None
         there = self._polished(other, found, weight)
         if self._minimum is None or there is None:
             return None
@@ -715,7 +632,7 @@ class ModelSearch:
         with.
         """
         began = time.perf_counter()
-        parameters = freeze_still(make_parameters(fit, self.nominal, self.motions), self.seen).freeze(left_out)
+        parameters = freeze_still(make_parameters(fit, self.logs.nominal, self.motions), self.seen).freeze(left_out)
         parameters = parameters.within(self._room).at(dict.fromkeys(absent, 0.0)).hold(absent)
         settings = replace(self._settings, starts=starts or self._settings.starts)
         if rough:
@@ -723,13 +640,13 @@ class ModelSearch:
             newton = replace(newton, tolerance=max(newton.tolerance, _ROUGH))
             settings = replace(settings, gauss_newton=newton)
         if begun is not None:
-            problem = self._problem(off_bounds(parameters.at({item.name: item.value for item in begun})))
+            problem = self.logs.problem(off_bounds(parameters.at({item.name: item.value for item in begun})))
         elif start is None:
-            started = self._started(self._problem(parameters), limit).parameters
-            self._begun_at({item.name: item.value for item in started})
-            problem = self._problem(started)
+            started = self._started(self.logs.problem(parameters), limit).parameters
+            self.logs.begin_at({item.name: item.value for item in started})
+            problem = self.logs.problem(started)
         else:
-            problem = self._problem(off_bounds(parameters.at(start.values)))
+            problem = self.logs.problem(off_bounds(parameters.at(start.values)))
             # From a good place there may be nothing left to gain, which is no reason to search everywhere.
             settings = replace(settings, solver="gauss-newton") if settings.solver == "auto" else settings
         if not problem.parameters.free:
@@ -750,7 +667,7 @@ class ModelSearch:
             took_s = max(took_s, prepared_s + solution.solver["seconds"])  # before an interruption, too
         if solution.solver["stop"] == "time":
             self.short_of_time.append(name)
-        self._begun_at(solution.values)
+        self.logs.begin_at(solution.values)
         if start is not None and "remark" in start.solver:
             # It holds for all that goes on from there.
             solution = replace(solution, solver={"remark": start.solver["remark"], **solution.solver})

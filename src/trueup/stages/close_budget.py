@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from trueup.identify import IdentifyConfig
 
 # Parts of what is left once the simulator as it came is measured; the rest is for the last measurement.
-_PARTS: dict[StepName, float] = {"explain": 0.15, "identify": 0.5, "augment": 0.3}
+_PARTS: dict[StepName, float] = {"explain": 0.05, "identify": 0.55, "augment": 0.35}
 _REST = 0.05
 # What a fit does after its searches, counted by replays of all motions (one, and held-out motions of two models) and by
 # measurements of one run.

@@ -1,0 +1,140 @@
+"""The logs of a fit, cut and simulated in one way or another."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from trueup.core.episode import Episode
+from trueup.core.parameters import ParameterSet
+from trueup.errors import DataError, TrueupError
+from trueup.identify.candidate import Nominal
+from trueup.identify.config import IdentifyConfig
+from trueup.identify.discretization import Discretization, in_words
+from trueup.identify.problem import Problem, Weights
+from trueup.identify.segments import Segment, make_segments
+from trueup.identify.window_starts import WindowStarts, window_starts
+
+
+class SimulatedLogs:
+    """Motions, the pieces of them that a fit looks at, their weights, and the way in which they are simulated.
+
+    Args:
+        nominal: the model as it came.
+        logs: split -> motions; `train` is fitted.
+        config: resolved.
+        jobs: threads.
+        seed: where in the motions the pieces lie.
+
+    Attributes:
+        way: in which they are simulated now.
+        weights: of signals and joints.
+        unfitted: motion -> why it cannot be fitted.
+
+    Raises:
+        DataError: no motion can be simulated.
+    """
+
+    def __init__(
+        self,
+        nominal: Nominal,
+        logs: Mapping[str, Sequence[Episode]],
+        config: IdentifyConfig,
+        *,
+        jobs: int,
+        seed: int,
+    ) -> None:
+        self._logs, self._config, self._jobs, self._seed = logs, config, jobs, seed
+        self._timestep_s = nominal.simulator.timestep_s
+        self._own = self.way = Discretization(command=nominal.robot.replay.command)
+        self.weights = Weights(config.weights, config.joints)
+        # Where windows begin, for each way to simulate, with parameters of these values.
+        self._starts: dict[Discretization, Mapping[Segment, WindowStarts]] = {}
+        self._place: Mapping[str, float] = {}
+        segments, refused = self._segments_of(nominal, "train")
+        self._cut: dict[Discretization, tuple[Nominal, list[Segment]]] = {self.way: (nominal, segments)}
+        self.unfitted = {name: error.summary for name, error in refused.items()}
+
+    @property
+    def nominal(self) -> Nominal:
+        """The model as it came, simulated as the fit does."""
+        return self._simulated(self.way)[0]
+
+    @property
+    def segments(self) -> list[Segment]:
+        """The pieces of the motions that are fitted."""
+        return self._simulated(self.way)[1]
+
+    @property
+    def in_words(self) -> tuple[str, ...]:
+        """How they are simulated otherwise than the robot's description says."""
+        return in_words(self.way, self._own, self._timestep_s)
+
+    @cached_property
+    def period_s(self) -> float:
+        """Usual time between two commands [s]."""
+        steps = [np.diff(log.commanded().time_s) for log in self._logs["train"]]
+        return float(np.median(np.concatenate(steps))) if any(own.size for own in steps) else 0.0
+
+    @property
+    def between_stamps(self) -> bool:
+        """Whether there are simulation steps between the stamps of a command that moves."""
+        return self.period_s > 1.5 * self._timestep_s
+
+    @property
+    def later_s(self) -> float:
+        """By how much delays of the present timing are longer than those of the other one [s].
+
+        A held command is late by half of the time between two.
+        """
+        return 0.5 * self.period_s * (1.0 if self.way.command == "linear" else -1.0)
+
+    def problem(self, parameters: ParameterSet, way: Discretization | None = None) -> Problem:
+        """The fit, simulated as it is now or in another way."""
+        way = way or self.way
+        nominal, segments = self._simulated(way)
+        # The derivatives of the larger step serve as well, and take a fraction of the time.
+        coarse = self.problem(parameters, replace(way, divisor=1)) if way.divisor > 1 else None
+        problem = Problem(nominal, parameters, segments, weights=self.weights, jobs=self._jobs, coarse=coarse)
+        if self._config.data.window_s is not None:
+            if way not in self._starts:
+                self._starts[way] = window_starts(problem, parameters.at(self._place).start)
+            problem.starts = self._starts[way]
+        return problem
+
+    def held_out(self, parameters: ParameterSet, way: Discretization | None = None) -> Problem | None:
+        """The motions of val, simulated as those of the fit; None without."""
+        way = way or self.way
+        if not self._logs.get("val"):
+            return None
+        nominal, _ = self._simulated(way)
+        try:
+            segments, _ = self._segments_of(nominal, "val")
+        except DataError:
+            return None
+        coarse = self.held_out(parameters, replace(way, divisor=1)) if way.divisor > 1 else None
+        problem = Problem(nominal, parameters, segments, weights=self.weights, jobs=self._jobs, coarse=coarse)
+        if self._config.data.window_s is not None:
+            problem.starts = window_starts(problem, parameters.at(self._place).start)
+        return problem
+
+    def begin_at(self, values: Mapping[str, float], starts: Mapping[Segment, WindowStarts] | None = None) -> None:
+        """Look again where windows begin, with these parameters; `starts` are known for the present way."""
+        self._starts, self._place = {}, values
+        if starts is not None:
+            self._starts[self.way] = starts
+
+    def _simulated(self, way: Discretization) -> tuple[Nominal, list[Segment]]:
+        """The model and the pieces of the logs for one way to simulate them."""
+        if way not in self._cut:
+            own, _ = self._cut[self._own]
+            nominal = Nominal(way.of(own.given, self._timestep_s), own.path, hard_friction=way.rigid)
+            self._cut[way] = nominal, self._segments_of(nominal, "train")[0]
+        return self._cut[way]
+
+    def _segments_of(self, nominal: Nominal, split: str) -> tuple[list[Segment], dict[str, TrueupError]]:
+        rule = self._config.data.rule(nominal.robot, self._seed)
+        return make_segments(self._logs[split], nominal.simulator, rule)
