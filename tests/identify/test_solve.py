@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identify.recovery_cases import SERVO, TORQUE, Truth, arm, nominal_of
-from trueup.core.fit_result import FitResult
+from trueup.core.fit_result import FitResult, Whiteness
 from trueup.core.parameters import ParameterSet
 from trueup.core.results import Estimate
 from trueup.errors import DataError
@@ -25,7 +25,7 @@ from trueup.identify.costs import PenalizedSquares, roles_of
 from trueup.identify.solution import Checkpoint, fingerprint_of
 from trueup.identify.solvers import GaussNewtonSettings
 from trueup.identify.uncertainty import fitted_parameters, posterior_of, whiteness_of
-from trueup.identify.verdict import Evidence, verdict
+from trueup.identify.verdict import Evidence, doubt, verdict
 
 TARGET = np.array([0.9, -0.7])
 
@@ -278,16 +278,20 @@ def test_the_evolution_strategy_knows_the_joint_of_an_encoder_zero(tmp_path):
 # Several starts
 
 
-def judged(problem, solution, errors=None, torque=None):
+def judged(problem, solution, errors=None, torque=None, ratios=()):
     posterior = posterior_of(problem, solution.z, solution.residual, solution.jacobian)
     items = fitted_parameters(posterior)
     left = {name: replace(item, white=True) for name, item in whiteness_of(problem, solution.residual).items()}
+    left |= {f"j{number}": Whiteness(ratio, 0.1, False, "", 1.0) for number, ratio in enumerate(ratios)}
     errors = errors or {
         "nominal": {"val": Estimate(2.0, "rad", 1.9, 2.1)},
         "fitted": {"val": Estimate(1.0, "rad", 0.9, 1.1)},
     }
     signals, size = ({"torque": {"j": torque}}, {"torque": {"j": 1.0}}) if torque else ({}, {})
-    return verdict(Evidence(solution, items, left, errors, signals, size, chosen_by_user=True, torque_seen=True), ())
+    evidence = Evidence(solution, items, left, errors, signals, size, chosen_by_user=True, torque_seen=True)
+    status, statements = verdict(evidence, ())
+    assert bool(doubt(evidence)) == (status in ("unexplained", "signal-worse", "no-better"))
+    return status, statements
 
 
 def test_the_test_motions_decide_nothing_about_the_status(small):
@@ -310,6 +314,16 @@ def test_a_signal_becomes_worse_only_visibly_and_where_it_was_explained(small, t
     found, statements = judged(problem, solve(problem, SolveSettings()), torque=torque)
     assert found == status
     assert any("torque of j (0.5 -> 0.6)" in line for line in statements) == (status != "ok")
+
+
+@pytest.mark.parametrize(
+    ("ratios", "status"), [((1.2, 1.2), "ok"), ((1.6, 1.0, 1.0), "ok"), ((1.4, 1.4), "ok"), ((1.8, 1.0), "unexplained")]
+)
+def test_one_joint_that_is_not_explained_is_enough(small, ratios, status):
+    problem = Replaced(small, linear(small.size))
+    found, statements = judged(problem, solve(problem, SolveSettings()), ratios=ratios)
+    assert found == status
+    assert any("most of j0" in line for line in statements) == (status != "ok")
 
 
 def test_starts_that_agree_leave_the_status_alone_and_say_so(small):
