@@ -290,7 +290,8 @@ def judged(problem, solution, errors=None, torque=None, ratios=()):
     signals, size = ({"torque": {"j": torque}}, {"torque": {"j": 1.0}}) if torque else ({}, {})
     evidence = Evidence(solution, items, left, errors, signals, size, chosen_by_user=True, torque_seen=True)
     status, statements = verdict(evidence, ())
-    assert bool(doubt(evidence)) == (status in ("unexplained", "signal-worse", "no-better"))
+    doubtful = ("unexplained", "signal-worse", "no-better", "not-converged")
+    assert bool(doubt(evidence)) == (status in doubtful)
     return status, statements
 
 
