@@ -73,24 +73,24 @@ class EpisodeMeta:
         robot: name of the kind of robot, e.g. `so101`; empty if unknown.
         unit: which individual robot.
         payload_kg: payload [kg], or None if not recorded.
-        kp_setting: of the drives' position gain, in the unit of their firmware; None if not recorded.
         condition: free word for the base condition or gait.
         split: `train`, `val`, `test`, or empty when not assigned.
         source: file or folder that it came from, relative to what was imported.
         source_hash: SHA-256 of those bytes.
         flags: what the quality checks found.
+        kp_setting: of the drives' position gain, in the unit of their firmware; None if not recorded.
     """
 
     id: str
     robot: str = ""
     unit: str = ""
     payload_kg: float | None = None
-    kp_setting: float | None = None
     condition: str = ""
     split: str = ""
     source: str = ""
     source_hash: str = ""
     flags: tuple[Flag, ...] = ()
+    kp_setting: float | None = None
 
     @property
     def executed(self) -> str:

@@ -53,6 +53,7 @@ from trueup.identify.uncertainty import (
     whiteness_of,
 )
 from trueup.identify.window_starts import WindowStarts, window_starts
+from trueup.robots import refuse_unknown_gains
 
 # A richer model must make motions that it was not fitted to better by this share.
 _WORTH = 0.01
@@ -122,6 +123,7 @@ class ModelSearch:
                 got="nothing in train but flagged motions" if self._flagged.get("train") else "an empty train split",
                 hint="Give --splits at import, and leave `data: {drop_flagged: true}` out.",
             )
+        refuse_unknown_gains(nominal.given, (log.meta for own in self.usable.values() for log in own))
         self.notes = () if nominal.robot.payload else _payload_note(self._train)
         self._signal = nominal.robot.controller.signal
         self.seen = excitation_of(self._train, nominal.robot.scored_joints, self._signal, nominal.commanded_limits)
