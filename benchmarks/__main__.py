@@ -69,6 +69,7 @@ LONG = (
     "ros2_hour",
     "close",
     "foreign",
+    "xl330",
 )
 NAMES = SHORT + LONG
 # What has options of its own, which stand behind its name.

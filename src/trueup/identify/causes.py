@@ -215,7 +215,7 @@ class Motions:
 
     @property
     def _gains(self) -> tuple[Float64[np.ndarray, "J"], Float64[np.ndarray, "J"]]:
-        """Stiffness of the drives as described, and what damps joints: how much of it is the drives' no fit can tell."""
+        """Stiffness of the drives as described, and what damps joints: of how much no fit can tell whose it is."""
         kp, kv = (np.array([getattr(drive, name) or 0.0 for drive in self.drives]) for name in ("kp", "kv"))
         return kp, kv + self.model.dof_damping[self._qvel]
 

@@ -72,8 +72,8 @@ def servo_start(
     with kp times its factor where the gain of a log was set otherwise; or du(time - d) - dq on the left, and kv for kp,
     of a velocity servo, where the second term is viscous friction. All signals are behind the same zero-phase low-pass;
     delays and cutoffs are tried one by one, and the best is taken by the share of the left side that is explained. Rows
-    at which the joint may stick, or the servo is at its torque limit, are left out. Where t is too small to show 1 / kp,
-    as of a last joint behind a heavy rotor, the model's gain is taken: it is the scale of the other numbers.
+    at which the joint may stick, or the servo is at its torque limit, are left out. Where t is too small to show
+    1 / kp, as of a last joint behind a heavy rotor, the model's gain is taken: it is the scale of the other numbers.
 
     Args:
         episodes: position- or velocity-driven logs in the joint names and units of the robot.
