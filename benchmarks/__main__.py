@@ -43,6 +43,7 @@ SHORT = (
     "policy_loop",
     "ros2_bridge",
     "fleet",
+    "xl330",
 )
 # Hours each, or one hour at least: measured when they are named, or with --anew.
 LONG = (
@@ -69,7 +70,6 @@ LONG = (
     "ros2_hour",
     "close",
     "foreign",
-    "xl330",
 )
 NAMES = SHORT + LONG
 # What has options of its own, which stand behind its name.
