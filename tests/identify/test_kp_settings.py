@@ -31,7 +31,8 @@ from trueup.robots import (
     setup_of,
 )
 from trueup.sim import make_simulator
-from trueup.stages import replay
+from trueup.stages import prepare, replay
+from trueup.stages.replaying import kp_factors
 
 SETTINGS = (200.0, 100.0, 400.0)
 NAMES = ("kp", "kv", "frictionloss")
@@ -140,6 +141,10 @@ def test_several_settings_are_refused_where_nobody_says_which_kp_is_for(pendulum
     assert not dataset.runs
     with pytest.raises(ConfigError, match=message):
         identify(pendulum.episodes, unsaid, pendulum.model)
+    assert kp_factors(dataset, unsaid) == {}
+    assert kp_factors(dataset, pendulum.robot) == {"m1": 0.5, "m2": 2.0, "m4": 0.5, "m5": 2.0}
+    with pytest.raises(ConfigError, match=r"compensate simulates every motion with the same .* kp_setting 100, 400"):
+        prepare(dataset, pendulum.robot, model=pendulum.model, jobs=1)
     same = [name for name, meta in zip(dataset.ids, dataset.metas, strict=True) if meta.kp_setting == 400.0]
     assert replay(dataset, unsaid, model=pendulum.model, ids=same, jobs=1).replayed == len(same)
 
