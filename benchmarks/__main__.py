@@ -43,6 +43,7 @@ SHORT = (
     "policy_loop",
     "ros2_bridge",
     "fleet",
+    "xl330",
 )
 # Hours each, or one hour at least: measured when they are named, or with --anew.
 LONG = (

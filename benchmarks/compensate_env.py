@@ -37,7 +37,7 @@ from trueup.compensate.tracks import Track
 from trueup.compensate.windows import Windows
 from trueup.core.atomic import make_folder, write_json
 from trueup.core.provenance import provenance
-from trueup.robots import find_model, load_robot
+from trueup.robots import Setup, find_model, load_robot
 from trueup.sim import MujocoSimulator
 from trueup.sim.transitions import Transitions
 from trueup.stages.timing import machine_name
@@ -96,7 +96,7 @@ def rows(result: Mapping[str, Any]) -> list[Row]:
 @cache
 def _transitions(payload_kg: float, threads: int = 1) -> Transitions:
     robot = load_robot("upper_body")
-    simulator = MujocoSimulator.from_robot(robot, find_model(robot), payload_kg=payload_kg, threads=threads)
+    simulator = MujocoSimulator.from_robot(robot, find_model(robot), setup=Setup(payload_kg), threads=threads)
     return Transitions(simulator, CONTROL_S)
 
 

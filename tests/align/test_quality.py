@@ -211,6 +211,26 @@ def test_frozen_encoder_by_command_and_by_velocity():
     assert "frozen" not in kinds(make_episode(make_series(measured.time_s, position=measured["position"])))
 
 
+def test_what_friction_holds_is_not_frozen():
+    """A soft servo sticks until its command is half a radian away, and goes on from there."""
+    time_s = np.arange(0.0, 12.0, 0.01)
+    asked = 0.8 * np.sin(0.6 * time_s)
+    stuck, done = 0.0, []
+    for target in asked:
+        error = target - stuck
+        stuck += 0.02 * (error - 0.5 * np.sign(error)) if abs(error) > 0.5 else 0.0
+        done.append(round(stuck / 1.5e-3) * 1.5e-3)
+    sticking = make_series(time_s, position=np.array(done))
+    assert np.diff(np.flatnonzero(np.diff(done))).max() > 50  # samples without a change
+    told = make_series(time_s, position=asked)
+    assert "frozen" not in kinds(make_episode(sticking, told))
+    # An encoder that dies in motion is, and so is one that comes back elsewhere.
+    dead, gone = np.array(asked), np.array(asked)
+    dead[450:], gone[300:500] = dead[450], gone[300]
+    for broken in (dead, gone):
+        assert "frozen" in kinds(make_episode(make_series(time_s, position=broken), told))
+
+
 def test_resting_and_late_joints_are_not_frozen():
     time_s = np.arange(0.0, 6.0, 0.02)
     asked = 0.5 * (time_s > 3.0)

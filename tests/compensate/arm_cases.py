@@ -8,7 +8,7 @@ from identify.recovery_cases import JOINTS, SERVO, arm, wave
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
-from trueup.robots.spec import PayloadSpec
+from trueup.robots import PayloadSpec, Setup
 from trueup.sim import MujocoSimulator
 from trueup.sim.transitions import Transitions
 
@@ -29,7 +29,7 @@ def arm_of(folder, *, friction=True):
 
 
 def transitions_of(robot, path, *, payload_kg=0.0, delay_s=0.0):
-    return Transitions(MujocoSimulator.from_robot(robot, path, payload_kg=payload_kg), CONTROL_S, delay_s)
+    return Transitions(MujocoSimulator.from_robot(robot, path, setup=Setup(payload_kg)), CONTROL_S, delay_s)
 
 
 def states(count, seed=0, *, spread=0.3):

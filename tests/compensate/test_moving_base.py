@@ -19,6 +19,7 @@ from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
 from trueup.errors import ConfigError, MissingSignal
+from trueup.robots import Setup
 from trueup.sim import MujocoSimulator
 from trueup.sim.moving_base import SPECIFIC_FORCE
 from trueup.sim.transitions import Transitions
@@ -44,7 +45,7 @@ def world(tmp_path_factory):
     path.write_text(text)
     robot = replace(robot, simulation=replace(robot.simulation, base_sensor="pelvis"))
     transitions = {
-        kg: Transitions(MujocoSimulator.from_robot(robot, path, payload_kg=kg), CONTROL_S) for kg in (0.0, 1.0)
+        kg: Transitions(MujocoSimulator.from_robot(robot, path, setup=Setup(kg)), CONTROL_S) for kg in (0.0, 1.0)
     }
     with DatasetWriter.create(folder / "data", DatasetInfo(robot=robot.name)) as writer:
         for payload_kg, own in transitions.items():

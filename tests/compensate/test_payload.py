@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from trueup.compensate.payload import PayloadEstimator
 from trueup.errors import DataError
 from trueup.lab import VirtualRobot, draw_truth, load_lab
-from trueup.robots import find_model, load_robot
+from trueup.robots import Setup, find_model, load_robot
 from trueup.sim import MujocoSimulator
 
 RATE_HZ = 100.0
@@ -38,7 +38,7 @@ def motion(seed=0, samples=121):
 @given(payload_kg=st.floats(0.1, 4.0), seed=st.integers(0, 99))
 def test_torques_of_a_known_payload_give_it_back(robot, estimator, payload_kg, seed):
     time_s, position, velocity, _ = motion(seed)
-    model = MujocoSimulator.from_robot(robot, find_model(robot), payload_kg=payload_kg).model
+    model = MujocoSimulator.from_robot(robot, find_model(robot), setup=Setup(payload_kg)).model
     torque = np.full(position.shape, 1e6)  # what comes later is not looked at
     second = slice(0, 101)
     given = position[second], velocity[second]
@@ -50,7 +50,7 @@ def test_torques_of_a_known_payload_give_it_back(robot, estimator, payload_kg, s
 
 def test_torques_that_are_off_in_single_joints_widen_the_interval(robot, estimator):
     time_s, position, velocity, acceleration = motion()
-    model = MujocoSimulator.from_robot(robot, find_model(robot), payload_kg=2.0).model
+    model = MujocoSimulator.from_robot(robot, find_model(robot), setup=Setup(2.0)).model
     torque = estimator._needed(model, position, velocity, acceleration)
     exact = estimator.of(time_s, position, velocity, torque)
     torque += np.random.default_rng(0).normal(0.0, 4.0, 10)

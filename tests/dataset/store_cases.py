@@ -1,5 +1,7 @@
 """Episodes for the tests of the dataset on disk: random ones for laws, labelled ones for stories."""
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import strategies as st
 
@@ -22,6 +24,7 @@ def make_series(number: int, samples: int = 20, joints=JOINTS) -> TimeSeries:
 def make_episode(number: int, samples: int = 20, *, id: str = "", flagged: bool = False) -> Episode:
     flags = (Flag("gap", signal="position", joint="pan", detail="0.2 s", start_s=0.1, end_s=0.3),) if flagged else ()
     meta = EpisodeMeta(id or f"e{number:03d}", "arm", "A1", 0.5 * number, "walk", "", f"logs/{number}.csv", "ab", flags)
+    meta = replace(meta, kp_setting=100.0 * number if number else None)
     return Episode(meta, make_series(number, samples), make_series(-number - 1, samples + 3))
 
 
@@ -87,6 +90,8 @@ def write_npz(episode, path):
     arrays = {key: np.array(getattr(meta, key)) for key in ("robot", "unit", "condition")}
     if meta.payload_kg is not None:
         arrays["payload_kg"] = np.array(meta.payload_kg)
+    if meta.kp_setting is not None:
+        arrays["kp_setting"] = np.array(meta.kp_setting)
     series = {"measured": episode.measured, **{f"simulated/{label}": run for label, run in episode.simulated.items()}}
     if episode.command is not None:
         series["command"] = episode.command

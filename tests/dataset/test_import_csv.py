@@ -76,6 +76,7 @@ id: "{run}-{kg}"
 robot: "{run}"
 unit: left
 payload_kg: "{kg}"
+kp_setting: 400
 condition: "carrying {kg}"
 """
     )
@@ -88,6 +89,7 @@ condition: "carrying {kg}"
     episode = plan.episodes[0].load()
     assert episode.id == "w-1.5"
     assert (episode.meta.robot, episode.meta.unit, episode.meta.payload_kg) == ("w", "left", 1.5)
+    assert episode.meta.kp_setting == 400
     assert episode.meta.condition == "carrying 1.5"
     np.testing.assert_allclose(episode.command.time_s, [0.0, 0.001, 0.5])
     np.testing.assert_allclose(episode.measured.time_s, [0.5, 1.5])
@@ -244,6 +246,13 @@ def changed(old, new):
         (PLAIN + "id: '{run}'", ConfigError, r"\{run\}"),
         (PLAIN + "episodes: 'nothing'", FormatError, "no file.*nothing.*x.csv"),
         (PLAIN + "payload_kg: heavy", DataError, "payload.*heavy"),
+        (
+            PLAIN + "kp_setting: stiff",
+            DataError,
+            "kp_setting of .* is no setting of a gain: got 'stiff'; expected a finite",
+        ),
+        (PLAIN + "kp_setting: 0", DataError, "got '0'; expected a finite number above 0"),
+        (PLAIN + "kp_setting: inf", DataError, "got .inf.; expected a finite"),
         (PLAIN + "id: '..'", DataError, "no episode id"),
         (PLAIN + "metadata: ../../secret.csv", DataError, "leads out of the folder"),
         (
@@ -384,6 +393,7 @@ def datasets(draw):
             unit=draw(TEXTS),
             condition=draw(TEXTS),
             payload_kg=draw(st.none() | st.floats(0, 1e6)),
+            kp_setting=draw(st.none() | st.floats(1e-3, 1e6)),
             split=draw(st.sampled_from(["", "train", "val", "test"])),
         )
         command = draw(series(joints[::-1], {"torque": np.float64})) if draw(st.booleans()) else None
@@ -419,7 +429,7 @@ def test_export_and_import_give_the_same_episodes(made):
         assert set(episode.simulated) == set(again.simulated)
         for label, run in episode.simulated.items():
             assert_same(run, again.run(label))
-        for key in ("robot", "unit", "payload_kg", "condition"):
+        for key in ("robot", "unit", "payload_kg", "kp_setting", "condition"):
             assert getattr(episode.meta, key) == getattr(again.meta, key)
         assert splits.get(episode.id, "") == episode.meta.split
 

@@ -116,10 +116,11 @@ def test_a_file_says_its_own_payload_and_condition(tmp_path, write, names, as_at
         write(path)
         with h5py.File(path, "a") as file:
             holder = file.attrs if as_attribute else file
-            holder["payload_kg"], holder["condition"] = payload_kg, "gait"
+            holder["payload_kg"], holder["condition"], holder["kp_setting"] = payload_kg, "gait", 200 + payload_kg
     options = {"mapping": mapping(tmp_path, f"joints: [{', '.join(names)}]\n")}
     metas = [source.load().meta for source in hdf5.scan(tmp_path, ImportOptions(**options)).episodes]
     assert [(meta.payload_kg, meta.condition) for meta in metas] == [(0.0, "gait"), (1.5, "gait")]
+    assert [meta.kp_setting for meta in metas] == [200.0, 201.5]
     motion = {write_humanoid: "squat", write_arms: "wave"}[write]
     assert all(any(f"motion_name: {motion}" in flag.detail for flag in meta.flags) for meta in metas)
     stated = {"mapping": mapping(tmp_path, f"joints: [{', '.join(names)}]\npayload_kg: 1.5\ncondition: squat\n")}
@@ -127,6 +128,9 @@ def test_a_file_says_its_own_payload_and_condition(tmp_path, write, names, as_at
     with pytest.raises(ConfigError, match=r"another payload.*got 0 kg; expected 1.5 kg"):
         first.load()
     assert second.load().meta.condition == "squat"
+    stated = {"mapping": mapping(tmp_path, f"joints: [{', '.join(names)}]\nkp_setting: 400\n")}
+    with pytest.raises(ConfigError, match=r"another kp_setting.*got 200; expected 400"):
+        hdf5.scan(tmp_path, ImportOptions(**stated)).episodes[0].load()
 
 
 @pytest.mark.parametrize("wrong", [-1.0, np.nan, "heavy", [1.0, 2.0]])

@@ -70,7 +70,7 @@ def same(left, right):
 
 def test_what_is_exported_is_read_back_exactly(tmp_path):
     originals = [
-        episode(0, 30, "train", unit="left", payload_kg=0.5, condition="fast"),
+        episode(0, 30, "train", unit="left", payload_kg=0.5, kp_setting=800.0, condition="fast"),
         episode(1, 1, "train"),
         episode(2, 75, "test", payload_kg=0.0),
         episode(3, 12, "val"),
@@ -85,7 +85,7 @@ def test_what_is_exported_is_read_back_exactly(tmp_path):
     for original, copy in zip(originals, copies, strict=True):
         same(original.measured, copy.measured)
         same(original.commanded(), copy.commanded())
-        for name in ("id", "unit", "payload_kg", "condition"):
+        for name in ("id", "unit", "payload_kg", "kp_setting", "condition"):
             assert getattr(original.meta, name) == getattr(copy.meta, name)
         assert [flag.detail for flag in copy.meta.flags] == ["task: reach the cube"]
         assert len(copy.meta.source_hash) == 64

@@ -85,6 +85,7 @@ def test_repeated_stamps_are_dropped_and_flagged(tmp_path):
         ({"measured.position.unit": np.array("yards")}, UnitError, "measured.position.unit"),
         ({"measured.position.unit": np.array(["rad", "rad", "rad"])}, UnitError, "measured.position.unit"),
         ({"payload_kg": np.array("heavy")}, DataError, "payload_kg"),
+        ({"kp_setting": np.array(-1.0)}, DataError, r"kp_setting is no setting of a gain: got -1.0; expected a finite"),
         ({"robot": np.array(3.0)}, DataError, "robot is not text"),
     ],
 )
@@ -190,7 +191,12 @@ def made(draw):
         )
 
     return Episode(
-        EpisodeMeta(id="run", robot=draw(st.sampled_from(["", "arm"])), payload_kg=draw(st.none() | st.floats(0, 9))),
+        EpisodeMeta(
+            id="run",
+            robot=draw(st.sampled_from(["", "arm"])),
+            payload_kg=draw(st.none() | st.floats(0, 9)),
+            kp_setting=draw(st.none() | st.floats(1, 900)),
+        ),
         one(np.float64),
         draw(st.none() | st.just(one(np.float32))),
         {"mujoco/fitted+x": one(np.float32)},
@@ -203,7 +209,9 @@ def test_writing_and_reading_give_the_same_episode(episode):
     with tempfile.TemporaryDirectory() as folder:
         write_npz(episode, Path(folder) / "run.npz")
         again = load(Path(folder))
-    assert (again.id, again.meta.robot, again.meta.payload_kg) == ("run", episode.meta.robot, episode.meta.payload_kg)
+    assert again.id == "run"
+    for key in ("robot", "payload_kg", "kp_setting"):
+        assert getattr(again.meta, key) == getattr(episode.meta, key)
     assert (again.command is None) == (episode.command is None)
     pairs = [(episode.measured, again.measured), (episode.run("mujoco/fitted+x"), again.run("mujoco/fitted+x"))]
     if episode.command is not None:

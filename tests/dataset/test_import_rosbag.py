@@ -250,9 +250,9 @@ def test_arrays_without_names_are_refused_until_their_joints_are_stated(tmp_path
     mapping.write_text("command_joints: [wrist, elbow]\n")
     with pytest.raises(ConfigError, match="does not fit"):
         load(path, mapping=mapping)
-    mapping.write_text("command_joints: [wrist, elbow, shoulder]\npayload_kg: 0.5\nunit: left\ncondition: fast\n")
+    mapping.write_text("command_joints: [wrist, elbow, shoulder]\npayload_kg: 0.5\nkp_setting: 9\nunit: left\n")
     episode = load(path, mapping=mapping)
-    assert (episode.meta.payload_kg, episode.meta.unit, episode.meta.condition) == (0.5, "left", "fast")
+    assert (episode.meta.payload_kg, episode.meta.unit, episode.meta.kp_setting) == (0.5, "left", 9.0)
     np.testing.assert_array_equal(episode.commanded().select(("wrist", "elbow", "shoulder"))["torque"], values[2])
     # The command has the recorder's clock, the measurement its own header: both count from the same origin.
     assert episode.commanded().time_s[0] - episode.measured.time_s[0] == pytest.approx(LATE_NS / 1e9)
@@ -415,6 +415,9 @@ def test_paths_without_bags_and_links_out_of_the_folder_are_refused(tmp_path):
         "joint: [a]",
         "payload_kg: -1",
         "payload_kg: .nan",
+        "kp_setting: 0",
+        "kp_setting: .inf",
+        "kp_setting: true",
         "- a",
         "a: [",
         "joints: !!python/name:os.system",

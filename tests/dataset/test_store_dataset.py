@@ -59,6 +59,26 @@ def test_episodes_come_back_as_they_were(tmp_path, small_shards):
     assert not (tmp_path / "d" / "journal.bin").exists()
 
 
+def test_a_dataset_of_before_there_were_settings_of_gains_is_read_and_gone_on_with(tmp_path):
+    folder = tmp_path / "data"
+    with DatasetWriter.create(folder, INFO) as writer:
+        for number in range(3):
+            writer.append(make_episode(number))
+    path = folder / "episodes.parquet"
+    table = pq.read_table(path)
+    assert table.column("kp_setting").to_pylist() == [None, 100.0, 200.0]
+    pq.write_table(table.drop_columns("kp_setting"), path)
+    assert [meta.kp_setting for meta in Dataset(folder).metas] == [None] * 3
+    with DatasetWriter.resume(folder) as writer:
+        writer.append(make_episode(3))
+    again = Dataset(folder)
+    assert [meta.kp_setting for meta in again.metas] == [None, None, None, 300.0]
+    assert again.meta("e003").kp_setting == 300.0
+    pq.write_table(pq.read_table(path).drop_columns("payload_kg"), path)
+    with pytest.raises(DataError):
+        Dataset(folder)
+
+
 def test_a_person_can_read_the_files(tmp_path):
     dataset = write(tmp_path / "d", [make_episode(0), make_episode(1)])
     file = pq.ParquetFile(tmp_path / "d" / "measured" / "00000.parquet")

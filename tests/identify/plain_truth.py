@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -46,6 +46,7 @@ def pendulum_logs(
     soft: bool = False,
     shaped: bool = True,
     logged_late_s: float = 0.0,
+    kp_settings: Sequence[float] = (),
     **true: float,
 ) -> Plain:
     """Four motions for train and two for val: sines, steps, and rests; commands are held as they are logged.
@@ -58,6 +59,7 @@ def pendulum_logs(
         soft: friction creeps as MuJoCo's default does.
         shaped: a link of another mass has the model's shape, so that its inertia grows with it; or the model's inertia.
         logged_late_s: stamps of commands are so late.
+        kp_settings: of the motions, in turn; kp is that at the first, and the robot says so.
         true: numbers that are otherwise than in `TRUTH`.
     """
     path = folder / "pendulum.xml"
@@ -70,9 +72,16 @@ def pendulum_logs(
 
     path.write_text(written(0.002 if driven else 0.005, MODEL))
     command = "torque" if driven else "position"
-    robot = RobotSpec("pendulum", (JointSpec("j"),), path.name, controller=ControllerSpec("model", command=command))
-    model = mujoco.MjModel.from_xml_string(written(_FINE_S, truth))
-    logs = [_log(model, number, seconds, torque=torque, driven=driven) for number in range(6)]
+    stated = kp_settings[0] if kp_settings else None
+    controller = ControllerSpec("model", command=command, kp_setting=stated)
+    robot = RobotSpec("pendulum", (JointSpec("j"),), path.name, controller=controller)
+    logs = []
+    for number in range(6):
+        setting = kp_settings[number % len(kp_settings)] if kp_settings else None
+        own = {**truth, "kp": truth["kp"] * setting / stated} if setting and stated else truth
+        model = mujoco.MjModel.from_xml_string(written(_FINE_S, own))
+        log = _log(model, number, seconds, torque=torque, driven=driven)
+        logs.append(replace(log, meta=replace(log.meta, kp_setting=setting)))
     if logged_late_s:
         logs = [replace(log, command=_later(log.command, logged_late_s)) for log in logs]
     names = {name: f"{name}[{'link' if name == 'mass' else 'j'}]" for name in TRUTH}

@@ -11,7 +11,7 @@ from trueup.core.timeseries import TimeSeries, same_units
 from trueup.identify import Nominal, Problem, SegmentRule, SolveSettings, make_segments, solve
 from trueup.identify.config import make_parameters
 from trueup.identify.solution import fingerprint_of
-from trueup.robots.spec import PayloadSpec
+from trueup.robots import PayloadSpec, Setup
 from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode
 
 
@@ -24,7 +24,7 @@ def carrying(folder, payloads):
         time_s, target = wave(3.0, 100.0, seed)
         command = TimeSeries(time_s, JOINTS, {"position": target}, same_units({"position": "rad"}, JOINTS))
         meta = EpisodeMeta(f"log{seed}", payload_kg=payload_kg, split="train")
-        simulator = MujocoSimulator.from_robot(robot, path, payload_kg=payload_kg)
+        simulator = MujocoSimulator.from_robot(robot, path, setup=Setup(payload_kg))
         logs.append(
             Episode(meta, replay_episode(Episode(meta, command, command), simulator, ReplaySettings()), command)
         )

@@ -22,6 +22,7 @@ from trueup.robots import (
     PayloadSpec,
     ReplaySpec,
     RobotSpec,
+    Setup,
     SimulationSpec,
     load_robot,
 )
@@ -294,7 +295,7 @@ def test_a_fitted_robot_of_any_kind_is_read_back_as_it_was(tmp_path, controller,
     assert not found.friction, "it is in the model"
     same = ("simulation", "replay", "motor", "payload", "scored", "ignore", "joint_names")
     assert {name: getattr(found, name) for name in same} == {name: getattr(robot, name) for name in same}
-    simulator = MujocoSimulator.from_robot(found, tmp_path / "model.fitted.xml", payload_kg=0.5)
+    simulator = MujocoSimulator.from_robot(found, tmp_path / "model.fitted.xml", setup=Setup(0.5))
     assert simulator.torque_limits["j"] == 5.0
     assert simulator.command_signals == MujocoSimulator.from_robot(robot, path).command_signals
 

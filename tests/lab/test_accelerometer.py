@@ -11,7 +11,7 @@ from trueup.errors import ConfigError
 from trueup.lab import VirtualRobot, draw_truth, load_lab
 from trueup.lab.spec import Base, Inertial, Markers
 from trueup.record.following import follow
-from trueup.robots import find_model, load_robot
+from trueup.robots import Setup, find_model, load_robot
 from trueup.sim import MujocoSimulator, ReplaySettings, replay_episode
 from trueup.sim.moving_base import SPECIFIC_FORCE
 
@@ -84,7 +84,7 @@ def test_a_recording_has_it_and_a_simulation_follows(tmp_path):
     plain = load_robot("upper_body")
     gaps = []
     for own in (plain, replace(plain, simulation=replace(plain.simulation, base_sensor="torso"))):
-        simulator = MujocoSimulator.from_robot(own, find_model(own), payload_kg=2.0)
+        simulator = MujocoSimulator.from_robot(own, find_model(own), setup=Setup(2.0))
         simulator.model.dof_frictionloss[:] = simulator.model.dof_damping[:] = 0.0  # the hardware has none
         simulated = replay_episode(log, simulator, ReplaySettings.of(own))
         # The robot began in its pose and sagged; the simulation began where it hangs.

@@ -1,5 +1,7 @@
 """The same motion again: what is told of conditions and payloads whose effect is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -67,6 +69,13 @@ def test_an_offset_is_found_as_it_is_and_says_nothing_of_the_lag():
     assert found.lag.value == pytest.approx(0.0, abs=1e-6)
     # Nowhere is another posture of the path nearer than the offset is long.
     assert 0.0 < found.path.value <= 0.05
+
+
+def test_motions_of_other_gains_are_no_repetitions():
+    first, second = (episode(0, condition=condition) for condition in ("stand", "walk"))
+    stiffer = replace(second, meta=replace(second.meta, kp_setting=800.0))
+    assert shifts_of([first, second])
+    assert not shifts_of([first, stiffer])
 
 
 def test_payloads_are_compared_with_the_lightest():

@@ -10,7 +10,7 @@ from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.protocols import RolloutRequest
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.errors import ConfigError, DataError, MissingSignal
-from trueup.robots import SimulationSpec, find_model, load_robot
+from trueup.robots import Setup, SimulationSpec, find_model, load_robot
 from trueup.sim import DartSimulator, MujocoSimulator, ReplaySettings, make_simulator, replay_episode
 from trueup.sim.moving_base import SPECIFIC_FORCE, gravity_at
 
@@ -44,7 +44,7 @@ def turned(angle):
 def test_a_base_at_rest_is_the_model_itself(engine):
     if engine == "dart":
         pytest.importorskip("dartpy")
-    simulator = make_simulator(engine, ROBOT, PATH, payload_kg=2.0)
+    simulator = make_simulator(engine, ROBOT, PATH, setup=Setup(2.0))
     still, said = (simulator.rollout(request(own)) for own in (None, np.tile(STANDING, (1, STEPS, 1))))
     np.testing.assert_array_equal(said.position, still.position)
 
@@ -54,13 +54,13 @@ def test_a_tilted_base_is_a_model_whose_gravity_is_tilted(engine):
     if engine == "dart":
         pytest.importorskip("dartpy")
     pull = turned(0.3) @ STANDING
-    simulator = make_simulator(engine, ROBOT, PATH, payload_kg=2.0)
+    simulator = make_simulator(engine, ROBOT, PATH, setup=Setup(2.0))
     found = simulator.rollout(request(np.tile(pull, (1, STEPS, 1))))
-    simulator = make_simulator(engine, ROBOT, PATH, payload_kg=2.0)
+    simulator = make_simulator(engine, ROBOT, PATH, setup=Setup(2.0))
     simulator.model.opt.gravity[:] = pull
     expected = simulator.rollout(request(None))
     np.testing.assert_allclose(found.position, expected.position, atol=1e-9)
-    straight = make_simulator(engine, ROBOT, PATH, payload_kg=2.0).rollout(request(None))
+    straight = make_simulator(engine, ROBOT, PATH, setup=Setup(2.0)).rollout(request(None))
     assert np.abs(expected.position - straight.position).max() > 0.02
 
 

@@ -12,7 +12,7 @@ from trueup.core.timeseries import TimeSeries, same_units
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
 from trueup.errors import ConfigError
 from trueup.lab import VirtualRobot, draw_truth, load_lab
-from trueup.robots import PayloadSpec, find_model, load_robot
+from trueup.robots import PayloadSpec, Setup, find_model, load_robot
 from trueup.sim import MujocoSimulator, make_simulator
 from trueup.stages import replay
 
@@ -31,7 +31,7 @@ def weight_of(simulator, position):
 
 @pytest.mark.parametrize("payload_kg", [0.5, 3.0])
 def test_each_hand_holds_it(payload_kg):
-    empty, loaded = (MujocoSimulator.from_robot(ROBOT, PATH, payload_kg=mass) for mass in (0.0, payload_kg))
+    empty, loaded = (MujocoSimulator.from_robot(ROBOT, PATH, setup=Setup(mass)) for mass in (0.0, payload_kg))
     # By hand: the moment of the weight about each joint is the slope of its potential energy.
     model, data = empty.model, mujoco.MjData(empty.model)
 
@@ -54,7 +54,7 @@ def test_both_engines_carry_it():
     command = {"position": np.tile(POSE, (1, 200, 1))}
     request = RolloutRequest(POSE[None], np.zeros((1, 10)), command)
     ends = [
-        make_simulator(engine, ROBOT, PATH, payload_kg=mass).rollout(request).position[0, -1]
+        make_simulator(engine, ROBOT, PATH, setup=Setup(mass)).rollout(request).position[0, -1]
         for engine in ("mujoco", "dart")
         for mass in (0.0, 3.0)
     ]
@@ -65,11 +65,11 @@ def test_both_engines_carry_it():
 
 def test_what_carries_nothing_is_refused():
     with pytest.raises(ConfigError, match="does not say where a payload hangs"):
-        MujocoSimulator.from_robot(replace(ROBOT, payload=None), PATH, payload_kg=1.0)
+        MujocoSimulator.from_robot(replace(ROBOT, payload=None), PATH, setup=Setup(1.0))
     with pytest.raises(ConfigError, match="no site 'hook'"):
-        MujocoSimulator.from_robot(replace(ROBOT, payload=PayloadSpec(("hook",))), PATH, payload_kg=1.0)
+        MujocoSimulator.from_robot(replace(ROBOT, payload=PayloadSpec(("hook",))), PATH, setup=Setup(1.0))
     with pytest.raises(ConfigError, match="needs a mass"):
-        MujocoSimulator.from_robot(ROBOT, PATH, payload_kg=-1.0)
+        MujocoSimulator.from_robot(ROBOT, PATH, setup=Setup(-1.0))
     with pytest.raises(ConfigError, match="sites must be there and differ"):
         PayloadSpec(())
 
@@ -106,7 +106,7 @@ def test_plain_pd_hangs_lower_the_more_it_holds():
         robot.place(POSE)
         done = robot.execute({"position": np.tile(POSE, (6000, 1))}, every=100)
         sags.append(done.measured["position"][-1] - POSE)
-    empty, loaded = (MujocoSimulator.from_robot(ROBOT, PATH, payload_kg=mass) for mass in (0.0, 3.0))
+    empty, loaded = (MujocoSimulator.from_robot(ROBOT, PATH, setup=Setup(mass)) for mass in (0.0, 3.0))
     kp = np.array([ROBOT.controller.gain("kp", name) for name in ROBOT.joint_names])
     for sag, simulator in zip(sags, (empty, loaded), strict=True):
         # At rest the spring of each joint carries its weight.

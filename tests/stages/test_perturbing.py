@@ -19,7 +19,7 @@ from trueup.errors import ConfigError, DataError, FormatError, MissingSignal, Na
 from trueup.measure import ratio_interval
 from trueup.report import build_report
 from trueup.report.robustness_words import gone_words, lead, sentences, size_words
-from trueup.robots import find_model, load_robot
+from trueup.robots import Setup, find_model, load_robot
 from trueup.robots.spec import PayloadSpec
 from trueup.sim import MujocoSimulator, Perturbation, ReplaySettings, perturbed, replay_episode
 from trueup.stages import replay, robustness
@@ -234,7 +234,7 @@ def test_simulators_carry_what_the_motions_do(tmp_path):
     still = TimeSeries(time_s, robot.joint_names, {"position": np.zeros((50, 12))}, units)
     with DatasetWriter.create(tmp_path / "data", DatasetInfo(robot=robot.name)) as writer:
         for payload_kg in (0.0, 1.5):
-            simulator = MujocoSimulator.from_robot(robot, find_model(robot), payload_kg=payload_kg)
+            simulator = MujocoSimulator.from_robot(robot, find_model(robot), setup=Setup(payload_kg))
             meta = EpisodeMeta(f"{payload_kg}kg", payload_kg=payload_kg, split="test")
             run = replay_episode(Episode(meta, still, still), simulator, ReplaySettings.of(robot))
             read = replace(run, signals={**run.signals, "position": run["position"] + OFFSET_RAD * later})

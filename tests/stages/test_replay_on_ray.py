@@ -11,7 +11,7 @@ import trueup.stages.replay_parts as replay_parts
 from core.ray_cases import NEEDS_RAY, QUIET, local_cluster, one_worker_killed
 from trueup.dataset import Dataset, DatasetWriter
 from trueup.errors import ConfigError, DataError
-from trueup.robots import PayloadSpec, find_model, load_robot
+from trueup.robots import PayloadSpec, Setup, find_model, load_robot
 from trueup.sim import ReplaySettings
 from trueup.stages import replay
 from trueup.stages.replay_parts import ReplayPart, replayed_on_ray
@@ -157,6 +157,6 @@ def test_parts_of_warp_ask_for_a_gpu(monkeypatch):
 
     monkeypatch.setattr(replay_parts, "on_ray", there)
     for engine in ("warp", "mujoco"):
-        part = ReplayPart(Path("data"), (), ROBOT, Path("arm.xml"), engine, "", 0.0, ReplaySettings.of(ROBOT))
+        part = ReplayPart(Path("data"), (), ROBOT, Path("arm.xml"), engine, "", Setup(), ReplaySettings.of(ROBOT))
         assert list(replayed_on_ray([part], "somewhere", None)) == []
     assert asked == [True, False]

@@ -13,6 +13,9 @@ from trueup.core.episode import Flag
 from trueup.core.hold import held_rows
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 
+# A joint that stops within one sample from this share of its usual speed has not been braked.
+_STOPPED = 0.25
+
 
 def nan_flags(series: TimeSeries, config: QualityConfig, *, name: str = "measured") -> list[Flag]:
     """`nan`: samples that are not finite, one flag per signal and joint."""
@@ -76,7 +79,12 @@ def spike_flags(track: Track, config: QualityConfig) -> list[Flag]:
 
 
 def frozen_flags(track: Track, config: QualityConfig) -> list[Flag]:
-    """`frozen`: an unchanged position while its command, or its own velocity, says that it must have moved."""
+    """`frozen`: an unchanged position although the joint must have moved.
+
+    Its own velocity says so, or its command does and the position is somewhere else at once when it changes again. Dry
+    friction holds a joint against a command, too, but lets it go from where it was: soft servos and slow commands show
+    it all the time, and nothing is wrong with their measurement.
+    """
     if track.time_s.size < 3:
         return []
     found = []
@@ -86,12 +94,17 @@ def frozen_flags(track: Track, config: QualityConfig) -> list[Flag]:
         if inner[-1] - inner[0] < config.frozen_s:
             continue
         last = start + int(np.searchsorted(inner, inner[-1] - config.response_s, side="right"))
-        if last > start and _must_have_moved(track, start, last) >= config.frozen_travel_rad:
+        if last <= start:
+            continue
+        commanded, moved = _commanded(track, start, last), _moved(track, start, last)
+        if moved >= config.frozen_travel_rad or (
+            commanded >= config.frozen_travel_rad and _elsewhere(track, start, end, config)
+        ):
             found.append((start, end))
     if not found:
         return []
     seconds = sum(float(track.time_s[end] - track.time_s[start]) for start, end in found)
-    travel = max(_must_have_moved(track, start, end + 1) for start, end in found)
+    travel = max(max(_commanded(track, start, end + 1), _moved(track, start, end + 1)) for start, end in found)
     return [
         Flag(
             kind="frozen",
@@ -173,13 +186,32 @@ def position_limit_flags(
     ]
 
 
-def _must_have_moved(track: Track, first: int, last: int) -> float:
-    command = 0.0 if track.command is None else float(np.ptp(track.command[first:last]))
+def _commanded(track: Track, first: int, last: int) -> float:
+    """How far the command moves."""
+    return 0.0 if track.command is None else float(np.ptp(track.command[first:last]))
+
+
+def _moved(track: Track, first: int, last: int) -> float:
+    """How far the joint moves, by its velocity."""
     if track.velocity is None:
-        return command
+        return 0.0
     steps = np.diff(track.time_s[first:last])
-    moved = np.concatenate([[0.0], np.cumsum(track.velocity[first : last - 1] * steps)])
-    return max(command, float(np.ptp(moved)))
+    return float(np.ptp(np.concatenate([[0.0], np.cumsum(track.velocity[first : last - 1] * steps)])))
+
+
+def _elsewhere(track: Track, start: int, end: int, config: QualityConfig) -> bool:
+    """Whether a position that was the same in rows start..end has left a joint that moves, or comes back to one.
+
+    It jumps by half of what the command has changed by, and by more than the joint usually moves from sample to sample;
+    or it stops in motion, and the log ends before it changes again.
+    """
+    steps = np.abs(np.diff(track.position))
+    usual = float(np.percentile(steps[steps > 0.0], 90)) if steps.any() else 0.0
+    if end + 1 >= track.position.size:
+        return bool(start > 0 and steps[start - 1] > _STOPPED * usual)
+    assert track.command is not None
+    changed = abs(float(track.command[end] - track.command[start]))
+    return bool(steps[end] > max(0.5 * changed, 2.0 * usual, 0.1 * config.frozen_travel_rad))
 
 
 def _saturation(

@@ -20,7 +20,7 @@ from trueup.check.setting import Logs, Setting, percent
 from trueup.core.check_result import SEVERITIES, Finding, Mend
 from trueup.core.episode import Episode
 from trueup.core.units import si_factor
-from trueup.robots import RobotSpec
+from trueup.robots import RobotSpec, refuse_unknown_gains, setup_of
 
 # A mirrored joint that changes less than this of what is left (of the logarithm) cannot be told from one that is not.
 _UNSEEN = 0.7
@@ -38,7 +38,12 @@ def check_motions(
 
     Returns:
         Findings, the gravest first, and what these motions cannot show.
+
+    Raises:
+        ConfigError: motions were recorded at several settings of the position gain, and nobody has said which is the
+            robot's.
     """
+    refuse_unknown_gains(robot, (episode.meta for episode in episodes))
     findings = [finding for look in LOOKS.values() for finding in look(Logs(robot, episodes))]
     scale = next((finding.numbers["scale"] for finding in findings if finding.kind == "clock"), 1.0)
     if scale != 1.0:
@@ -46,13 +51,13 @@ def check_motions(
     signal = robot.controller.signal
     motions: list[Motion] = []
     for episode in episodes:
-        motion = motion_of(episode, robot.joint_names, robot.carried_kg(episode.meta.payload_kg), robot.delay_s)
+        motion = motion_of(episode, robot.joint_names, setup_of(robot, episode.meta), robot.delay_s)
         if motion is not None and motion.known.any():
             motions.append(motion)
     usable = [motion for motion in motions if signal in motion.command]
     dynamics = {
         payload_kg: Dynamics(robot, model, payload_kg=payload_kg)
-        for payload_kg in sorted({motion.payload_kg for motion in usable} or {0.0})
+        for payload_kg in sorted({motion.setup.payload_kg for motion in usable} or {0.0})
     }
     if not usable:
         return _ordered(findings), ("No motion has a command and enough samples to look at.",)

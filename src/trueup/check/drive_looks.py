@@ -203,7 +203,8 @@ def _at_rest(setting: Setting) -> tuple[np.ndarray, np.ndarray]:
         position = reading.measured.of(motion.position[rows], moved=True)
         command = reading.command.of(motion.commanded(evidence.signal, reading.lag_s)[rows], moved=True)
         errors.append(np.where(calm[rows], command - position, np.nan))
-        sags.append(evidence.dynamics[motion.payload_kg].torque(position) / evidence.first.stiffness)
+        dynamics = evidence.dynamics[motion.setup.payload_kg]
+        sags.append(dynamics.torque(position) / (motion.setup.kp_factor * evidence.first.stiffness))
     width = len(setting.robot.joints)
     return np.concatenate([np.zeros((0, width)), *errors]), np.concatenate([np.zeros((0, width)), *sags])
 

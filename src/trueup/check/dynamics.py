@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 from jaxtyping import Float64
 
-from trueup.robots import RobotSpec
+from trueup.robots import RobotSpec, Setup
 from trueup.robots.model import gravity_of, load_spec
-from trueup.sim import MujocoSimulator, attach_payload
+from trueup.sim import MujocoSimulator
 
 _ANYWHERE = 1e3
 _LITTLE = 1e-4
@@ -38,9 +38,7 @@ class Dynamics:
     """
 
     def __init__(self, robot: RobotSpec, path: Path, *, payload_kg: float = 0.0) -> None:
-        spec = load_spec(path)
-        attach_payload(spec, robot, payload_kg)
-        self.simulator = MujocoSimulator.from_spec(spec, robot, origin=path)
+        self.simulator = MujocoSimulator.from_spec(load_spec(path), robot, origin=path, setup=Setup(payload_kg))
         self._qpos, self._qvel = self.simulator.places
         model = self.simulator.model
         self.sure = model.nv == len(robot.joints) and model.neq == 0 and not robot.simulation.base_sensor

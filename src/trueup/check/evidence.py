@@ -114,6 +114,12 @@ class Evidence:
                 found[joint] = product / float(one @ one)
         return found
 
+    @cached_property
+    def _kp_factor(self) -> Float64[np.ndarray, "N"]:
+        """Position gains at all rows, per those of the description."""
+        factors = [motion.setup.kp_factor for motion in self.motions]
+        return np.repeat(factors, [rows.size for rows in self._rows])
+
     @property
     def joints(self) -> int:
         """J."""
@@ -183,7 +189,7 @@ class Evidence:
             out = np.empty_like(position)
             for motion, end, rows in zip(self.motions, ends, self._rows, strict=True):
                 own = slice(end - rows.size, end)
-                out[own] = self.dynamics[motion.payload_kg].torque(
+                out[own] = self.dynamics[motion.setup.payload_kg].torque(
                     position[own],
                     velocity[own],
                     acceleration[own],
@@ -222,7 +228,8 @@ class Evidence:
                 softest = np.inf if np.isnan(stiffness) else _SOFTER / stiffness
                 # No acceleration beside the position: of a swinging joint it is the position itself.
                 rate = speed if signal == "position" else acceleration[:, joint]
-                columns = [needed[:, joint], rate, slip, one, -one]
+                gain = self._kp_factor if signal == "position" else one
+                columns = [needed[:, joint] / gain, rate / gain, slip / gain, one, -one]
                 size = float(np.var(actual))
                 lag = dynamics.damping[joint] / stiffness
                 slowest = _LAGS * lag if signal == "position" and np.isfinite(lag) else 0.0

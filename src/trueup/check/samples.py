@@ -11,6 +11,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from trueup.core.episode import Episode
 from trueup.core.hold import held_rows
+from trueup.robots import Setup
 
 # Of each motion at most this much is looked at [s of a clock that is right, else samples].
 _LONGEST_S, _MOST_SAMPLES = 60.0, 12_000
@@ -25,7 +26,7 @@ class Motion:
 
     Attributes:
         id: of the episode.
-        payload_kg: what the simulation carries in it [kg].
+        setup: how the robot is in it.
         time_s: grid, (N,) [s].
         position: measured, (N, J).
         velocity: its first derivative.
@@ -38,7 +39,7 @@ class Motion:
     """
 
     id: str
-    payload_kg: float
+    setup: Setup
     time_s: Float64[np.ndarray, "N"]
     position: Float64[np.ndarray, "N J"]
     velocity: Float64[np.ndarray, "N J"]
@@ -69,14 +70,14 @@ class Motion:
 
 
 def motion_of(
-    episode: Episode, joints: Sequence[str], payload_kg: float, delay_s: Sequence[float] | None = None
+    episode: Episode, joints: Sequence[str], setup: Setup, delay_s: Sequence[float] | None = None
 ) -> Motion | None:
     """The motion; None where too little is there to look at.
 
     Args:
         episode: in the robot's names and units.
         joints: of the robot, in order.
-        payload_kg: what the simulation carries [kg].
+        setup: how the robot is in it.
         delay_s: how much later the commands of each joint act already, as robot.yaml has it [s]; not at all if None.
     """
     measured = episode.measured.select(joints)
@@ -127,7 +128,7 @@ def motion_of(
     known &= (grid >= grid[0] + reach_s) & (grid <= grid[-1] - reach_s)
     return Motion(
         id=episode.id,
-        payload_kg=payload_kg,
+        setup=setup,
         time_s=grid,
         position=position,
         velocity=velocity,

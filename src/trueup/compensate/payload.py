@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from trueup.errors import ConfigError, DataError
-from trueup.robots import RobotSpec
+from trueup.robots import RobotSpec, Setup
 from trueup.sim import MujocoSimulator
 
 FIRST_S = 1.0
@@ -64,7 +64,7 @@ class PayloadEstimator:
                 hint="torque_limit of each joint in robot.yaml",
             )
         self._friction = _FRICTION * np.array(limits, float)
-        self._models = [MujocoSimulator.from_robot(robot, model, payload_kg=mass).model for mass in (0.0, 1.0)]
+        self._models = [MujocoSimulator.from_robot(robot, model, setup=Setup(mass)).model for mass in (0.0, 1.0)]
         self.joints = robot.joint_names
 
     def of(

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from trueup.robots import RobotSpec
+from trueup.robots import RobotSpec, Setup
 from trueup.sim import MujocoSimulator
 from trueup.sim.transitions import Transitions
 
@@ -42,7 +42,8 @@ class Plants:
         """The simulator with a payload [kg]."""
         carried = self._carried(payload_kg)
         if carried not in self._known:
-            simulator = MujocoSimulator.from_robot(self.robot, self._model, payload_kg=carried, threads=self._threads)
+            setup = Setup(carried)
+            simulator = MujocoSimulator.from_robot(self.robot, self._model, setup=setup, threads=self._threads)
             self._known[carried] = Transitions(simulator, self.control_s, self.robot.delay_s)
         return self._known[carried]
 

@@ -78,6 +78,7 @@ class EpisodeMeta:
         source: file or folder that it came from, relative to what was imported.
         source_hash: SHA-256 of those bytes.
         flags: what the quality checks found.
+        kp_setting: of the drives' position gain, in the unit of their firmware; None if not recorded.
     """
 
     id: str
@@ -89,6 +90,7 @@ class EpisodeMeta:
     source: str = ""
     source_hash: str = ""
     flags: tuple[Flag, ...] = ()
+    kp_setting: float | None = None
 
     @property
     def executed(self) -> str:

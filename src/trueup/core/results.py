@@ -129,7 +129,8 @@ class GapResult:
         runs: run label -> split (also `all`) -> signal -> metric -> result. The label `command` takes the
             command as the motion.
         paired: paired comparisons between runs.
-        groups: field (`payload_kg`, `unit`, `condition`) -> its value -> run label -> signal -> metric -> result.
+        groups: field (`payload_kg`, `kp_setting`, `unit`, `condition`) -> its value -> run label -> signal -> metric ->
+            result.
         episodes: run label -> episode id -> signal -> metric -> joint -> value.
         splits: episode id -> split.
         joints: all joints, in order.

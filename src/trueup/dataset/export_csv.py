@@ -19,7 +19,7 @@ from trueup.core.episode import Episode
 from trueup.core.timeseries import BODY_PREFIX, TimeSeries
 from trueup.errors import DataError, NameMismatch, OutputExists
 
-_META = ("robot", "unit", "payload_kg", "condition")
+_META = ("robot", "unit", "payload_kg", "kp_setting", "condition")
 
 
 def export_csv(episodes: Iterable[Episode], folder: Path) -> int:
@@ -58,9 +58,8 @@ def export_csv(episodes: Iterable[Episode], folder: Path) -> int:
                 if not is_inside(whole, path):
                     raise DataError("an episode would be written outside the folder", got=repr(episode.id))
                 _write(path, series)
-            payload_kg = episode.meta.payload_kg
-            texts = {"payload_kg": "" if payload_kg is None else repr(payload_kg)}
-            writer.writerow((episode.id, *(texts.get(key, getattr(episode.meta, key, "")) for key in _META)))
+            about = (getattr(episode.meta, key) for key in _META)
+            writer.writerow((episode.id, *("" if own is None else own for own in about)))
             if episode.meta.split:
                 splits.setdefault(episode.meta.split, []).append(episode.id)
             count += 1

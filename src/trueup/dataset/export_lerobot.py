@@ -181,6 +181,7 @@ class _Writer:
             "trueup/id": episode.meta.id,
             "trueup/unit": episode.meta.unit,
             "trueup/payload_kg": episode.meta.payload_kg,
+            "trueup/kp_setting": episode.meta.kp_setting,
             "trueup/condition": episode.meta.condition,
         }
         self._rows.append(row)
@@ -190,7 +191,8 @@ class _Writer:
     def _flush_rows(self) -> None:
         if not self._rows:
             return
-        special = {"tasks": pa.list_(pa.string()), "trueup/payload_kg": pa.float64()}
+        numbers = dict.fromkeys(("trueup/payload_kg", "trueup/kp_setting"), pa.float64())
+        special = {"tasks": pa.list_(pa.string()), **numbers}
         fields = []
         for name, value in self._rows[0].items():
             if name in special:

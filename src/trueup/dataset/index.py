@@ -38,12 +38,14 @@ class StoreSpec:
         index_name: file name of its index.
         series: name of a series -> subfolder with its shards.
         fields: columns of the index that only the owner of the store knows.
+        later: those of them that earlier versions did not write; empty where they are missing.
     """
 
     folder: Path
     index_name: str
     series: Mapping[str, str]
     fields: tuple[pa.Field, ...] = ()
+    later: tuple[str, ...] = ()
 
     @property
     def index_path(self) -> Path:
@@ -145,6 +147,9 @@ def read_index(spec: StoreSpec) -> pa.Table:
             table = read_table(file, path, spec.schema.names)
             # A row group number of a damaged index must be an error here, not a wrong episode later.
             table.validate(full=True)
+            for name in (name for name in spec.later if name not in table.column_names):
+                kind = spec.schema.field(name).type
+                table = table.append_column(name, pa.nulls(table.num_rows, kind))
             table = table.select(spec.schema.names).cast(spec.schema)
         except READ_ERRORS as error:
             raise damaged(path, error) from error

@@ -33,6 +33,8 @@ SIMULATED = "simulated"
 # that a deletion that was interrupted can be repeated.
 _OWNED = ("episodes.parquet", "journal.bin", "measured", "command", SIMULATED, "model")
 _RUN_OWNED = ("index.parquet", "journal.bin")
+# Columns that datasets of earlier versions do not have.
+_LATER = ("kp_setting",)
 
 _LABEL_PART = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+=-]*")
 
@@ -41,8 +43,9 @@ def dataset_spec(folder: Path) -> StoreSpec:
     """The store of measured and commanded series."""
     texts = ("robot", "unit", "condition", "split", "source", "source_hash", "flags")
     fields = [pa.field(name, pa.string(), nullable=False) for name in texts]
-    fields.insert(2, pa.field("payload_kg", pa.float64()))
-    return StoreSpec(folder, "episodes.parquet", {"measured": "measured", "command": "command"}, tuple(fields))
+    fields[2:2] = [pa.field(name, pa.float64()) for name in ("payload_kg", *_LATER)]
+    series = {"measured": "measured", "command": "command"}
+    return StoreSpec(folder, "episodes.parquet", series, tuple(fields), later=_LATER)
 
 
 def is_label_part(text: str) -> bool:
@@ -79,7 +82,7 @@ def meta_to_row(meta: EpisodeMeta) -> dict[str, Any]:
     texts = ("robot", "unit", "condition", "split", "source", "source_hash")
     return {
         "id": meta.id,
-        "payload_kg": None if meta.payload_kg is None else float(meta.payload_kg),
+        **{key: None if (own := getattr(meta, key)) is None else float(own) for key in ("payload_kg", "kp_setting")},
         "flags": flags_to_text(meta),
         # A file name that is not UTF-8 must not stop an import.
         **{name: getattr(meta, name).encode(errors="replace").decode() for name in texts},

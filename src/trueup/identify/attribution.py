@@ -24,7 +24,7 @@ from trueup.identify.segments import make_segments, usable
 from trueup.identify.solution import OnModel, OnProgress
 from trueup.identify.solve import solve
 from trueup.identify.start import off_bounds, swept_start
-from trueup.robots import RobotSpec
+from trueup.robots import RobotSpec, refuse_unknown_gains
 
 # Share of the time of a cause at which looking for a start ends.
 _SWEEP = 0.4
@@ -80,6 +80,7 @@ def explain(
     if not given.fit:
         fit.setdefault("mass", "all")
     logs, broken = usable(episodes, drop_flagged=settled.data.drop)
+    refuse_unknown_gains(robot, (log.meta for own in logs.values() for log in own))
     nested = _NestedFits(soft, hard, logs, settled, jobs, seed)
     steps = [nested.nominal_step()]
     causes = {

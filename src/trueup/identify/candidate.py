@@ -14,10 +14,10 @@ import numpy as np
 from trueup.errors import ConfigError
 from trueup.identify.drive import Drive, drive_of
 from trueup.identify.inertial import Inertial, apply_inertial, inertial_of, name_bodies, settle
-from trueup.robots import ControllerSpec, RobotSpec
+from trueup.robots import AS_DESCRIBED, ControllerSpec, RobotSpec, Setup
 from trueup.robots.model import compile_spec, load_spec
 from trueup.sim import MujocoSimulator, attach_payload
-from trueup.sim.controllers import Channel
+from trueup.sim.controllers import Channel, scale_kp
 from trueup.sim.friction import harden_friction, has_friction, install
 from trueup.sim.payload import PREFIX
 
@@ -72,17 +72,19 @@ class Candidate:
         for body, inertial in inertials.items():
             apply_inertial(self.spec, body, inertial)
 
-    def compile(self, payload_kg: float = 0.0) -> mujoco.MjModel:
-        """The finished model with a payload [kg]; MuJoCo calls its friction laws from here on, if it has any.
+    def compile(self, setup: Setup = AS_DESCRIBED) -> mujoco.MjModel:
+        """The finished model as it is in a motion; MuJoCo calls its friction laws from here on, if it has any.
 
         Raises:
-            ConfigError: MuJoCo refuses it.
+            ConfigError: MuJoCo refuses it, it holds no payload, or has no gains to set.
         """
         self.finish()
         spec = self.spec
-        if payload_kg:
+        if setup != AS_DESCRIBED:
             spec = spec.copy()
-            attach_payload(spec, self.nominal.robot, payload_kg)
+            attach_payload(spec, self.nominal.robot, setup.payload_kg)
+        if setup.kp_factor != 1.0:
+            scale_kp(spec, self.nominal.simulator.channels, setup.kp_factor, model=self.nominal.model)
         model = compile_spec(self.nominal.holding.applied(spec), self.nominal.path)
         if has_friction(model):
             install()
@@ -290,6 +292,7 @@ def _with_model_controller(robot: RobotSpec) -> RobotSpec:
         command=robot.controller.signal,
         delay_s=robot.controller.delay_s,
         source=robot.controller.source,
+        kp_setting=robot.controller.kp_setting,
         per_joint={name: replace(gains, kp=None, kv=None, ki=None) for name, gains in delays.items()},
     )
     return replace(robot, controller=controller, friction={})

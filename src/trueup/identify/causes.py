@@ -160,7 +160,9 @@ class Motions:
             share = (place - low)[:, None]
             return np.asarray(values[:, :-1] - (1 - share) * values[:, low] - share * values[:, low + 1])
 
-        stiffness = {segment: kp * apart(course.position) for segment, course in self.courses.items()}
+        stiffness = {
+            segment: segment.setup.kp_factor * kp * apart(course.position) for segment, course in self.courses.items()
+        }
         damping = {segment: kv * apart(course.velocity) for segment, course in self.courses.items()}
         stiff = [joint for joint in self.driven if kp[joint]]
         return [*self.each(damping, self.driven), *self.each(stiffness, stiff)]
@@ -191,7 +193,10 @@ class Motions:
         twist = {segment: 0.5 * np.tanh(own / size) for segment, own in pressed.items()}
         # What drives make of it that their motors are ahead of the links by a twist s: -(kp s + kv ds/dt).
         kp, kv = self._gains
-        forces = {segment: -(kp * own + kv * np.gradient(own, self._step_s, axis=1)) for segment, own in twist.items()}
+        forces = {
+            segment: -(segment.setup.kp_factor * kp * own + kv * np.gradient(own, self._step_s, axis=1))
+            for segment, own in twist.items()
+        }
         driven = self.driven
         others = [joint for joint in range(len(self.joints)) if joint not in driven]
         return [*self.each(forces, driven), *self._behind(twist, others)]
@@ -210,7 +215,7 @@ class Motions:
 
     @property
     def _gains(self) -> tuple[Float64[np.ndarray, "J"], Float64[np.ndarray, "J"]]:
-        """Stiffness of the drives, and what damps the joints: how much of that is the drives' no fit can tell."""
+        """Stiffness of the drives as described, and what damps joints: of how much no fit can tell whose it is."""
         kp, kv = (np.array([getattr(drive, name) or 0.0 for drive in self.drives]) for name in ("kp", "kv"))
         return kp, kv + self.model.dof_damping[self._qvel]
 

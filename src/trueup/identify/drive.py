@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from trueup.sim.actuator_inputs import PID_PLUGIN
+from trueup.sim.actuator_inputs import pid_instance
 from trueup.sim.controllers import Channel, torque_limit_of
 
 # As numbers: an enum of MuJoCo's is not equal to an integer of numpy's, though that integer is equal to it.
@@ -69,14 +69,6 @@ def drive_of(spec: mujoco.MjSpec, model: mujoco.MjModel, channels: Sequence[Chan
         torque_gain=gain if follows_torque and kp == 0.0 and gain > 0.0 else None,
         torque_limit=limit,
     )
-
-
-def pid_instance(spec: mujoco.MjSpec, actuator: str) -> mujoco.MjsPlugin | None:
-    """The named instance of MuJoCo's PID plugin behind an actuator; None if there is none."""
-    # The handle that an actuator holds knows no more than the name: reading its numbers crashes MuJoCo 3.
-    name = spec.actuator(actuator).plugin.name
-    own = (plugin for plugin in spec.plugins if name and plugin.name == name and plugin.plugin_name == PID_PLUGIN)
-    return next(own, None)
 
 
 def _pid_drive(spec: mujoco.MjSpec, model: mujoco.MjModel, channel: Channel, limit: float | None) -> Drive:

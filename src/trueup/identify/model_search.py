@@ -52,6 +52,7 @@ from trueup.identify.uncertainty import (
     unexplained,
     whiteness_of,
 )
+from trueup.robots import refuse_unknown_gains
 
 # A richer model must make motions that it was not fitted to better by this share.
 _WORTH = 0.01
@@ -121,6 +122,7 @@ class ModelSearch:
                 got="nothing in train but flagged motions" if self._flagged.get("train") else "an empty train split",
                 hint="Give --splits at import, and leave `data: {drop_flagged: true}` out.",
             )
+        refuse_unknown_gains(nominal.given, (log.meta for own in self.usable.values() for log in own))
         self.notes = () if nominal.robot.payload else _payload_note(self._train)
         self._signal = nominal.robot.controller.signal
         self.seen = excitation_of(self._train, nominal.robot.scored_joints, self._signal, nominal.commanded_limits)
@@ -172,7 +174,7 @@ class ModelSearch:
                 continue
             limit = self._until(_RICHER)
             tried.append(self._try(joined, richer, best.solution, left_out=idle, rough=True, limit=limit))
-            if _better(tried[-1], best):
+            if self._earned(tried[-1], best):
                 best, fit = tried[-1], richer
         if models and not _over(self._until(_BEST)):
             # What the richer models have brought, and changes nothing either, goes; the motion stays as it is.
@@ -469,6 +471,19 @@ class ModelSearch:
         """Squares of a residual, summed up by joint."""
         return np.asarray(np.sum([np.sum(own**2, axis=0) for _, _, own in problem.by_segment(residual)], axis=0))
 
+    def _earned(self, richer: TriedModel, best: TriedModel) -> bool:
+        """Whether a richer model earns its parameters: on motions that it was not fitted to.
+
+        Without val, on those of train, where it has to be more likely by far than its further parameters make any: by
+        twice the logarithm of the likelihood, as Akaike's criterion of 1974 counts it.
+        """
+        if richer.val is not None and best.val is not None:
+            return richer.val.mean < (1.0 - _WORTH) * best.val.mean
+        samples = noise_of(self.problem_of(richer), richer.solution.residual).effective
+        gain = 2.0 * samples * float(np.log(best.solution.rms / max(richer.solution.rms, 1e-300)))
+        more = len(richer.solution.parameters.free) - len(best.solution.parameters.free)
+        return richer.solution.rms < (1.0 - _WORTH) * best.solution.rms and gain > DECIDED + 2.0 * max(more, 0)
+
     def _explained(self, item: TriedModel) -> bool:
         """Whether what a fit leaves is no more than the noise of the measurement."""
         left = whiteness_of(self.problem_of(item), item.solution.residual)
@@ -753,10 +768,3 @@ def _payload_note(logs: Sequence[Episode]) -> tuple[str, ...]:
         "(payload: {sites: [...]}), leave them out, or expect a compromise"
     )
     return (note,)
-
-
-def _better(richer: TriedModel, best: TriedModel) -> bool:
-    """Whether a richer model earns its parameters on motions that it was not fitted to."""
-    if richer.val is None or best.val is None:
-        return False
-    return richer.val.mean < (1.0 - _WORTH) * best.val.mean

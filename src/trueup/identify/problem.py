@@ -21,6 +21,7 @@ from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.quantities import motion_target, quantity, split_motion_target
 from trueup.identify.segments import Segment
 from trueup.identify.window_starts import WindowStarts, window_starts
+from trueup.robots import AS_DESCRIBED, Setup
 from trueup.sim import MujocoSimulator
 
 # Simulated states that one task holds at a time: some 100 MB.
@@ -128,8 +129,7 @@ class Problem:
         self._joint_weights = np.array([self.weights.joints.get(name, scored[name]) for name in robot.joint_names])
         self.columns = np.flatnonzero(self._joint_weights)
         self._simulators = {
-            payload_kg: _simulators(nominal, payload_kg, jobs)
-            for payload_kg in sorted({segment.payload_kg for segment in self.segments})
+            setup: _simulators(nominal, setup, jobs) for setup in sorted({segment.setup for segment in self.segments})
         }
         self._writers = [
             (quantity(parameter.quantity).write, place, parameter)
@@ -248,9 +248,7 @@ class Problem:
         self._refuse_late()
         began = time.perf_counter()
         candidates = [self.candidate(self.parameters.values(row)) for row in z]
-        models = {
-            payload_kg: [_compile(candidate, payload_kg) for candidate in candidates] for payload_kg in self._simulators
-        }
+        models = {setup: [_compile(candidate, setup) for candidate in candidates] for setup in self._simulators}
         out = np.full((z.shape[0], self.size), np.nan)
         tasks = list(self._tasks(z.shape[0], models))
         if self.jobs == 1 or len(tasks) == 1:
@@ -280,12 +278,12 @@ class Problem:
         found = {}
         for segment in self.segments:
             self._refuse_late()
-            simulators = self._simulators[segment.payload_kg]
+            simulators = self._simulators[segment.setup]
             simulator = simulators.get()
             try:
                 zeros = self._zeros(candidate, segment.episode_id)
                 request = _shifted(segment.plan.request(candidate.delays), zeros, self.starts.get(segment))
-                models = [candidate.compile(segment.payload_kg)] * segment.plan.starts.size
+                models = [candidate.compile(segment.setup)] * segment.plan.starts.size
                 result = simulator.rollout_candidates(request, models)
             finally:
                 simulators.put(simulator)
@@ -397,13 +395,13 @@ class Problem:
         forces: Sequence[Forces] | None,
     ) -> None:
         self._refuse_late()
-        payload_kg = task.segment.payload_kg
-        simulator = self._simulators[payload_kg].get()
+        simulators = self._simulators[task.segment.setup]
+        simulator = simulators.get()
         try:
-            own = models[payload_kg]
+            own = models[task.segment.setup]
             out[task.rows, task.begin : task.end] = self._simulate(task, simulator, candidates, own, forces)
         finally:
-            self._simulators[payload_kg].put(simulator)
+            simulators.put(simulator)
 
     def _simulate(
         self,
@@ -447,8 +445,8 @@ class Problem:
         return residuals if starts is None else starts.without(residuals)
 
 
-# Payload [kg] -> a model of each candidate, None where MuJoCo refuses it.
-_Models = Mapping[float, Sequence[mujoco.MjModel | None]]
+# How the robot is in a motion -> a model of each candidate, None where MuJoCo refuses it.
+_Models = Mapping[Setup, Sequence[mujoco.MjModel | None]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -461,20 +459,20 @@ class _Task:
     end: int
 
 
-def _simulators(nominal: Nominal, payload_kg: float, jobs: int) -> SimpleQueue[MujocoSimulator]:
-    """One for each thread, of the nominal model with a payload."""
+def _simulators(nominal: Nominal, setup: Setup, jobs: int) -> SimpleQueue[MujocoSimulator]:
+    """One for each thread, of the nominal model as it is in some motions."""
     free: SimpleQueue[MujocoSimulator] = SimpleQueue()
     simulator = nominal.simulator
-    if payload_kg:
-        simulator = MujocoSimulator(nominal.candidate().compile(payload_kg), nominal.robot, simulator.channels)
+    if setup != AS_DESCRIBED:
+        simulator = MujocoSimulator(nominal.candidate().compile(setup), nominal.robot, simulator.channels)
     for _ in range(jobs):
         free.put(simulator.clone())
     return free
 
 
-def _compile(candidate: Candidate, payload_kg: float) -> mujoco.MjModel | None:
+def _compile(candidate: Candidate, setup: Setup) -> mujoco.MjModel | None:
     try:
-        model = candidate.compile(payload_kg)
+        model = candidate.compile(setup)
     except ConfigError:
         return None
     # The same motion without looking for islands of constraints: a tenth faster for a robot, which is a few trees.

@@ -12,7 +12,7 @@ from trueup.core.episode import Episode
 from trueup.core.hold import held_rows
 from trueup.core.quality import dropped, refuse_majority
 from trueup.errors import DataError, TrueupError
-from trueup.robots import CommandTiming
+from trueup.robots import AS_DESCRIBED, CommandTiming, Setup, setup_of
 from trueup.sim import MujocoSimulator, ReplayPlan, ReplaySettings
 
 
@@ -51,13 +51,13 @@ class Segment:
         episode_id: where it comes from.
         plan: prepared for simulation.
         counts: stamps that enter the residual: after the burn-in, with a position of every joint, (T,).
-        payload_kg: what the simulated robot carries.
+        setup: what the simulated robot carries, and how its gains are set.
     """
 
     episode_id: str
     plan: ReplayPlan
     counts: Bool[np.ndarray, "T"]
-    payload_kg: float = 0.0
+    setup: Setup = AS_DESCRIBED
 
     @property
     def seconds(self) -> float:
@@ -117,7 +117,7 @@ def make_segments(
         counts = stamps - stamps[0] >= burn_in_s
         counts &= np.all(np.isfinite(plan.measured["position"]), axis=1)
         if np.count_nonzero(counts) > 1:
-            segments.append(Segment(log.id, plan, counts, simulator.robot.carried_kg(log.meta.payload_kg)))
+            segments.append(Segment(log.id, plan, counts, setup_of(simulator.robot, log.meta)))
         else:
             refused[log.id] = DataError(f"episode {log.id!r} has hardly a sample to compare with")
     if not segments:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -11,7 +11,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Float64, Int
 
-from trueup.core.episode import Episode
+from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.fit_result import FitResult
 from trueup.core.hold import SAME_INSTANT_S, held_rows
 from trueup.core.interpolation import columns_at
@@ -25,7 +25,7 @@ from trueup.identify.discretization import Discretization
 from trueup.identify.problem import Problem
 from trueup.identify.quantities import motion_target, quantity
 from trueup.identify.uncertainty import noise_level
-from trueup.robots import CommandTiming, RobotSpec
+from trueup.robots import CommandTiming, RobotSpec, Setup, setup_of
 from trueup.sim import MujocoSimulator, ReplayPlan, ReplaySettings
 from trueup.sim.compiled_robot import ABSURD
 from trueup.sim.replay_plan import smooth_commands
@@ -182,18 +182,18 @@ class DrawnSimulator:
         self._nominal = Nominal(Discretization(divisor, robot.replay.command).of(robot, step_s), path)
         self._candidate = Problem(self._nominal, parameters, ()).candidate(values)
         self._leader = leader
-        self._simulators: dict[float, MujocoSimulator] = {}
+        self._simulators: dict[Setup, MujocoSimulator] = {}
 
-    def prepare(self, payloads_kg: Sequence[float]) -> None:
-        """Compile the robot with what it carries, before `log` is called from several threads.
+    def prepare(self, metas: Iterable[EpisodeMeta]) -> None:
+        """Compile the robot as it is in these motions, before `log` is called from several threads.
 
         Raises:
             ConfigError: MuJoCo refuses the drawn numbers.
         """
-        for payload_kg in dict.fromkeys(payloads_kg):
-            model = self._candidate.compile(payload_kg)
-            nominal = self._nominal
-            self._simulators[payload_kg] = MujocoSimulator(model, nominal.robot, nominal.simulator.channels)
+        nominal = self._nominal
+        for setup in {setup_of(nominal.robot, meta) for meta in metas}:
+            model = self._candidate.compile(setup)
+            self._simulators[setup] = MujocoSimulator(model, nominal.robot, nominal.simulator.channels)
 
     def log(self, episode: Episode, sensors: Sensors, rng: np.random.Generator) -> Episode:
         """What the robot leaves of a motion.
@@ -207,7 +207,7 @@ class DrawnSimulator:
             DataError: the simulation diverges.
         """
         robot = self._nominal.robot
-        simulator = self._simulators[robot.carried_kg(episode.meta.payload_kg)].clone()
+        simulator = self._simulators[setup_of(robot, episode.meta)].clone()
         joints = robot.joint_names
         zeros = np.array([self._candidate.encoder_zeros.get(motion_target(episode.id, name), 0.0) for name in joints])
         if robot.controller.signal == "torque":

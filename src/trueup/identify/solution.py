@@ -7,7 +7,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, astuple, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -177,9 +177,10 @@ def fingerprint_of(problem: Problem, settings: SolveSettings) -> str:
     for array in (delays_s, problem.columns, *(array for segment in problem.segments for array in _arrays(segment))):
         digest.update(f"{array.dtype} {array.shape}".encode())
         digest.update(np.ascontiguousarray(array).tobytes())
-    carried = [segment.payload_kg for segment in problem.segments]
-    if any(carried):
-        digest.update(json.dumps(carried).encode())
+    carried, factors = zip(*(astuple(segment.setup) for segment in problem.segments), strict=True)
+    for values, usual in ((carried, 0.0), (factors, 1.0)):
+        if any(value != usual for value in values):
+            digest.update(json.dumps(values).encode())
     plain = {
         "parameters": [parameter.to_json() for parameter in problem.parameters],
         "motions": [segment.episode_id for segment in problem.segments],

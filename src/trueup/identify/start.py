@@ -16,6 +16,7 @@ from trueup.identify.candidate import Nominal
 from trueup.identify.problem import Problem
 from trueup.identify.quantities import QUANTITIES, quantity
 from trueup.identify.regression import servo_start, torque_start
+from trueup.robots import setup_of
 
 # The order matters: stiffness first, then what brakes, then what is heavy, then what is late.
 _BRAKES = tuple(item.name for item in QUANTITIES.values() if item.brakes and item.search.transform == "log")
@@ -110,6 +111,7 @@ def servo_regressed(problem: Problem, episodes: Sequence[Episode]) -> ParameterS
             signal=signal,
             gains=gains,
             limits=nominal.simulator.torque_limits,
+            kp_factors=[setup_of(nominal.robot, episode.meta).kp_factor for episode in episodes],
         )
     except TrueupError:
         return parameters

@@ -141,7 +141,7 @@ def _splits(metas: Sequence[EpisodeMeta]) -> dict[str, Bool[np.ndarray, "E"]]:
 def _groups(metas: Sequence[EpisodeMeta]) -> dict[str, dict[str, Bool[np.ndarray, "E"]]]:
     """Field -> value -> rows, for the fields of which more than one value was recorded."""
     groups = {}
-    for name in ("payload_kg", "unit", "condition"):
+    for name in ("payload_kg", "kp_setting", "unit", "condition"):
         values = [getattr(meta, name) for meta in metas]
         recorded = sorted({value for value in values if value not in (None, "")})
         if len(recorded) > 1:

@@ -170,7 +170,7 @@ class RepeatBuilder:
 def _changed(first: EpisodeMeta, second: EpisodeMeta) -> tuple[Repeated, str, str] | None:
     """What alone differs between two episodes, from the smaller to the larger; None if it is not one thing."""
     loads = first.payload_kg, second.payload_kg
-    if first.unit != second.unit:
+    if first.unit != second.unit or first.kp_setting != second.kp_setting:
         return None
     if loads[0] == loads[1] and first.condition and first.condition < second.condition:
         return "condition", first.condition, second.condition

@@ -1,6 +1,7 @@
 """Robot descriptions and the project's own models."""
 
 from trueup.robots.friction import JointFriction
+from trueup.robots.setup import AS_DESCRIBED, Setup, refuse_other_gains, refuse_unknown_gains, setup_of, with_kp_factor
 from trueup.robots.spec import (
     BaseSpec,
     ClockSpec,
@@ -21,6 +22,7 @@ from trueup.robots.spec import (
 )
 
 __all__ = [
+    "AS_DESCRIBED",
     "BaseSpec",
     "ClockSpec",
     "CommandSpec",
@@ -33,9 +35,14 @@ __all__ = [
     "PayloadSpec",
     "ReplaySpec",
     "RobotSpec",
+    "Setup",
     "SimulationSpec",
     "UnlistedSpec",
     "find_model",
     "load_robot",
+    "refuse_other_gains",
+    "refuse_unknown_gains",
+    "setup_of",
     "shipped_robots",
+    "with_kp_factor",
 ]

@@ -189,9 +189,13 @@ class ControllerSpec:
         source: of the torques that are followed: what was `commanded`, or what the drives `measured`. The second is for
             logs whose commanded torque is a plan, to which a controller inside the robot added what nobody recorded.
         per_joint: joint name -> gains and delay of a joint that differs.
+        kp_setting: of the drives' position gain, in the unit of their firmware, at which kp (that of the model's
+            actuators with `model`) holds: a motion that was recorded at another setting is simulated with kp in
+            proportion.
 
     Raises:
-        ConfigError: `model` without `command`, or another kind with a command that it does not follow.
+        ConfigError: `model` without `command`, or another kind with a command that it does not follow; a `kp_setting`
+            that is none, or where there is no kp.
     """
 
     kind: ControllerKind = "model"
@@ -203,6 +207,7 @@ class ControllerSpec:
     delay_s: float = 0.0
     source: Literal["commanded", "measured"] = "commanded"
     per_joint: Mapping[str, JointGains] = field(default_factory=dict)
+    kp_setting: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse a controller that would silently do something else."""
@@ -220,6 +225,16 @@ class ControllerSpec:
                 expected="source: commanded",
                 hint="Only a torque can be followed as it was measured.",
             )
+        if self.kp_setting is None:
+            return
+        if not 0 < self.kp_setting < float("inf"):
+            raise ConfigError("controller: kp_setting", got=self.kp_setting, expected="a finite number above 0")
+        if self.signal == "torque" or self.kind == "velocity":
+            raise ConfigError(
+                f"controller: a {self.signal} that is commanded goes around the position gain of a drive",
+                got=f"kp_setting: {self.kp_setting:g}",
+                hint="Leave kp_setting out of robot.yaml; what motions say of it is ignored then.",
+            )
 
     def gain(self, name: Literal["kp", "kv", "ki", "delay_s"], joint: str) -> float:
         """The gain (or delay) of one joint."""
@@ -230,6 +245,11 @@ class ControllerSpec:
     def signal(self) -> CommandSignal:
         """The signal of the command series that is followed."""
         return self.command or COMMAND_SIGNAL[self.kind]
+
+    @property
+    def has_kp(self) -> bool:
+        """Whether commands pass a position gain."""
+        return self.signal == "position" or self.kind == "velocity-integrator" or self.kp_setting is not None
 
 
 @dataclass(frozen=True)
@@ -533,6 +553,8 @@ class RobotSpec:
             del tree["replay"]["command_shift_s"]
         if self.controller.source == "commanded":
             del tree["controller"]["source"]
+        if self.controller.kp_setting is None:
+            del tree["controller"]["kp_setting"]
         for name, own in (("base", self.base), ("unlisted", self.unlisted)):
             tree[name] = None if own is None else own.to_plain()
             if own in (None, UnlistedSpec()):

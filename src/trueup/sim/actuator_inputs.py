@@ -83,6 +83,14 @@ def inputs_of(
     )
 
 
+def pid_instance(spec: mujoco.MjSpec, actuator: str) -> mujoco.MjsPlugin | None:
+    """The named instance of MuJoCo's PID plugin behind an actuator; None if there is none."""
+    # The handle that an actuator holds knows no more than the name: reading its numbers crashes MuJoCo 3.
+    name = spec.actuator(actuator).plugin.name
+    own = (plugin for plugin in spec.plugins if name and plugin.name == name and plugin.plugin_name == PID_PLUGIN)
+    return next(own, None)
+
+
 def _kind(actuator: mujoco.MjsActuator, *, measured: bool) -> _Kind:
     gear = float(actuator.gear[0])
     if gear == 0:

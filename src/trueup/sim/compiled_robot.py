@@ -11,13 +11,13 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from trueup.errors import ConfigError, MissingSignal
-from trueup.robots import RobotSpec, SimulationSpec
+from trueup.robots import AS_DESCRIBED, RobotSpec, Setup, SimulationSpec
 from trueup.robots.holding import Holding, driven_inputs
 from trueup.robots.model import compile_spec
 from trueup.sim.body_sensors import add_body_sensors
-from trueup.sim.controllers import Channel, attach_controller, torque_limit_of
+from trueup.sim.controllers import Channel, attach_controller, scale_kp, torque_limit_of
 from trueup.sim.friction import set_friction
-from trueup.sim.payload import PREFIX
+from trueup.sim.payload import PREFIX, attach_payload
 
 # A motion beyond this has diverged [rad, m, rad/s or m/s]; MuJoCo itself gives up at accelerations of 1e10.
 ABSURD = 1e6
@@ -142,7 +142,7 @@ class CompiledRobot:
 
 
 def compile_robot(
-    spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path, moves: bool = False
+    spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path, setup: Setup = AS_DESCRIBED, moves: bool = False
 ) -> tuple[mujoco.MjModel, tuple[Channel, ...], Holding]:
     """The compiled model of a robot with all that its description adds, how commands reach it, and what is held in it.
 
@@ -152,12 +152,15 @@ def compile_robot(
         spec: the model.
         robot: its description.
         origin: of the model, for messages.
+        setup: what it carries, and how its position gains are set.
         moves: whether somebody else drives a base and joints that the description does not name: nothing is held.
 
     Raises:
-        ConfigError: the model lacks an actuator, MuJoCo refuses it, or see `Holding.of`.
+        ConfigError: the model lacks an actuator, holds no payload, has no gains to set, MuJoCo refuses it, or see
+            `Holding.of`.
         NameMismatch: a joint is not in the model.
     """
+    attach_payload(spec, robot, setup.payload_kg)
     channels = _with_controller(spec, robot, origin)
     for name in robot.joint_names:
         kind = spec.joint(name).type
@@ -176,7 +179,11 @@ def compile_robot(
         set_friction(spec, name, friction)
     _set_options(spec, robot.simulation)
     holding = Holding() if moves else Holding.of(spec, robot, origin=origin)
-    return compile_spec(holding.applied(spec), origin), channels, holding
+    model = compile_spec(holding.applied(spec), origin)
+    if setup.kp_factor != 1.0:
+        scale_kp(spec, channels, setup.kp_factor, model=model)
+        model = compile_spec(holding.applied(spec), origin)
+    return model, channels, holding
 
 
 def _with_controller(spec: mujoco.MjSpec, robot: RobotSpec, origin: Path) -> tuple[Channel, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from trueup.errors import ConfigError, NameMismatch
 from trueup.robots import ControllerSpec, MotorSpec, RobotSpec
-from trueup.sim.actuator_inputs import PID_PLUGIN, inputs_of
+from trueup.sim.actuator_inputs import PID_PLUGIN, inputs_of, pid_instance
 
 # The actuator of a servo that takes no input.
 _BACK_EMF = "back_emf"
@@ -105,6 +105,41 @@ def torque_limit_of(model: mujoco.MjModel, joint: str, actuators: Sequence[str])
         forces = np.abs(model.actuator_forcerange[rows]).max(axis=1)
         limits.append(float(forces @ np.abs(model.actuator_gear[rows, 0])))
     return min(limits, default=None)
+
+
+def scale_kp(spec: mujoco.MjSpec, channels: Sequence[Channel], factor: float, *, model: mujoco.MjModel) -> None:
+    """Multiply the position gain of every drive by a factor; what damps and what integrates stays.
+
+    Args:
+        spec: the model with its controller; it is changed.
+        channels: how commands reach it.
+        factor: above 0.
+        model: the same, compiled: a `dampratio` becomes the damping that it makes of the gain as it was.
+
+    Raises:
+        ConfigError: an actuator's position gain is not a number of the model.
+    """
+    for name, joint in {own.actuator: own.joint for own in channels if own.signal != "torque"}.items():
+        actuator, plugin = spec.actuator(name), pid_instance(spec, name)
+        if plugin is not None:
+            plugin.config = {**plugin.config, "kp": repr(factor * float(plugin.config.get("kp") or 0.0))}
+            continue
+        fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED or (
+            actuator.gaintype == mujoco.mjtGain.mjGAIN_AFFINE and not any(actuator.gainprm[1:3])
+        )
+        if actuator.plugin.active or not fixed or actuator.biastype != mujoco.mjtBias.mjBIAS_AFFINE:
+            raise ConfigError(
+                f"joint {joint!r}: kp_setting scales position gains, and that of the model's actuator {name!r} is none",
+                got="a plugin" if actuator.plugin.active else actuator.gaintype.name,
+                expected="a position servo, or MuJoCo's PID plugin",
+                hint="Put a controller in its place in robot.yaml: controller: {kind: position, kp: …, kv: …}.",
+            )
+        if actuator.biasprm[1] == 0:
+            continue  # it damps only
+        if actuator.biasprm[2] > 0:  # MuJoCo's mark of a damping ratio
+            actuator.biasprm[2] = model.actuator_biasprm[model.actuator(name).id, 2]
+        actuator.gainprm[0] *= factor
+        actuator.biasprm[1] *= factor
 
 
 def _own_channels(spec: mujoco.MjSpec, joint: str, controller: ControllerSpec) -> list[Channel]:

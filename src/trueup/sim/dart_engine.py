@@ -12,7 +12,7 @@ from jaxtyping import Float, Float64
 
 from trueup.core.protocols import RolloutRequest, RolloutResult
 from trueup.errors import DataError
-from trueup.robots import RobotSpec
+from trueup.robots import AS_DESCRIBED, RobotSpec, Setup, with_kp_factor
 from trueup.robots.holding import Holding
 from trueup.robots.model import gravity_of, load_spec
 from trueup.sim.actuators import Actuators
@@ -23,7 +23,6 @@ from trueup.sim.dart_friction import DartFriction, laws_of
 from trueup.sim.dart_model import JointNumbers, load_dart, refuse_unmatched, skeleton_of
 from trueup.sim.dry_friction import friction_impulse
 from trueup.sim.moving_base import MovingBase
-from trueup.sim.payload import attach_payload
 
 
 class DartSimulator(CompiledRobot):
@@ -66,22 +65,22 @@ class DartSimulator(CompiledRobot):
         self._copies: _Copies | None = None
 
     @staticmethod
-    def from_robot(robot: RobotSpec, model_path: Path, *, payload_kg: float = 0.0) -> DartSimulator:
-        """The simulator of a robot description, with a payload [kg] where the robot holds one.
+    def from_robot(robot: RobotSpec, model_path: Path, *, setup: Setup = AS_DESCRIBED) -> DartSimulator:
+        """The simulator of a robot description, with what it carries and how its gains are set in a motion.
 
         Raises:
             ConfigError: the model does not load, lacks an actuator, holds no payload, or cannot be matched.
             NameMismatch: a joint is not in the model.
         """
         spec = load_spec(model_path)
-        attach_payload(spec, robot, payload_kg)
-        return DartSimulator.from_spec(spec, robot, origin=model_path)
+        return DartSimulator.from_spec(spec, robot, origin=model_path, setup=setup)
 
     @staticmethod
-    def from_spec(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path) -> DartSimulator:
+    def from_spec(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path, setup: Setup = AS_DESCRIBED) -> DartSimulator:
         """The simulator of a model that is still editable; `origin` is named in messages."""
-        model, channels, holding = compile_robot(spec, robot, origin=origin)
-        return DartSimulator(model, robot, channels, holding)
+        model, channels, holding = compile_robot(spec, robot, origin=origin, setup=setup)
+        # Of a PID plugin, DART takes the gains from the description.
+        return DartSimulator(model, with_kp_factor(robot, setup.kp_factor), channels, holding)
 
     def clone(self) -> DartSimulator:
         """Another simulator on the same compiled model."""

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from trueup.errors import ConfigError
-from trueup.robots import RobotSpec
+from trueup.robots import AS_DESCRIBED, RobotSpec, Setup
 from trueup.sim.dart_engine import DartSimulator
 from trueup.sim.mujoco_engine import MujocoSimulator
 from trueup.sim.warp_engine import WarpSimulator
@@ -16,12 +16,13 @@ ENGINES: tuple[str, ...] = get_args(Engine)
 
 
 def make_simulator(
-    engine: str, robot: RobotSpec, model_path: Path, *, payload_kg: float = 0.0
+    engine: str, robot: RobotSpec, model_path: Path, *, setup: Setup = AS_DESCRIBED
 ) -> MujocoSimulator | DartSimulator:
-    """The simulator of a robot in the engine of this name, with a payload [kg] where the robot holds one.
+    """The simulator of a robot in the engine of this name, with what it carries and how its gains are set.
 
     Raises:
-        ConfigError: no such engine; it is not installed; the model does not load, holds no payload, or is not matched.
+        ConfigError: no such engine; it is not installed; the model does not load, holds no payload or has no gains
+            to set, or is not matched.
         NameMismatch: a joint is not in the model.
     """
     if engine not in ENGINES:
@@ -31,4 +32,4 @@ def make_simulator(
         "dart": DartSimulator,
         "warp": WarpSimulator,
     }
-    return kinds[engine].from_robot(robot, model_path, payload_kg=payload_kg)
+    return kinds[engine].from_robot(robot, model_path, setup=setup)

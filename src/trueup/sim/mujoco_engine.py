@@ -15,7 +15,7 @@ from mujoco import batch, rollout
 
 from trueup.core.protocols import RolloutRequest, RolloutResult
 from trueup.errors import DataError
-from trueup.robots import RobotSpec
+from trueup.robots import AS_DESCRIBED, RobotSpec, Setup
 from trueup.robots.holding import Holding
 from trueup.robots.model import load_spec
 from trueup.sim.body_sensors import BodySensors
@@ -24,7 +24,6 @@ from trueup.sim.compiled_robot import ABSURD, CompiledRobot, compile_robot, load
 from trueup.sim.controllers import Channel
 from trueup.sim.friction import has_friction, install
 from trueup.sim.moving_base import MovingBase
-from trueup.sim.payload import attach_payload
 
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CONTROL = int(mujoco.mjtState.mjSTATE_CTRL)
@@ -87,24 +86,27 @@ class MujocoSimulator(CompiledRobot):
         self._batch: batch.Batch | None = None
 
     @staticmethod
-    def from_robot(robot: RobotSpec, model_path: Path, *, payload_kg: float = 0.0, threads: int = 1) -> MujocoSimulator:
-        """The simulator of a robot description, with a payload [kg] where the robot holds one.
+    def from_robot(
+        robot: RobotSpec, model_path: Path, *, setup: Setup = AS_DESCRIBED, threads: int = 1
+    ) -> MujocoSimulator:
+        """The simulator of a robot description, with what it carries and how its gains are set in a motion.
 
         Raises:
-            ConfigError: the model does not load, lacks an actuator, or holds no payload.
+            ConfigError: the model does not load, lacks an actuator, or holds no payload, or has no gains to set.
             NameMismatch: a joint is not in the model.
         """
         spec = load_spec(model_path, shapes=robot.simulation.contacts)
-        attach_payload(spec, robot, payload_kg)
-        return MujocoSimulator.from_spec(spec, robot, origin=model_path, threads=threads)
+        return MujocoSimulator.from_spec(spec, robot, origin=model_path, setup=setup, threads=threads)
 
     @staticmethod
-    def from_spec(spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path, threads: int = 1) -> MujocoSimulator:
+    def from_spec(
+        spec: mujoco.MjSpec, robot: RobotSpec, *, origin: Path, setup: Setup = AS_DESCRIBED, threads: int = 1
+    ) -> MujocoSimulator:
         """The simulator of a model that is still editable; `origin` is named in messages.
 
         The spec is completed in place: controller, torque sensors, friction laws and options of the robot.
         """
-        model, channels, holding = compile_robot(spec, robot, origin=origin)
+        model, channels, holding = compile_robot(spec, robot, origin=origin, setup=setup)
         return MujocoSimulator(model, robot, channels, holding, threads=threads)
 
     def clone(self, *, threads: int = 1) -> MujocoSimulator:

@@ -14,14 +14,13 @@ from jaxtyping import Float, Float64
 
 from trueup.core.protocols import RolloutRequest, RolloutResult
 from trueup.errors import ConfigError, DataError, needing
-from trueup.robots import RobotSpec
+from trueup.robots import AS_DESCRIBED, RobotSpec, Setup
 from trueup.robots.holding import Holding
 from trueup.robots.model import load_spec
 from trueup.sim.compiled_robot import compile_robot
 from trueup.sim.controllers import Channel
 from trueup.sim.friction import has_friction
 from trueup.sim.mujoco_engine import MujocoSimulator
-from trueup.sim.payload import attach_payload
 from trueup.sim.warp_room import refuse_overflow, room_for
 
 _INSTEAD = "Take --engine mujoco."
@@ -84,8 +83,10 @@ class WarpSimulator(MujocoSimulator):
         self._rows = room_for(mujoco_warp, compiled)
 
     @staticmethod
-    def from_robot(robot: RobotSpec, model_path: Path, *, payload_kg: float = 0.0, threads: int = 1) -> WarpSimulator:
-        """The simulator of a robot description, with a payload [kg] where the robot holds one.
+    def from_robot(
+        robot: RobotSpec, model_path: Path, *, setup: Setup = AS_DESCRIBED, threads: int = 1
+    ) -> WarpSimulator:
+        """The simulator of a robot description, with what it carries and how its gains are set in a motion.
 
         Raises:
             ConfigError: the model does not load, lacks an actuator, holds no payload, or is nothing for Warp.
@@ -93,8 +94,7 @@ class WarpSimulator(MujocoSimulator):
             MissingDependency: MuJoCo Warp is not installed.
         """
         spec = load_spec(model_path, shapes=robot.simulation.contacts)
-        attach_payload(spec, robot, payload_kg)
-        model, channels, holding = compile_robot(spec, robot, origin=model_path)
+        model, channels, holding = compile_robot(spec, robot, origin=model_path, setup=setup)
         return WarpSimulator(model, robot, channels, holding, threads=threads)
 
     def clone(self, *, threads: int = 1) -> WarpSimulator:

@@ -10,7 +10,7 @@ from trueup.core.atomic import json_hash
 from trueup.dataset import Dataset, read_split
 from trueup.errors import OutputExists
 from trueup.robots import RobotSpec
-from trueup.stages.replaying import carried_kg
+from trueup.stages.replaying import carried_kg, kp_factors
 from trueup.stages.robot_model import model_file
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ _WORDS = {
     "model": "model (--model)",
     "data": "data or splits",
     "carried": "payload of motions (payload_kg)",
+    "gains": "setting of position gains (kp_setting)",
     "splits": "splits (--splits)",
     "seed": "seed (--seed)",
     "drop_flagged": "choice of motions (--drop-flagged)",
@@ -71,6 +72,7 @@ def asked_of_data(dataset: Dataset, robot: RobotSpec, model: Path | None) -> dic
     return {
         "data": json_hash([dataset.hash, dict(dataset.splits)]),
         "carried": json_hash(carried_kg(dataset, robot)),
+        "gains": json_hash(kp_factors(dataset, robot)),
         "model": MujocoSimulator.from_robot(robot, path).fingerprint,
     }
 

@@ -18,7 +18,7 @@ from trueup.core.provenance import provenance
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset, RunWriter, refuse_run
 from trueup.errors import DataError, TrueupError, needing
-from trueup.robots import RobotSpec
+from trueup.robots import RobotSpec, refuse_other_gains
 from trueup.stages.compensating import motion_of, network_for_simulator, units_of
 from trueup.stages.progress import Track, silent
 from trueup.stages.replaying import ReplaySummary
@@ -61,7 +61,8 @@ def compensated_replay(
 
     Raises:
         OutputExists: the run is there.
-        ConfigError: the network corrects the robot, not its simulator.
+        ConfigError: the network corrects the robot, not its simulator, or motions were recorded with other position
+            gains than the robot's.
         NameMismatch: network and robot do not have the same joints.
         DataError: no episode could be replayed.
         MissingDependency: torch is not installed.
@@ -78,6 +79,7 @@ def compensated_replay(
     plants = Plants(robot, path, 1.0 / card.rate_hz, threads=jobs or os.cpu_count() or 1)
     joint_map = JointMap.from_dict(robot.joint_rules())
     names = tuple(dataset.ids if ids is None else ids)
+    refuse_other_gains(robot, (dataset.meta(name) for name in names), what="a replay with a compensation")
     motions: dict[str, Motion] = {}
     failed: dict[str, TrueupError] = {}
     for name in names:

@@ -18,7 +18,7 @@ from trueup.core.sole_writer import writes_alone
 from trueup.core.units import joint_unit
 from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, TrueupError, needing
-from trueup.robots import RobotSpec
+from trueup.robots import RobotSpec, refuse_other_gains
 from trueup.stages.model_folder import ModelFolder
 from trueup.stages.progress import Track, silent
 from trueup.stages.robot_model import model_file
@@ -107,6 +107,7 @@ def prepare(
     Raises:
         MissingSignal: no motion in train or val, or no commands.
         ConfigError: the controller or its rate is not one that can be compensated.
+        ConfigError: motions were recorded with other position gains than the robot's.
         DataError: no motion can be used, or the measurement of most of the train motions is broken.
     """
     from trueup.compensate.linear import linear_of
@@ -122,6 +123,7 @@ def prepare(
     empty = [split for split, own in ids.items() if not own]
     if empty:
         raise MissingSignal(f"{dataset.path} has no motions in {empty[0]}", hint="Leave --drop-flagged out, or import.")
+    refuse_other_gains(robot, (dataset.meta(name) for own in ids.values() for name in own), what="compensate")
     joint_map = JointMap.from_dict(robot.joint_rules())
     control_s = 1.0 / (control_hz or _rate_of(dataset, joint_map, ids["train"][0]))
     path = model_file(robot, dataset, given=model)

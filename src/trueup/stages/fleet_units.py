@@ -19,7 +19,7 @@ DATA, TRACEBACK = "dataset", "failed.txt"
 # Letters of the name of a folder; others become one of them.
 _PLAIN = "-_."
 # Columns of an index that results depend on.
-_DECIDING = ("hash", "split", "flags", "payload_kg", "condition")
+_DECIDING = ("hash", "split", "flags", "payload_kg", "kp_setting", "condition")
 
 
 @dataclass(frozen=True)

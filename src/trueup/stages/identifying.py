@@ -29,7 +29,7 @@ from trueup.stages.ladder import ladder_of
 from trueup.stages.measuring import Measurement, gap
 from trueup.stages.motions import Motions, motions_of
 from trueup.stages.progress import Track, silent
-from trueup.stages.replaying import STOCK, ReplaySummary, carried_kg, replay_unless_same
+from trueup.stages.replaying import STOCK, ReplaySummary, carried_kg, kp_factors, replay_unless_same
 from trueup.stages.robot_model import model_file
 
 if TYPE_CHECKING:
@@ -203,8 +203,9 @@ def _digest(dataset: Dataset, robot: RobotSpec, model: Path, config: IdentifyCon
         "config": (config or IdentifyConfig()).to_json(),
         "seed": seed,
     }
-    carried = carried_kg(dataset, robot)
-    return json_hash({**inputs, "carried_kg": carried} if carried else inputs)
+    # What earlier versions did not know of leaves the hash alone where it is not there.
+    further = {"carried_kg": carried_kg(dataset, robot), "kp_factors": kp_factors(dataset, robot)}
+    return json_hash({**inputs, **{name: own for name, own in further.items() if own}})
 
 
 def _finished(out: Path, inputs: str) -> FitResult | None:
@@ -270,7 +271,9 @@ def _save_graybox(
     logs, _ = usable(motions.by_split, drop_flagged=drop_flagged)
     episodes = [episode for own in logs.values() for episode in own]
     settings = GrayboxSettings(
-        delay_s=float(np.median(nominal.given.delay_s)), torque_limits=nominal.simulator.torque_limits
+        kp_setting=nominal.given.controller.kp_setting,
+        delay_s=float(np.median(nominal.given.delay_s)),
+        torque_limits=nominal.simulator.torque_limits,
     )
     try:
         graybox = fit_graybox(episodes, settings=settings, joints=robot.scored_joints)

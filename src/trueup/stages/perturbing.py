@@ -35,7 +35,7 @@ from trueup.core.sole_writer import writes_alone
 from trueup.dataset import Dataset
 from trueup.errors import ConfigError, DataError, MissingSignal, OutputExists, TrueupError
 from trueup.measure import motion_numbers
-from trueup.robots import RobotSpec
+from trueup.robots import RobotSpec, Setup, refuse_unknown_gains, setup_of
 from trueup.stages.evaluating import EVERY_SPLIT
 from trueup.stages.progress import Track, silent
 from trueup.stages.robot_model import model_file
@@ -75,13 +75,12 @@ class _Judge:
 
     def drawn(self, motions: _Motions, size: Perturbation, number: int, what: str) -> Cell:
         """Errors of these motions in a simulator that is drawn around the robot."""
-        from trueup.sim import MujocoSimulator, attach_payload
+        from trueup.sim import MujocoSimulator
         from trueup.sim.perturbation import perturbed
 
-        def make(payload_kg: float) -> MujocoSimulator:
+        def make(setup: Setup) -> MujocoSimulator:
             other, spec = perturbed(self.robot, motions.model, size, seed=number)
-            attach_payload(spec, other, payload_kg)
-            return MujocoSimulator.from_spec(spec, other, origin=motions.model)
+            return MujocoSimulator.from_spec(spec, other, origin=motions.model, setup=setup)
 
         return self.cell(motions, make, what)
 
@@ -89,14 +88,14 @@ class _Judge:
         """The same in the simulator of the robot."""
         from trueup.sim import MujocoSimulator
 
-        def make(payload_kg: float) -> MujocoSimulator:
-            return MujocoSimulator.from_robot(self.robot, motions.model, payload_kg=payload_kg)
+        def make(setup: Setup) -> MujocoSimulator:
+            return MujocoSimulator.from_robot(self.robot, motions.model, setup=setup)
 
         return self.cell(motions, make, motions.name)
 
-    def cell(self, motions: _Motions, make: Callable[[float], MujocoSimulator], what: str) -> Cell:
-        """Before and after correction, in simulators that carry what the motions do [kg]; no run is stored."""
-        free: dict[float, SimpleQueue[MujocoSimulator]] = {}
+    def cell(self, motions: _Motions, make: Callable[[Setup], MujocoSimulator], what: str) -> Cell:
+        """Before and after correction, in simulators that are as the robot is in the motions; no run is stored."""
+        free: dict[Setup, SimpleQueue[MujocoSimulator]] = {}
         errors: dict[str, _Errors] = {}
         failed: dict[str, str] = {}
         waiting: deque[tuple[str, Future[_Errors]]] = deque()
@@ -116,10 +115,10 @@ class _Judge:
                 except TrueupError as error:
                     failed[name] = error.summary
                     continue
-                carried = self.robot.carried_kg(episode.meta.payload_kg)
-                if carried not in free:
-                    free[carried] = _clones(make(carried), workers)
-                waiting.append((name, pool.submit(self._errors, episode, free[carried])))
+                setup = setup_of(self.robot, episode.meta)
+                if setup not in free:
+                    free[setup] = _clones(make(setup), workers)
+                waiting.append((name, pool.submit(self._errors, episode, free[setup])))
                 if len(waiting) > workers:
                     take()
             while waiting:
@@ -217,6 +216,7 @@ def robustness(
         _motions(name, data, robot, split, motions, drop_flagged=drop_flagged)
         for name, data in _named(datasets).items()
     ]
+    refuse_unknown_gains(robot, (item.data.meta(id) for item in named for id in item.ids))
     first, joint_map = named[0], JointMap.from_dict(robot.joint_rules())
     measured = joint_map.of_episode(first.data.episode(first.ids[0])).measured
     card = _card_of(trained.card, robot)

@@ -13,7 +13,7 @@ from trueup.core.ray_workers import on_ray, refuse_other_model
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset
 from trueup.errors import TrueupError
-from trueup.robots import RobotSpec
+from trueup.robots import RobotSpec, Setup
 
 if TYPE_CHECKING:
     from trueup.sim import ReplaySettings
@@ -26,9 +26,9 @@ Replayed = list[tuple[str, "TimeSeries | TrueupError"]]
 
 @dataclass(frozen=True)
 class ReplayPart:
-    """Some episodes with the same payload, and all that decides about their replay.
+    """Some episodes in which the robot is the same, and all that decides about their replay.
 
-    The hash is the fingerprint of the simulator with this payload, where the replay was asked for.
+    The hash is the fingerprint of its simulator, where the replay was asked for.
     """
 
     dataset: Path
@@ -37,7 +37,7 @@ class ReplayPart:
     model: Path
     engine: str
     model_sha256: str
-    payload_kg: float
+    setup: Setup
     settings: ReplaySettings
 
 
@@ -87,7 +87,7 @@ def _replayed(item: tuple[int, ReplayPart]) -> Replayed:
     from trueup.sim import make_simulator, replay
 
     _, part = item
-    simulator = make_simulator(part.engine, part.robot, part.model, payload_kg=part.payload_kg)
+    simulator = make_simulator(part.engine, part.robot, part.model, setup=part.setup)
     refuse_other_model(part.model, simulator.fingerprint, part.model_sha256)
     joint_map = JointMap.from_dict(part.robot.joint_rules())
     failed: dict[str, TrueupError] = {}

@@ -17,7 +17,7 @@ from trueup.core.provenance import other_versions, provenance
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset, RunWriter, refuse_run
 from trueup.errors import DataError, OutputExists, TrueupError
-from trueup.robots import RobotSpec
+from trueup.robots import AS_DESCRIBED, RobotSpec, Setup, refuse_unknown_gains, setup_of
 from trueup.stages.progress import Track, silent
 from trueup.stages.replay_parts import PART, ReplayPart, readable, replayed_on_ray
 from trueup.stages.robot_model import model_file
@@ -95,7 +95,8 @@ def replay(
     Raises:
         OutputExists: the run is there, and neither `overwrite` nor a matching `resume` applies.
         NameMismatch: the joints of log, robot and model do not agree.
-        ConfigError: the model is not found, or does not load, or the engine is not there or cannot match it, or no
+        ConfigError: motions were recorded at several settings of the position gain, and nobody has said which is the
+            robot's; the model is not found, or does not load, or the engine is not there or cannot match it, or no
             cluster answers, or a worker of it has another model or engine.
         DataError: there is no episode, or none could be replayed.
     """
@@ -139,6 +140,7 @@ def replay(
         raise DataError(f"{dataset.path} has no episodes", hint="Record or import some first.")
     failed: dict[str, TrueupError] = {}
     _refuse_other_names(dataset, wanted, joint_map)
+    refuse_unknown_gains(robot, (dataset.meta(name) for name in wanted))
     with contextlib.ExitStack() as stack:
         writer = None
         if keeping:
@@ -150,10 +152,10 @@ def replay(
             parts = (
                 ReplayPart(
                     *(dataset.path.resolve(), tuple(names[first : first + PART]), robot, there, engine),
-                    *(fingerprint, payload_kg, settings),
+                    *(fingerprint, setup, settings),
                 )
-                for payload_kg, names in by_payload(dataset, robot, missing)
-                for fingerprint in (make_simulator(engine, robot, there, payload_kg=payload_kg).fingerprint,)
+                for setup, names in by_setup(dataset, robot, missing)
+                for fingerprint in (make_simulator(engine, robot, there, setup=setup).fingerprint,)
                 for first in range(0, len(names), PART)
             )
             results = replayed_on_ray(parts, ray, jobs)
@@ -161,12 +163,12 @@ def replay(
             results = chain.from_iterable(
                 replay_episodes(
                     readable(dataset, names, joint_map, failed),
-                    (make_simulator(engine, robot, path, payload_kg=payload_kg) if payload_kg else simulator).clone,
+                    (simulator if setup == AS_DESCRIBED else make_simulator(engine, robot, path, setup=setup)).clone,
                     settings,
                     jobs=1 if engine == "warp" else jobs or os.cpu_count() or 1,
                     processes=engine == "dart",
                 )
-                for payload_kg, names in by_payload(dataset, robot, missing)
+                for setup, names in by_setup(dataset, robot, missing)
             )
         for name, result in track(results, "replay", len(missing)):
             if isinstance(result, TrueupError):
@@ -205,12 +207,11 @@ def replay_unless_same(
         return replace(done, replaced=True)
 
 
-def by_payload(dataset: Dataset, robot: RobotSpec, ids: Sequence[str]) -> Iterator[tuple[float, list[str]]]:
-    """What the robot carries in simulations [kg] -> the episodes in which it does."""
-    logged = dict(zip(dataset.ids, dataset.index.column("payload_kg").to_pylist(), strict=True))
-    carried = {name: robot.carried_kg(logged[name]) for name in ids}
-    for payload_kg in sorted(set(carried.values())):
-        yield payload_kg, [name for name in ids if carried[name] == payload_kg]
+def by_setup(dataset: Dataset, robot: RobotSpec, ids: Sequence[str]) -> Iterator[tuple[Setup, list[str]]]:
+    """How the robot is in simulations -> the episodes in which it is so."""
+    known = {meta.id: setup_of(robot, meta) for meta in dataset.metas}
+    for setup in sorted({known[name] for name in ids}):
+        yield setup, [name for name in ids if known[name] == setup]
 
 
 def carried_kg(dataset: Dataset, robot: RobotSpec) -> dict[str, float]:
@@ -218,7 +219,14 @@ def carried_kg(dataset: Dataset, robot: RobotSpec) -> dict[str, float]:
 
     The hash of the dataset does not say it.
     """
-    return {name: load for load, names in by_payload(dataset, robot, dataset.ids) if load for name in names}
+    setups = {meta.id: setup_of(robot, meta) for meta in dataset.metas}
+    return {name: setup.payload_kg for name, setup in setups.items() if setup.payload_kg}
+
+
+def kp_factors(dataset: Dataset, robot: RobotSpec) -> dict[str, float]:
+    """Position gains in simulations per those of the description, of the episodes in which they differ; likewise."""
+    setups = {meta.id: setup_of(robot, meta) for meta in dataset.metas}
+    return {name: setup.kp_factor for name, setup in setups.items() if setup.kp_factor != 1.0}
 
 
 def _refuse_other_names(dataset: Dataset, ids: Sequence[str], joint_map: JointMap) -> None:

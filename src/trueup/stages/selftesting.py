@@ -23,7 +23,7 @@ from trueup.dataset import Dataset, is_dataset, refuse_results
 from trueup.dataset.importers.base import ImportOptions
 from trueup.errors import ConfigError, DataError, NotIdentifiable, TrueupError
 from trueup.record import Springs
-from trueup.robots import RobotSpec, find_model
+from trueup.robots import RobotSpec, find_model, refuse_unknown_gains
 from trueup.stages.importing import import_logs
 from trueup.stages.motions import motions_of
 from trueup.stages.progress import Track, silent
@@ -219,6 +219,7 @@ def _asked(
     else:
         found = motions_of(dataset, robot)
         logs, flagged = usable(found.by_split, drop_flagged=config.data.drop)
+        refuse_unknown_gains(robot, (log.meta for own in logs.values() for log in own))
         logs, refused = _playable({split: logs[split] for split in ("train", "val") if logs.get(split)}, nominal)
         for reasons in (found.refused, flagged, refused):
             notes += left_out({split: reasons[split] for split in ("train", "val") if split in reasons})
@@ -339,7 +340,7 @@ def _leader(nominal: Nominal) -> Springs | None:
 def _logs(asked: _Asked, simulator: DrawnSimulator, seed: int, track: Track) -> dict[str, list[Episode]]:
     """What a drawn robot leaves of all motions, by split."""
     motions = [(split, log) for split, own in asked.episodes.items() for log in own]
-    simulator.prepare([asked.robot.carried_kg(log.meta.payload_kg) for _, log in motions])
+    simulator.prepare(log.meta for _, log in motions)
     # What leads a robot has a state of its own, and works in Python's.
     with ThreadPoolExecutor(asked.jobs if asked.robot.controller.signal == "position" else 1) as pool:
         made = [

@@ -14,7 +14,8 @@ from trueup.dataset.importers.beside import plan_with
 from trueup.dataset.importers.columns import TextTable
 from trueup.dataset.importers.csv_episode import CsvEpisode, load_episode
 from trueup.dataset.importers.files import data_files, episode_id, inside, read_bytes
-from trueup.dataset.importers.mapping import CsvMapping, substitute
+from trueup.dataset.importers.gain_setting import kp_setting_of
+from trueup.dataset.importers.mapping import ABOUT, CsvMapping, substitute
 from trueup.dataset.importers.mapping_file import load_mapping, shipped
 from trueup.dataset.importers.pattern import matches
 from trueup.errors import DataError, FormatError, TrueupError
@@ -146,10 +147,7 @@ def _episodes(root: Path, names: Sequence[str], mapping: CsvMapping, options: Im
                 series[label] = file
             elif not spec.optional:
                 raise DataError(f"{root / file} is missing", expected=f"the {label} series that belongs to {name}")
-        said = {
-            key: substitute(str(getattr(mapping, key)), groups, where=mapping.name)
-            for key in ("id", "robot", "unit", "payload_kg", "condition")
-        }
+        said = {key: substitute(str(getattr(mapping, key)), groups, where=mapping.name) for key in ("id", *ABOUT)}
         id = episode_id(said["id"] or name.removesuffix(Path(name).suffix))
         said |= {key: text for key, text in table.get(id, {}).items() if key in said and text}
         meta = EpisodeMeta(
@@ -157,6 +155,7 @@ def _episodes(root: Path, names: Sequence[str], mapping: CsvMapping, options: Im
             robot=options.robot or said["robot"],
             unit=said["unit"],
             payload_kg=_payload(said["payload_kg"], name),
+            kp_setting=kp_setting_of(said["kp_setting"], f"kp_setting of {name}"),
             condition=said["condition"],
             source=name,
         )
@@ -170,7 +169,7 @@ def _metadata(root: Path, mapping: CsvMapping) -> dict[str, dict[str, str]]:
         return {}
     path = inside(root, root / mapping.metadata)
     table = TextTable(path, read_bytes(path))
-    names = [name for name in ("id", "robot", "unit", "payload_kg", "condition") if name in table.names or name == "id"]
+    names = [name for name in ("id", *ABOUT) if name in table.names or name == "id"]
     columns = {name: text.to_pylist() for name, text in table.read(names).items()}
     return {id: {name: columns[name][row] for name in names[1:]} for row, id in enumerate(columns["id"])}
 

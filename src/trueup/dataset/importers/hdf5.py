@@ -6,7 +6,8 @@ Variant 2, two arms: groups `robot1` and `robot2` with a clock each, and one com
 first. The second arm is interpolated linearly onto the clock of the first, where both have data.
 
 The files carry no joint names: the user states them, or they stand in `joint_names` (a dataset or attribute of
-the file or of a group). Likewise a file may say its `payload_kg` and `condition`.
+the file or of a group). Likewise a file may say its `payload_kg`, `kp_setting` and
+`condition`.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPl
 from trueup.dataset.importers.beside import plan_with
 from trueup.dataset.importers.clock import common_origin, shifted, usable_clock
 from trueup.dataset.importers.files import data_files, episode_id, files_hash
+from trueup.dataset.importers.gain_setting import kp_setting_of
 from trueup.dataset.importers.h5file import H5File, open_h5
 from trueup.dataset.importers.h5names import ANGLES, LAYOUT, find_groups, joint_names
 from trueup.dataset.importers.parts import on_one_clock
@@ -111,7 +113,8 @@ def _load(root: Path, path: Path, name: str, stated: Stated) -> Episode:
         raw = [_read(file, group, joints, stated) for group, joints in zip(groups, names, strict=True)]
         command = _read_command(file, [joint for part in names for joint in part], stated)
         about = {key: file.scalar(key) for key in _ABOUT}
-        payload_kg, condition = _payload(file, stated), stated.condition or file.scalar("condition")
+        payload_kg, kp_setting = _payload(file, stated), _kp_setting(file, stated)
+        condition = stated.condition or file.scalar("condition")
     origin = common_origin(*(part.series.time_s for part in (*raw, command)))
     parts = [shifted(part.series, part.flags, origin=origin) for part in raw]
     commanded, command_flags = shifted(command.series, command.flags, origin=origin)
@@ -128,6 +131,7 @@ def _load(root: Path, path: Path, name: str, stated: Stated) -> Episode:
             robot=stated.robot,
             unit=stated.unit,
             payload_kg=payload_kg,
+            kp_setting=kp_setting,
             condition=condition,
             source=path.relative_to(root).as_posix(),
             source_hash=files_hash([path]),
@@ -158,6 +162,24 @@ def _payload(file: H5File, stated: Stated) -> float | None:
             hint="Leave `payload_kg` out of the mapping: each file then has its own.",
         )
     return said
+
+
+def _kp_setting(file: H5File, stated: Stated) -> float | None:
+    """What the file says, or else the mapping.
+
+    Raises:
+        DataError: it is no gain.
+        ConfigError: they say different ones.
+    """
+    said = kp_setting_of(file.number("kp_setting"), f"{file.source}: kp_setting")
+    if said is not None and stated.kp_setting not in (None, said):
+        raise ConfigError(
+            f"{file.source} says another kp_setting than the mapping",
+            got=f"{said:g}",
+            expected=f"{stated.kp_setting:g}",
+            hint="Leave `kp_setting` out of the mapping: each file then has its own.",
+        )
+    return stated.kp_setting if said is None else said
 
 
 def _notes(first: TimeSeries, merged: TimeSeries, groups: Sequence[str], about: dict[str, str]) -> list[Flag]:

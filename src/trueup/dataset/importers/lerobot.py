@@ -18,6 +18,7 @@ from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPl
 from trueup.dataset.importers.beside import licence_beside, model_beside
 from trueup.dataset.importers.clock import usable_clock
 from trueup.dataset.importers.files import episode_id, unique_ids
+from trueup.dataset.importers.gain_setting import kp_setting_of
 from trueup.dataset.importers.lerobot_columns import ACTION, STATE, Columns
 from trueup.dataset.importers.lerobot_info import INFO, LeRobotInfo, read_info, read_splits
 from trueup.dataset.importers.lerobot_rows import OWN, EpisodeRow, FrameReader, read_episodes, reading, vectors
@@ -126,6 +127,8 @@ def _load(
             robot=stated.robot or info.robot,
             unit=stated.unit or str(row.about.get(f"{OWN}unit", "")),
             payload_kg=stated.payload_kg if stated.payload_kg is not None else _payload(row),
+            kp_setting=stated.kp_setting
+            or kp_setting_of(row.about.get(f"{OWN}kp_setting"), f"{row.file}: {OWN}kp_setting"),
             condition=stated.condition or str(row.about.get(f"{OWN}condition", "")),
             source=row.file.relative_to(root).as_posix(),
             source_hash=reader.hash_of(row.file),

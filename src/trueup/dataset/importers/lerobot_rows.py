@@ -26,7 +26,7 @@ EPISODES = "meta/episodes"
 OWN = "trueup/"
 
 _NEEDED = ("episode_index", "data/chunk_index", "data/file_index", "length")
-_OPTIONAL = ("tasks", f"{OWN}id", f"{OWN}unit", f"{OWN}payload_kg", f"{OWN}condition")
+_OPTIONAL = ("tasks", f"{OWN}id", f"{OWN}unit", f"{OWN}payload_kg", f"{OWN}kp_setting", f"{OWN}condition")
 
 
 @dataclass(frozen=True)

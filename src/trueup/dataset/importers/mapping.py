@@ -82,6 +82,10 @@ class SeriesColumns:
     joints: tuple[str, ...] = ()
 
 
+# What is known of a motion apart from its samples, in mappings and in tables of metadata.
+ABOUT = ("robot", "unit", "payload_kg", "kp_setting", "condition")
+
+
 @dataclass(frozen=True)
 class CsvMapping:
     """A mapping file.
@@ -95,9 +99,12 @@ class CsvMapping:
         robot: name of the robot.
         unit: which individual robot.
         payload_kg: payload [kg], a number or `{group}`; not recorded if empty.
+        kp_setting: of the drives' position gain, in the unit of their firmware, a number or `{group}`; not recorded if
+            empty.
         condition: base condition or gait.
         licence: licence of the recording.
-        metadata: CSV file with a column `id` and any of `robot`, `unit`, `payload_kg`, `condition`, over the above.
+        metadata: CSV file with a column `id` and any of `robot`, `unit`, `payload_kg`, `kp_setting`,
+            `condition`, over the above.
         delimiter: one character, or `whitespace`.
         header: names of the columns if the files have no header line.
         skip_lines: lines before the header.
@@ -113,6 +120,7 @@ class CsvMapping:
     robot: str = ""
     unit: str = ""
     payload_kg: str = ""
+    kp_setting: str = ""
     condition: str = ""
     licence: str = ""
     metadata: str = ""
@@ -132,7 +140,7 @@ class CsvMapping:
                 f"{self.name}: delimiter", got=repr(self.delimiter), expected="one character, or whitespace"
             )
         groups = group_names(self.episodes, where=f"{self.name}: episodes")
-        templates = [self.id, self.robot, self.unit, self.payload_kg, self.condition]
+        templates = [self.id, *(getattr(self, key) for key in ABOUT)]
         for template in (*templates, *(series.file for series in self.series.values())):
             substitute(template, dict.fromkeys(groups, ""), where=self.name)
         for series in self.series:

@@ -3,7 +3,8 @@
 A file holds, for each of the series `measured`, `command` (optional) and `simulated/LABEL` (optional):
 `SERIES.time_s` (T,) [s], and `SERIES.SIGNAL` (T, J), or (T, B, ...) for body signals. `joints` names the columns
 (`SERIES.joints` where a series has others), `bodies` likewise. `SERIES.SIGNAL.unit` is one unit, or one per joint;
-SI without it. Optional: `robot`, `unit`, `payload_kg`, `condition`. The file's name is the episode's id.
+SI without it. Optional: `robot`, `unit`, `payload_kg`,
+`kp_setting`, `condition`. The file's name is the episode's id.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPl
 from trueup.dataset.importers.beside import plan_with
 from trueup.dataset.importers.clock import usable_clock
 from trueup.dataset.importers.files import bytes_hash, data_files, episode_id, inside, read_bytes
+from trueup.dataset.importers.gain_setting import kp_setting_of
 from trueup.dataset.importers.mapping import COMPONENTS
 from trueup.dataset.importers.units import override_units
 from trueup.errors import DataError, FormatError, NameMismatch, TrueupError, UnitError
@@ -33,6 +35,7 @@ ASSUMES = "SI where no unit is stored"
 
 _TEXTS = ("robot", "unit", "condition")
 _NAMES = ("joints", "bodies")
+_NUMBERS = ("payload_kg", "kp_setting")
 _SERIES_KEYS = ("time_s", *_NAMES, *SI_UNIT, *(f"{signal}.unit" for signal in SI_UNIT))
 
 
@@ -70,7 +73,7 @@ def _load(root: Path, path: Path, id: str, options: ImportOptions) -> Episode:
     data = read_bytes(inside(root, path))
     arrays = arrays_of(data, path)
     labels = [key.removesuffix(".time_s") for key in arrays if key.endswith(".time_s")]
-    known = {f"{label}.{key}" for label in labels for key in _SERIES_KEYS} | {*_TEXTS, *_NAMES, "payload_kg"}
+    known = {f"{label}.{key}" for label in labels for key in _SERIES_KEYS} | {*_TEXTS, *_NAMES, *_NUMBERS}
     strange = [label for label in labels if label not in {"measured", "command"} and not label.startswith("simulated/")]
     strange += [key for key in arrays if key not in known]
     if strange or "measured" not in labels:
@@ -78,16 +81,17 @@ def _load(root: Path, path: Path, id: str, options: ImportOptions) -> Episode:
             f"{path} does not have the keys of an episode",
             got=", ".join(strange or sorted(arrays))[:200],
             expected="measured.time_s, measured.SIGNAL, measured.SIGNAL.unit, the same with command. or "
-            f"simulated/LABEL., and {', '.join((*_NAMES, *_TEXTS))}, payload_kg; SIGNAL is one of {', '.join(SI_UNIT)}",
+            f"simulated/LABEL., and {', '.join((*_NAMES, *_TEXTS, *_NUMBERS))}; SIGNAL is one of {', '.join(SI_UNIT)}",
         )
     done = {label: _series(path, arrays, label, options) for label in labels}
-    payload = _numbers(path, "payload_kg", arrays["payload_kg"], ndim=0) if "payload_kg" in arrays else None
+    numbers = {key: float(_numbers(path, key, arrays[key], ndim=0)) for key in _NUMBERS if key in arrays}
     texts = {key: " ".join(_words(path, key, arrays[key])) for key in _TEXTS if key in arrays}
     meta = EpisodeMeta(
         id=id,
         robot=options.robot or texts.get("robot", ""),
         unit=texts.get("unit", ""),
-        payload_kg=None if payload is None else float(payload),
+        payload_kg=numbers.get("payload_kg"),
+        kp_setting=kp_setting_of(numbers.get("kp_setting"), f"{path}: kp_setting"),
         condition=texts.get("condition", ""),
         source=path.relative_to(root).as_posix(),
         source_hash=bytes_hash([data]),

@@ -111,6 +111,7 @@ def _load(root: Path, path: Path, name: str, options: ImportOptions, stated: Sta
             robot=stated.robot,
             unit=stated.unit,
             payload_kg=stated.payload_kg,
+            kp_setting=stated.kp_setting,
             condition=stated.condition,
             source=_relative(path, root),
             source_hash=files_hash(bag_files(path)),

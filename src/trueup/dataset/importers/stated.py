@@ -10,6 +10,7 @@ The mapping file of the formats with a fixed layout (bags, HDF5, LeRobot); every
     robot: so101
     unit: left arm of lab 2
     payload_kg: 0.5
+    kp_setting: 400                  # of the drives' position gain, in the unit of their firmware
     condition: standing
 """
 
@@ -26,6 +27,7 @@ from trueup.core.timeseries import TimeSeries
 from trueup.core.units import SI_UNIT, UNITS
 from trueup.dataset.importers.base import ImportOptions
 from trueup.dataset.importers.files import read_text
+from trueup.dataset.importers.gain_setting import kp_setting_of
 from trueup.dataset.importers.units import override_units
 from trueup.errors import ConfigError, DataError
 
@@ -38,6 +40,7 @@ _KEYS = (
     "robot",
     "unit",
     "payload_kg",
+    "kp_setting",
     "condition",
 )
 
@@ -55,6 +58,7 @@ class Stated:
         robot: name of the kind of robot.
         unit: which individual robot.
         payload_kg: payload [kg].
+        kp_setting: of the drives' position gain, in the unit of their firmware.
         condition: base condition or gait.
     """
 
@@ -66,6 +70,7 @@ class Stated:
     robot: str = ""
     unit: str = ""
     payload_kg: float | None = None
+    kp_setting: float | None = None
     condition: str = ""
 
 
@@ -97,6 +102,7 @@ def read_stated(options: ImportOptions) -> Stated:
         robot=options.robot or _text(content, "robot", source),
         unit=_text(content, "unit", source),
         payload_kg=_payload(content.get("payload_kg"), source),
+        kp_setting=kp_setting_of(content.get("kp_setting"), f"{source}: `kp_setting`", error=ConfigError),
         condition=_text(content, "condition", source),
     )
 

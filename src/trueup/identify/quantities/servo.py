@@ -9,8 +9,8 @@ import numpy as np
 
 from trueup.core.parameters import SearchRange
 from trueup.identify.candidate import Candidate, Nominal
-from trueup.identify.drive import pid_instance
 from trueup.identify.quantities.base import Quantity
+from trueup.sim.actuator_inputs import pid_instance
 
 
 def spec_actuators(candidate: Candidate, joint: str) -> list[mujoco.MjsActuator]:

@@ -16,7 +16,7 @@ from trueup.identify.regression import graybox_terms as terms
 from trueup.identify.regression.covariance import Covariance, robust_covariance
 from trueup.identify.regression.graybox_scores import Sums, block_scores, sums_of
 from trueup.identify.regression.graybox_terms import BLOCKS, JointRows
-from trueup.identify.regression.samples import CommandVelocity, Samples, SampleSettings, gather
+from trueup.identify.regression.samples import CommandVelocity, Motion, Samples, SampleSettings, gather
 from trueup.identify.regression.torque_limit import AT_LIMIT, apparent_limit
 
 _FEWEST = 50  # samples
@@ -40,6 +40,7 @@ class GrayboxSettings:
         derive_velocity: take the derivative of the position although the log has a velocity.
         torque_limits: joint -> largest torque; samples beyond 98 % of it say nothing about gains and are left out.
             Where no limit is given, one is looked for.
+        kp_setting: of the drives' position gain, at which `K_p` holds; the largest one of motions with several if None.
     """
 
     blocks: tuple[str, ...] = tuple(BLOCKS)
@@ -49,6 +50,7 @@ class GrayboxSettings:
     command_velocity: CommandVelocity = "signal"
     derive_velocity: bool = False
     torque_limits: Mapping[str, float] = field(default_factory=dict)
+    kp_setting: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse what cannot be fitted."""
@@ -129,6 +131,13 @@ def fit_graybox(
         notes=notes,
         total=_total(samples, splits, sums, fits),
     )
+
+
+def _kp_factors(motions: Sequence[Motion], settings: GrayboxSettings) -> Float64[np.ndarray, "E"]:
+    """Position gains of the motions, per that at which `K_p` holds."""
+    known = {motion.kp_setting for motion in motions if motion.kp_setting is not None}
+    at = settings.kp_setting or (max(known) if len(known) > 1 else None)
+    return np.array([(motion.kp_setting or at) / at if at else 1.0 for motion in motions])
 
 
 def _folds(samples: Samples) -> Int[np.ndarray, "E"]:
@@ -255,8 +264,9 @@ def _held_out(table: Float64[np.ndarray, "N K"], data: _Data, folds: Int[np.ndar
 def _joint_data(
     samples: Samples, number: int, splits: tuple[str, ...], settings: GrayboxSettings
 ) -> tuple[_Data, list[str]]:
+    kp_factor = _kp_factors(samples.motions, settings)[samples.motion]
     raw = {
-        "error": samples.command[:, number] - samples.position[:, number],
+        "error": kp_factor * (samples.command[:, number] - samples.position[:, number]),
         "velocity_error": samples.command_velocity[:, number] - samples.velocity[:, number],
         "command": samples.command[:, number],
         "command_velocity": samples.command_velocity[:, number],

@@ -52,7 +52,7 @@ class JointRows:
     """The N complete rows of one joint.
 
     Attributes:
-        error: commanded minus measured position.
+        error: commanded minus measured position, by how much more the gain was set to than where `K_p` holds.
         velocity_error: commanded minus measured velocity.
         command: commanded position.
         command_velocity: commanded velocity.

@@ -30,12 +30,14 @@ class Motion:
         split: `train`, `val`, `test` or empty.
         payload_kg: payload [kg]; 0 where it was not recorded.
         executed: what was executed; repetitions have the same.
+        kp_setting: of the drives' position gain; None where it was not recorded.
     """
 
     id: str
     split: str
     payload_kg: float
     executed: str
+    kp_setting: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +139,7 @@ def gather(episodes: Iterable[Episode], settings: SampleSettings, *, joints: Seq
         if episode.meta.payload_kg is None:
             notes.append("payload not recorded: taken as 0 kg")
         meta = episode.meta
-        motions.append(Motion(meta.id, meta.split, float(meta.payload_kg or 0.0), meta.executed))
+        motions.append(Motion(meta.id, meta.split, float(meta.payload_kg or 0.0), meta.executed, meta.kp_setting))
     if names is None or units is None:
         raise DataError("there are no episodes to fit", expected="at least one")
     stacked = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

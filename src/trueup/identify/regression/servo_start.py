@@ -60,6 +60,7 @@ def servo_start(
     signal: str,
     gains: Mapping[str, float],
     limits: Mapping[str, float],
+    kp_factors: Sequence[float] | None = None,
 ) -> ServoStart:
     """Regress the error of the servo on what makes it.
 
@@ -68,13 +69,11 @@ def servo_start(
 
         u(time - d) - q = (t + kv dq + friction sign(dq) + armature ddq - offset) / kp,
 
-    or du(time - d) - dq on the left, and kv for kp, of a velocity servo, where the second term is viscous friction. All
-    signals are behind the same zero-phase low-pass; delays and cutoffs are tried one by one, and the best is taken by
-    the
-    share of the left side that is explained. Rows at which the joint may stick, or the servo is at its torque limit,
-    are
-    left out. Where t is too small to show 1 / kp, as of a last joint behind a heavy rotor, the model's gain is taken:
-    it is the scale of the other numbers.
+    with kp times its factor where the gain of a log was set otherwise; or du(time - d) - dq on the left, and kv for kp,
+    of a velocity servo, where the second term is viscous friction. All signals are behind the same zero-phase low-pass;
+    delays and cutoffs are tried one by one, and the best is taken by the share of the left side that is explained. Rows
+    at which the joint may stick, or the servo is at its torque limit, are left out. Where t is too small to show
+    1 / kp, as of a last joint behind a heavy rotor, the model's gain is taken: it is the scale of the other numbers.
 
     Args:
         episodes: position- or velocity-driven logs in the joint names and units of the robot.
@@ -83,19 +82,21 @@ def servo_start(
         signal: `position` or `velocity`: of the command.
         gains: joint -> the model's kp of position servos, kv of velocity servos.
         limits: joint -> largest torque [Nm or N], where known.
+        kp_factors: of each log, its position gain per the kp that is looked for; all the same if None.
 
     Raises:
         DataError: there are too few rows.
         TrueupError: what reading the logs raises.
     """
     logs = list(episodes)
+    factors = [1.0] * len(logs) if kp_factors is None or signal != "position" else kp_factors
     best: dict[str, tuple[float, Float64[np.ndarray, "K"], float]] = {}
     for cutoff_hz in _CUTOFFS_HZ:
         parts = [_smoothed(log, model, joints, cutoff_hz) for log in logs]
         for delay_s in _DELAYS_S:
             told = [_commanded(log, joints, signal, delay_s, cutoff_hz) for log in logs]
             for column, joint in enumerate(joints):
-                found = _regressed(parts, told, column, signal, gains[joint], limits.get(joint))
+                found = _regressed(parts, told, factors, column, signal, gains[joint], limits.get(joint))
                 if found is not None and (joint not in best or found[0] < best[joint][0]):
                     best[joint] = (*found, float(delay_s))
     if not best:
@@ -157,6 +158,7 @@ def _commanded(
 def _regressed(
     parts: Sequence[_Moved],
     told: Sequence[Float64[np.ndarray, "_ J"]],
+    factors: Sequence[float],
     column: int,
     signal: str,
     gain: float,
@@ -171,7 +173,8 @@ def _regressed(
     known = np.isfinite(ddq) & np.isfinite(torque) & np.isfinite(error)
     speed = float(np.sqrt(np.mean(dq[known] ** 2))) if known.any() else 0.0
     moving: Bool[np.ndarray, "T"] = known & (np.abs(dq) > _STICKS * speed)
-    terms = np.stack([torque, dq, np.sign(dq), ddq, np.ones_like(q)], axis=1)
+    factor = np.repeat(factors, [len(part.position) for part in parts])
+    terms = np.stack([torque, dq, np.sign(dq), ddq, np.ones_like(q)], axis=1) / factor[:, None]
     low = np.array([0.0, 0.0, 0.0, 0.0, -np.inf])
     rows, found = moving, None
     for _ in range(1 if limit is None else 3):
@@ -196,7 +199,7 @@ def _regressed(
         if limit is None:
             break
         # Where the servo asks for more than it has, its law does not hold.
-        free = moving & (np.abs(found[1][0] * error) < _SATURATED * limit)
+        free = moving & (np.abs(found[1][0] * factor * error) < _SATURATED * limit)
         if np.array_equal(free, rows):
             break
         rows = free

@@ -13,7 +13,12 @@ from trueup.report.numbers import plural
 from trueup.report.sections.base import Section
 from trueup.report.sections.cells import estimate_cell
 
-FIELDS = {"payload_kg": "payload", "unit": "robot unit", "condition": "condition"}
+FIELDS = {
+    "payload_kg": "payload",
+    "kp_setting": "setting of the position gain",
+    "unit": "robot unit",
+    "condition": "condition",
+}
 
 
 def groups_section(run: RunFolder) -> Section | None:
