@@ -68,7 +68,7 @@ _HOPELESS = 3.0
 # Of what is left with the numbers of another step, so many times as much is still the same fit.
 _ALIKE = 1.3
 # Shares of a drive's lag that its delay may have been taken for, or has taken.
-_EXCHANGED = (-1.0, -0.5, 0.3, 0.6, 0.9)
+_EXCHANGED = (-1.0, -0.5, 0.3, 0.6, 0.8, 0.9)
 # How often, at most; each time a search follows.
 _EXCHANGES = 3
 # How often bounds that were hit are moved.
@@ -150,12 +150,11 @@ class ModelSearch:
         # Before anything richer is tried: other models would make up for a wrong step, or timing, with their numbers.
         best = self._timed(fit, rough=bool(models))
         rough, limit = bool(models), self._until(_BASE)
-        for _ in range(_EXCHANGES):
-            before, best = best, self._exchanged(best, fit, rough=rough, limit=limit)
-            if best is before:
-                break
+        best = self._exchanged(best, fit, rough=rough, limit=limit)
         best = self._heard(best, fit, rough=rough, limit=limit)
-        best = self._settled(best, fit, rough=rough, limit=limit)
+        step, best = self.logs.way, self._settled(best, fit, rough=rough, limit=limit)
+        if self.logs.way != step:  # the error of the larger one may have hidden what is better
+            best = self._exchanged(best, fit, rough=rough, limit=limit)
         best = self._retimed(best, fit, rough=rough, limit=limit)
         best = self._braked(best, fit, rough=rough, limit=limit)
         tried = [best]

@@ -198,7 +198,9 @@ class Search:
         """`z`, `residual`, `jacobian` and `rms` of a solution with verified derivatives, at the minimum that these see.
 
         Where derivatives were those of a larger time step, they lead near the minimum, and those of the step itself to
-        it: along what motions hardly show, the difference would count.
+        it: along what motions hardly show, the difference would count. What is told of certainty are derivatives that
+        were taken there, and not those that a search has mended by its steps, which look like information along what
+        the motions do not show.
 
         Args:
             z: where a search has ended, (P,).
@@ -210,20 +212,25 @@ class Search:
         newton, jacobian = self._settled(z, _POLISHED)
         if self.problem.coarse is not None:
             search = Search(self.problem.alone(), self.settings, self.clock, checkpoint=None, on_progress=None)
-            newton, jacobian = search._settled(newton.state.z, _FINISHED)
+            newton, _ = search._settled(newton.state.z, _FINISHED, jacobian)
             self.problem.starts = search.problem.starts
+        jacobian = newton.central_jacobian(_CERTAIN_STEP)
         assert newton.residual is not None
-        jacobian = verified(search.problem, newton.state.z, jacobian, self._weight(newton.residual))
+        weight = self._weight(newton.residual)
+        newton.polish(verified(search.problem, newton.state.z, jacobian, weight, quick=True))
+        jacobian = verified(search.problem, newton.state.z, jacobian, weight)
         counted, factor = as_least_squares(self.problem, newton.residual, self._loss(newton.residual))
         rms = float(np.linalg.norm(newton.residual))
         return {"z": newton.state.z, "residual": counted, "jacobian": jacobian * factor, "rms": rms}
 
-    def _settled(self, z: Float64[np.ndarray, "P"], rounds: int) -> tuple[GaussNewton, Float64[np.ndarray, "P N"]]:
-        """A search at the minimum near z, and derivatives that agree with its last steps."""
+    def _settled(
+        self, z: Float64[np.ndarray, "P"], rounds: int, jacobian: Float64[np.ndarray, "P N"] | None = None
+    ) -> tuple[GaussNewton, Float64[np.ndarray, "P N"]]:
+        """A search at the minimum near z, and derivatives that agree with its last steps; it begins with given ones."""
         newton = self._derivatives(GaussNewtonState(z))
-        jacobian = newton.central_jacobian(_CERTAIN_STEP)
-        assert newton.residual is not None
-        weight = self._weight(newton.residual)
+        if jacobian is None:
+            jacobian = newton.central_jacobian(_CERTAIN_STEP)
+        weight = self._weight(newton.begin())
         for number in range(rounds):
             if number and self.problem.restart(newton.state.z):
                 newton.renew()

@@ -16,7 +16,7 @@ from trueup.identify.uncertainty import Posterior, unexplained
 FIT_STATUSES: tuple[FitStatus, ...] = get_args(FitStatus)
 _SHOWN_CORRELATION = 0.3
 # Times the noise of the measurement, above which something is left that the model lacks: of all joints, and of one.
-_UNEXPLAINED, _OF_ONE = 1.3, 1.7
+_UNEXPLAINED, _OF_ONE = 1.3, 1.4
 # A logged signal that is simulated this much worse than before, by at least this share of what it does.
 _WORSE, _VISIBLE = 1.1, 0.01
 # What is looked for where something is left.
