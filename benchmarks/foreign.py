@@ -8,7 +8,8 @@ an interrupted call is continued by the same command. A day for all of them on t
 `python -m benchmarks foreign --cases demo_arm,ur5e --seeds 0 --jobs 2` measures some; with `--oracle`, seed 0 of the
 cases of group A is fitted once more with the time step and the timing of commands known, for the widths of intervals.
 Cells that are measured side by side share the cores, but each has the budget of its command for itself: with more jobs
-than one, a large robot may be cut short where it would not be alone.
+than one, a large robot may be cut short where it would not be alone. `--budget 40m` gives each more, and the
+page says so.
 """
 
 from __future__ import annotations
@@ -65,6 +66,7 @@ class Wanted:
         jobs: cells at a time.
         oracle: also the fits with step and timing known.
         again: measure also what is there.
+        budget: of each command, where the machine has other work, too; its default if empty.
     """
 
     cases: tuple[str, ...] = tuple(BY_NAME)
@@ -72,6 +74,7 @@ class Wanted:
     jobs: int = 1
     oracle: bool = False
     again: bool = False
+    budget: str = ""
 
 
 def run() -> list[Row]:
@@ -87,6 +90,7 @@ def run_with(arguments: Sequence[str]) -> list[Row]:
     parser.add_argument("--jobs", type=int, default=1, help="cells at a time, which share the cores; 1")
     parser.add_argument("--oracle", action="store_true", help="also the fits with step and timing known; hours")
     parser.add_argument("--again", action="store_true", help="measure also what is there")
+    parser.add_argument("--budget", default="", help="time for each command; its default if not given")
     options = parser.parse_args(arguments)
     cases = tuple(options.cases.split(","))
     if unknown := [name for name in cases if name not in BY_NAME]:
@@ -94,7 +98,7 @@ def run_with(arguments: Sequence[str]) -> list[Row]:
     if not all(seed.isdecimal() for seed in options.seeds.split(",")) or options.jobs < 1:
         parser.error("seeds are numbers such as 0,1,2, and jobs at least 1")
     seeds = tuple(map(int, options.seeds.split(",")))
-    return measure(Wanted(cases, seeds, options.jobs, options.oracle, options.again))
+    return measure(Wanted(cases, seeds, options.jobs, options.oracle, options.again, options.budget))
 
 
 def rows(result: Mapping[str, Any]) -> list[Row]:
@@ -112,7 +116,9 @@ def measure(wanted: Wanted, path: Path = RESULT) -> list[Row]:
             print(f"{name}: left out, its model is not here: set TRUEUP_SHARED", flush=True)
             continue
         for seed in wanted.seeds:
-            tasks.append(("cells", f"{name}/{seed}", partial(closed, name, seed, threads=threads)))
+            tasks.append(
+                ("cells", f"{name}/{seed}", partial(closed, name, seed, threads=threads, budget=wanted.budget))
+            )
             if wanted.oracle and BY_NAME[name].group == "A" and seed == ORACLE_SEED:
                 tasks.append(("oracles", f"{name}/{seed}", partial(known, name, seed, threads=threads)))
     left = [task for task in tasks if wanted.again or task[1] not in result[task[0]]]
@@ -169,13 +175,14 @@ def in_words(kind: str, key: str, cell: Mapping[str, Any]) -> str:
     return f"{what}, {held} of {len(own)} determined numbers hold the truth, {cell['seconds']:.0f} s"
 
 
-def closed(name: str, seed: int, *, threads: int) -> dict[str, Any]:
+def closed(name: str, seed: int, *, threads: int, budget: str = "") -> dict[str, Any]:
     """One cell: the truth, `trueup close --until identify` with its defaults, and what came of it."""
     case, folder = BY_NAME[name], FOLDER / f"{name}-{seed}"
     truth, load = _made(case, seed, folder), os.getloadavg()[0]
     command = ("close", "logs", "--robot", "robot.yaml", "--out", "out", "--until", "identify", "--splits", SPLITS)
-    ended = _ran(folder, command, threads, _LONGEST_S)
-    return {**about(case, truth), **found_in(folder / "out", truth, ended.code), **ended.to_json(), **_made_by(load)}
+    ended = _ran(folder, (*command, *(("--budget", budget) if budget else ())), threads, _LONGEST_S)
+    found = {**found_in(folder / "out", truth, ended.code), **({"budget": budget} if budget else {})}
+    return {**about(case, truth), **found, **ended.to_json(), **_made_by(load)}
 
 
 def known(name: str, seed: int, *, threads: int) -> dict[str, Any]:

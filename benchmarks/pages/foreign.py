@@ -307,7 +307,11 @@ def _machine_words(result: Mapping[str, Any]) -> str:
     days = sorted({own["created"][:10] for own in made})
     when = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
     several = ", which are several" if len(commits) > 1 else ""
-    return f"Measured on {'; '.join(machines)}, {when}, commit {', '.join(f'`{own}`' for own in commits)}{several}."
+    budgets = sorted({cell["budget"] for cell in result["cells"].values() if "budget" in cell})
+    given = sum("budget" in cell for cell in result["cells"].values())
+    more = f" {given} of the commands had `--budget {', '.join(budgets)}`, on cores with other work." if given else ""
+    named = ", ".join(f"`{own}`" for own in commits)
+    return f"Measured on {'; '.join(machines)}, {when}, commit {named}{several}.{more}"
 
 
 def _status(cell: Cell) -> str:

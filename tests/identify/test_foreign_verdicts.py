@@ -285,7 +285,8 @@ def measured(monkeypatch):
     asked = []
 
     def made(kind):
-        def one(name, seed, *, threads):
+        def one(name, seed, *, threads, budget=""):
+            assert budget == ""
             asked.append((kind, name, seed, threads))
             if name == "panda":
                 raise RuntimeError("out of range")
