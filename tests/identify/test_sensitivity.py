@@ -13,7 +13,7 @@ from trueup.identify import IdentifyConfig, identify
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import make_parameters
 from trueup.identify.discretization import Alternative, Discretization, probability
-from trueup.identify.problem import Problem
+from trueup.identify.problem import Problem, Weights
 from trueup.identify.search import Search, Stopwatch
 from trueup.identify.segments import SegmentRule, make_segments
 from trueup.identify.sensitivity import invariant, split_shifts, verified
@@ -58,15 +58,20 @@ def test_the_split_of_damping_between_servo_and_joint_is_not_known(pendulum):
     weight = noise_of(problem, problem.residuals(z[None])[0]).weight
     search = Search(problem, SolveSettings(), Stopwatch(), checkpoint=None, on_progress=None)
     real = verified(problem, z, search.certain_jacobian(z), weight)
-    (shift,) = split_shifts(problem.parameters, z, real, weight)
+    (shift,) = split_shifts(problem, z, real, weight)
     names = [item.name for item in problem.parameters.free]
     assert shift[names.index("kv[j]")] == pytest.approx(-1.0 / np.sqrt(12.0), rel=0.01)
     moved = problem.parameters.values(z + shift)
     assert moved["damping[j]"] == pytest.approx(0.001 + 1.0 / np.sqrt(12.0), rel=0.01)
-    # Where the data tell the two apart, they are believed.
+    # A time step may tell the two apart, which says nothing of the robot; a torque may, too, and is believed.
     apart = np.zeros_like(real)
     apart[names.index("kv[j]"), 0] = 1000.0 * np.sqrt(weight)
-    (shift,) = split_shifts(problem.parameters, z, apart, weight)
+    (same,) = split_shifts(problem, z, apart, weight)
+    np.testing.assert_allclose(same, shift)
+    weighed = Problem(
+        problem.nominal, problem.parameters, problem.segments, weights=Weights({"position": 1.0, "torque": 1.0}, {})
+    )
+    (shift,) = split_shifts(weighed, z, apart, weight)
     assert shift[names.index("kv[j]")] == pytest.approx(-1e-3, rel=0.01)
 
 

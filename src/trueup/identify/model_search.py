@@ -236,7 +236,7 @@ class ModelSearch:
         step = 0.0 if self._finer is None else self._finer.unknown(self.logs.way)
         left = remaining_step(problem, found.z, found.residual, found.jacobian)
         weight = noise_of(problem, found.residual).weight
-        split = split_shifts(found.parameters, found.z, found.jacobian, weight)
+        split = split_shifts(problem, found.z, found.jacobian, weight)
         shapes = shape_shifts(problem, found.z, found.jacobian, weight)
         return known.widened([left, *undecided, *split, *shapes, step * np.ones(found.z.size), unknown])
 

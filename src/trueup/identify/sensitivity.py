@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from trueup.core.parameters import ParameterSet
+from trueup.errors import DataError
 from trueup.identify.problem import Problem
 from trueup.identify.quantities import quantity
 from trueup.identify.uncertainty import precision_of
@@ -19,6 +20,8 @@ _NEAR, _FAR, _FARTHEST = 0.01, 3.0, 1.0
 _ROUNDS = 2
 # The weakest directions along which others follow a move not further than this, in z, and how many times.
 _MOST_FOLLOWED, _CURVED, _FOLLOWED = 6, 0.2, 4
+# A drive is at its limit from this share of it on, and saturates where that is so for this share of the time.
+_AT_LIMIT, _SATURATED = 0.99, 0.005
 # How well the inertia of a body is known beside its mass, one standard deviation of its logarithm.
 _SHAPE = 0.1
 
@@ -158,27 +161,29 @@ def _followed(
 
 
 def split_shifts(
-    parameters: ParameterSet,
+    problem: Problem,
     z: Float64[np.ndarray, "P"],
     jacobian: Float64[np.ndarray, "P N"],
     weight: float,
 ) -> list[Float64[np.ndarray, "P"]]:
     """One standard deviation of how the damping of each position servo may be split into `kv` and `damping`, in z.
 
-    Only the sum counts, unless the drive saturates. Where one of them is small, derivatives by its logarithm are, too,
-    and the other one looks as if it were known alone. Nothing is known of the split: each share of the sum is as
-    likely as any other, with a standard deviation of sum / sqrt(12), or as the data say if they say more. That they do
+    Only the sum counts, unless the drive saturates or its torque is weighed. Where one of them is small, derivatives by
+    its logarithm are, too, and the other one looks as if it were known alone; and a time step treats the two
+    differently, which a fit takes for information. Nothing is known of the split: each share of the sum is as likely as
+    any other, with a standard deviation of sum / sqrt(12), or as the data say if they can and say more. That they do
     not show damping at all, so that it was left out, does not tell that there is none.
 
     Args:
-        parameters: of the fit.
+        problem: of the fit.
         z: best estimate, (P,).
         jacobian: verified, at z, (P, N).
         weight: variance of one independent observation.
     """
-    free = parameters.free
+    free = problem.parameters.free
     index = {item.name: number for number, item in enumerate(free)}
-    values = parameters.values(z)
+    values = problem.parameters.values(z)
+    apart = _apart(problem, z) if any(item.quantity == "kv" for item in free) else frozenset()
     found = []
     for item in free:
         pair = f"damping[{item.target}]"
@@ -187,12 +192,35 @@ def split_shifts(
         mine, its, shift = values[item.name], values[pair], np.zeros(z.size)
         width = (mine + its) / np.sqrt(12.0)
         if pair in index:
-            slope = jacobian[index[pair]] / max(its, 1e-300) - jacobian[index[item.name]] / max(mine, 1e-300)
-            width = min(width, float(np.sqrt(weight / max(float(slope @ slope), 1e-300))))
+            if item.target in apart:
+                slope = jacobian[index[pair]] / max(its, 1e-300) - jacobian[index[item.name]] / max(mine, 1e-300)
+                width = min(width, float(np.sqrt(weight / max(float(slope @ slope), 1e-300))))
             shift[index[pair]] = np.log1p(width / max(its, 1e-300))
         shift[index[item.name]] = -width / max(mine, width)
         found.append(shift)
     return found
+
+
+def _apart(problem: Problem, z: Float64[np.ndarray, "P"]) -> frozenset[str]:
+    """Joints whose motions can tell the damping of the servo from that of the joint.
+
+    Those whose torque is weighed, and those whose drive is at its limit for some of the time.
+    """
+    joints = problem.nominal.robot.joint_names
+    if problem.weights.signals.get("torque"):
+        return frozenset(joints)
+    candidate = problem.candidate(problem.parameters.values(z))
+    try:
+        courses = list(problem.courses(z).values())
+    except DataError:
+        return frozenset()
+    found = set()
+    for number, joint in enumerate(joints):
+        limit = candidate.drive(joint, courses[0].model).torque_limit
+        torque = np.concatenate([course.torque[..., number].ravel() for course in courses])
+        if limit and np.mean(np.abs(torque) > _AT_LIMIT * limit) > _SATURATED:
+            found.add(joint)
+    return frozenset(found)
 
 
 def shape_shifts(
