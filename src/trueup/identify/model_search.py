@@ -63,6 +63,8 @@ EXPLAINED = 1.1
 # A logged torque is that of the motors, in Nm, where the simulated one explains this share of it, times a factor within
 # these bounds: with a position fit, the scale of all torques is only as good as the model's masses.
 _HEARD, _SAME_UNIT = 0.5, (0.5, 2.0)
+# Where so many times the noise is left, a finer step has to take away this share of its squares.
+_FAR_FROM_NOISE, _WORTH_A_STEP = 5.0, 0.1
 # A timing that leaves so many times more is not the better one with a smaller step either.
 _HOPELESS = 3.0
 # Of what is left with the numbers of another step, so many times as much is still the same fit.
@@ -485,8 +487,11 @@ class ModelSearch:
 
     def _explained(self, item: TriedModel) -> bool:
         """Whether what a fit leaves is no more than the noise of the measurement."""
-        left = whiteness_of(self.problem_of(item), item.solution.residual)
-        return unexplained(left) < EXPLAINED
+        return self._left(item) < EXPLAINED
+
+    def _left(self, item: TriedModel) -> float:
+        """How many times the noise of the measurement a fit leaves."""
+        return unexplained(whiteness_of(self.problem_of(item), item.solution.residual))
 
     def _on_val(self, solution: Solution) -> Scores | None:
         if "val" not in self._scorer.splits:
@@ -507,6 +512,8 @@ class ModelSearch:
             self._finer = self._compared(best)
             if self._finer is None or not self._finer.matters(self.logs.way, self.posterior_of(best).std):
                 break
+            if self._finer.lowers < _WORTH_A_STEP and self._left(best) > _FAR_FROM_NOISE:
+                break  # whatever the model lacks, it is not a finer step; what that would change is in the intervals
             self.logs.way = self._finer.way
             self._scorer = Scorer(self.logs.nominal, self.usable, jobs=self._jobs, seed=self._seed)
             best = self._further(best, fit, "finer", left_out, rough=rough, limit=limit)
