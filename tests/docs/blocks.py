@@ -62,6 +62,7 @@ HERE = {
     "robots": {
         "- {name: gripper": "test_the_jaw_of_the_so101_is_described_as_its_robot_has_it",
         "controller: {kind: torque}": "test_a_robot_that_takes_torques_is_described_so",
+        "controller: {kind: position, kp: 0.7, kv: 0.02, kp_setting: 400}": "test_a_gain_that_differs_from_motion_to_motion_is_described_so",
         "base: held": "test_the_ways_to_hold_a_base_and_other_joints_are_read",
         "unlisted: lock": "test_the_ways_to_hold_a_base_and_other_joints_are_read",
     },

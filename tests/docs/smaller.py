@@ -77,7 +77,7 @@ FILES = {
 fit: {frictionloss: {shared: true}}
 models: {}
 data: {budget_s: 4.0}
-solver: {max_iterations: 4, max_evaluations: 20, tolerance: 0.03}
+solver: {max_iterations: 10, max_evaluations: 20, tolerance: 0.03}
 """,
     "gains.yaml": """
 fit: {kp: {shared: true}}

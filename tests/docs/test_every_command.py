@@ -26,8 +26,9 @@ from augment.body_cases import make_bodies
 from docs import blocks, laid_out, smaller
 from docs.command_lines import PAGES, ROOT, SHELL, TEXT, blocks_of, lines, lines_of
 from trueup.cli.main import app, main
+from trueup.core.episode import EpisodeMeta
 from trueup.core.protocols import RobotIO
-from trueup.robots import load_robot
+from trueup.robots import load_robot, setup_of, with_kp_factor
 
 RUN = [page for page in PAGES if page not in blocks.COMMANDS_ELSEWHERE and lines(page, "trueup")]
 # Commands whose report is written without an option that asks for it.
@@ -280,6 +281,13 @@ def test_a_robot_that_takes_torques_is_described_so(tmp_path):
     tree = yaml.safe_load(the_block("robots", "controller: {kind: torque}").body)
     robot = described("demo_arm", tmp_path, **tree)
     assert (robot.controller.kind, robot.replay.window_s) == ("torque", 0.5)
+
+
+def test_a_gain_that_differs_from_motion_to_motion_is_described_so(tmp_path):
+    tree = yaml.safe_load(the_block("robots", "controller: {kind: position, kp: 0.7, kv: 0.02, kp_setting: 400}").body)
+    robot = described("demo_arm", tmp_path, **tree)
+    quarter = setup_of(robot, EpisodeMeta("one", kp_setting=100.0))
+    assert with_kp_factor(robot, quarter.kp_factor).controller.kp == pytest.approx(0.7 / 4)
 
 
 @pytest.mark.parametrize("first", ["base: held", "unlisted: lock"])

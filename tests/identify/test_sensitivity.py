@@ -16,7 +16,7 @@ from trueup.identify.discretization import Alternative, Discretization, probabil
 from trueup.identify.problem import Problem, Weights
 from trueup.identify.search import Search, Stopwatch
 from trueup.identify.segments import SegmentRule, make_segments
-from trueup.identify.sensitivity import invariant, split_shifts, verified
+from trueup.identify.sensitivity import agreed, invariant, split_shifts, verified
 from trueup.identify.solution import SolveSettings
 from trueup.identify.uncertainty import noise_level, noise_of, resolution_of
 
@@ -73,6 +73,23 @@ def test_the_split_of_damping_between_servo_and_joint_is_not_known(pendulum):
     )
     (shift,) = split_shifts(weighed, z, apart, weight)
     assert shift[names.index("kv[j]")] == pytest.approx(-1e-3, rel=0.01)
+
+
+def test_errors_of_derivatives_are_no_information_where_the_true_ones_cancel():
+    rng = np.random.default_rng(3)
+    true = rng.standard_normal((6, 4000))
+    true[5] = -true[4]
+    one, other = (true + 0.01 * rng.standard_normal(true.shape) for _ in range(2))
+    nothing = np.array([0.0, 0, 0, 0, 1, 1])
+    real = agreed(one, other)
+    assert np.linalg.norm(nothing @ one) > 0.8
+    assert np.linalg.norm(nothing @ real) < 0.1 * np.linalg.norm(nothing @ one)
+    for direction in np.eye(6):
+        assert np.linalg.norm(direction @ real) == pytest.approx(np.linalg.norm(direction @ true), rel=0.01)
+    np.testing.assert_allclose(agreed(true[:5], true[:5]), true[:5], atol=1e-6)
+    # What one of them does not show at all is not known.
+    other[0] = 0.0
+    assert not agreed(one, other)[0].any()
 
 
 def test_with_masses_that_are_known_the_scale_is_seen(pendulum):

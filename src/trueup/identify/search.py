@@ -16,7 +16,7 @@ from trueup.core.time_limit import OutOfTime, TimeLimit
 from trueup.errors import DataError
 from trueup.identify.costs import PenalizedSquares, joint_errors, roles_of
 from trueup.identify.problem import Problem
-from trueup.identify.sensitivity import verified
+from trueup.identify.sensitivity import agreed, verified
 from trueup.identify.solution import Checkpoint, OnProgress, Progress, Solution, SolveSettings, fingerprint_of
 from trueup.identify.solvers import (
     AskTell,
@@ -38,8 +38,8 @@ HARDLY = 0.01
 # Derivatives over a distance so many times as long differ by less than this share of their size, or show no slope.
 _LONGER, _SAME = 10.0, 0.5
 _STEP = ("evaluations", "cost", "seconds")
-# Of central differences, in z.
-_CERTAIN_STEP = 0.004
+# Of central differences, in z: of those that lead, and of the two that have to agree.
+_CERTAIN_STEP, _TWO_STEPS = 0.004, (0.01, 0.002)
 # Descents to the minimum of verified derivatives, at most; after how many of them these are taken anew; and the promise
 # of a further one that is not worth it, in observations.
 _POLISHED, _FINISHED, _AGAIN, _SETTLED = 9, 3, 3, 0.3
@@ -199,8 +199,8 @@ class Search:
 
         Where derivatives were those of a larger time step, they lead near the minimum, and those of the step itself to
         it: along what motions hardly show, the difference would count. What is told of certainty are derivatives that
-        were taken there, and not those that a search has mended by its steps, which look like information along what
-        the motions do not show.
+        were taken there, over two distances, and not those that a search has mended by its steps, which look like
+        information along what the motions do not show.
 
         Args:
             z: where a search has ended, (P,).
@@ -214,7 +214,7 @@ class Search:
             search = Search(self.problem.alone(), self.settings, self.clock, checkpoint=None, on_progress=None)
             newton, _ = search._settled(newton.state.z, _FINISHED, jacobian)
             self.problem.starts = search.problem.starts
-        jacobian = newton.central_jacobian(_CERTAIN_STEP)
+        jacobian = agreed(*(newton.central_jacobian(step) for step in _TWO_STEPS))
         assert newton.residual is not None
         weight = self._weight(newton.residual)
         newton.polish(verified(search.problem, newton.state.z, jacobian, weight, quick=True))

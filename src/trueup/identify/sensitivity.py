@@ -104,6 +104,43 @@ def verified(
     return real
 
 
+def agreed(one: Float64[np.ndarray, "P N"], other: Float64[np.ndarray, "P N"]) -> Float64[np.ndarray, "P N"]:
+    """Derivatives that hold no more information than two estimates agree on.
+
+    Dry friction has kinks, and derivatives over them are off by a percent or so: next to nothing for one parameter,
+    and all there is along a combination in which true derivatives cancel. An estimate J + E has the information
+    J J^T + E E^T. Errors over another distance are mostly others, so (J + E)(J + F)^T is J J^T without them. With C the
+    first one's information and M what both agree on, without what is negative, J <- W J, where W is the symmetric
+    solution of W C W = M: W = C^(-1/2) (C^(1/2) M C^(1/2))^(1/2) C^(-1/2).
+
+    Args:
+        one: derivatives over some distance, (P, N).
+        other: over another one, (P, N).
+    """
+    norms = np.linalg.norm(one, axis=1)
+    alive = np.flatnonzero((norms > 0) & (np.linalg.norm(other, axis=1) > 0))
+    first, second = (own[alive] / norms[alive, None] for own in (one, other))
+    both = first @ second.T
+    root, inverse = _roots(first @ first.T)
+    middle, _ = _roots(root @ _positive(0.5 * (both + both.T)) @ root)
+    out = np.zeros_like(one)
+    out[alive] = (inverse @ middle @ inverse @ first) * norms[alive, None]
+    return out
+
+
+def _positive(matrix: Float64[np.ndarray, "A A"]) -> Float64[np.ndarray, "A A"]:
+    """The nearest symmetric matrix without negative eigenvalues."""
+    values, vectors = np.linalg.eigh(matrix)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def _roots(matrix: Float64[np.ndarray, "A A"]) -> tuple[Float64[np.ndarray, "A A"], Float64[np.ndarray, "A A"]]:
+    """The root of a symmetric matrix, and its inverse, without what is numerically nothing."""
+    values, vectors = np.linalg.eigh(matrix)
+    roots = np.sqrt(np.maximum(values, 1e-14))
+    return np.asarray((vectors * roots) @ vectors.T), np.asarray((vectors / roots) @ vectors.T)
+
+
 def _changes(
     problem: Problem, z: Float64[np.ndarray, "P"], places: Float64[np.ndarray, "2 K P"]
 ) -> Float64[np.ndarray, "2 K N"]:
