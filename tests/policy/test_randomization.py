@@ -14,7 +14,7 @@ from trueup.policy.arms import MujocoArms
 from trueup.policy.delay_line import DelayLine
 from trueup.policy.environment import ReachVector
 from trueup.policy.posterior import Posterior
-from trueup.policy.randomization import THESIS, Individuals, RandomizationConfig
+from trueup.policy.randomization import THESIS, Individuals, RandomizationConfig, delay
 from trueup.policy.reach import ReachConfig
 from trueup.policy.reaching import Reaching
 from trueup.robots import JointFriction, find_model, load_robot
@@ -108,6 +108,13 @@ def test_gains_delays_and_payloads(nominal):
     assert (delays == delays[:, :1]).all()
     uniform(delays[:, 0], 0.001, 0.005)
     uniform(numbers(models, "body_mass").sum(axis=1) - plain.body_mass.sum(), 0.5, 2.0)
+
+
+def test_stamps_that_are_late_make_no_torque_early(nominal):
+    """A fit finds a negative delay where a log's stamps are late."""
+    early = Individuals(nominal, (delay(-0.02, -0.01),))
+    _, delays = early(np.random.default_rng(0))
+    assert not delays.any()
 
 
 def test_draws_depend_on_the_generator_alone(nominal):

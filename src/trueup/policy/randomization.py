@@ -191,7 +191,8 @@ class Individuals:
         candidate = self.nominal.candidate()
         for draw in self.draws:
             draw(candidate, rng)
-        return candidate.compile(), candidate.delays
+        # A negative delay is one of a log's stamps: in a loop, nothing acts before it is commanded.
+        return candidate.compile(), np.maximum(candidate.delays, 0.0)
 
 
 def _factor(rng: np.random.Generator, share: float) -> float:
