@@ -399,7 +399,7 @@ def test_a_budget_holds_whatever_cannot_be_cut(budget_s, replay_s, measure_s, un
 def test_what_was_asked_for_is_not_left_out_so_as_to_end_early(monkeypatch):
     now = [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    for replay_s, part_s in ((10.0, 25.0 * 0.5 / 0.7), (19.0, 6.0), (20.0, 6.0), (30.0, 0.0)):
+    for replay_s, part_s in ((10.0, 25.0 * 0.55 / 0.65), (19.0, 6.0), (20.0, 6.0), (30.0, 0.0)):
         now[0] = 0.0
         budget = Budget(60.0, STEPS[:6])
         budget.took(replay_s=replay_s, measure_s=4.0)
