@@ -81,13 +81,13 @@ def spike_flags(track: Track, config: QualityConfig) -> list[Flag]:
 def frozen_flags(track: Track, config: QualityConfig) -> list[Flag]:
     """`frozen`: an unchanged position although the joint must have moved.
 
-    Its own velocity says so, or its command does and the position is somewhere else at once when it changes again. Dry
-    friction holds a joint against a command, too, but lets it go from where it was: soft servos and slow commands show
-    it all the time, and nothing is wrong with their measurement.
+    Its own velocity says so; or its command does, and the position scatters otherwise, or is somewhere else at once
+    when it changes again. Dry friction holds a joint against a command, too, but lets it go from where it was: soft
+    servos and slow commands show it all the time, and nothing is wrong with their measurement.
     """
     if track.time_s.size < 3:
         return []
-    found = []
+    found, noisy = [], _scatters(track)
     for start, end in runs(np.diff(track.position) == 0.0):
         # Rows start..end carry one value; a joint that answers late to a step is not frozen.
         inner = track.time_s[start : end + 1]
@@ -98,7 +98,7 @@ def frozen_flags(track: Track, config: QualityConfig) -> list[Flag]:
             continue
         commanded, moved = _commanded(track, start, last), _moved(track, start, last)
         if moved >= config.frozen_travel_rad or (
-            commanded >= config.frozen_travel_rad and _elsewhere(track, start, end, config)
+            commanded >= config.frozen_travel_rad and (noisy or _elsewhere(track, start, end, config))
         ):
             found.append((start, end))
     if not found:
@@ -199,6 +199,21 @@ def _moved(track: Track, first: int, last: int) -> float:
     return float(np.ptp(np.concatenate([[0.0], np.cumsum(track.velocity[first : last - 1] * steps)])))
 
 
+def _scatters(track: Track) -> bool:
+    """Whether readings scatter by more than the encoder resolves, so that a joint at rest does not read the same."""
+    third = np.abs(np.diff(track.position, 3))
+    if not third.any():
+        return False
+    # Of white noise, third differences have 20 times the variance, and half of them are below 0.67 deviations.
+    scatter = float(np.median(third[third > 0.0])) / (0.67 * np.sqrt(20.0))
+    return bool(scatter > 2.0 * _tick(track))
+
+
+def _tick(track: Track) -> float:
+    """The least by which readings differ."""
+    return float(np.diff(np.unique(np.round(track.position, 9))).min(initial=np.inf))
+
+
 def _elsewhere(track: Track, start: int, end: int, config: QualityConfig) -> bool:
     """Whether a position that was the same in rows start..end has left a joint that moves, or comes back to one.
 
@@ -208,7 +223,7 @@ def _elsewhere(track: Track, start: int, end: int, config: QualityConfig) -> boo
     steps = np.abs(np.diff(track.position))
     usual = float(np.percentile(steps[steps > 0.0], 90)) if steps.any() else 0.0
     if end + 1 >= track.position.size:
-        return bool(start > 0 and steps[start - 1] > _STOPPED * usual)
+        return bool(start > 0 and steps[start - 1] > max(_STOPPED * usual, 2.0 * _tick(track)))
     assert track.command is not None
     changed = abs(float(track.command[end] - track.command[start]))
     return bool(steps[end] > max(0.5 * changed, 2.0 * usual, 0.1 * config.frozen_travel_rad))
