@@ -129,7 +129,7 @@ def test_a_drawn_robot_goes_the_way_of_the_motion(tmp_path, drive):
     values = draw_truth(parameters, nominal, np.random.default_rng(3))
     motion = designed_motions(nominal, path, 4.0, seed=0)["train"][0]
     drawn = DrawnSimulator(robot, path, parameters, values, leader=_leader(nominal))
-    drawn.prepare([0.0])
+    drawn.prepare([EpisodeMeta("one")])
     log = drawn.log(motion, Sensors.flat(2, 1e-6, moving=False), np.random.default_rng(0))
     way = motion.measured["position"]
     error = log.measured["position"] - way[-len(log.measured) :]
@@ -148,7 +148,7 @@ def test_commands_are_late_by_the_true_delay(tmp_path):
     logs = {}
     for delay_s in (0.0, 0.0123):
         drawn = DrawnSimulator(robot, path, parameters, {f"delay_s[{name}]": delay_s for name in JOINTS})
-        drawn.prepare([0.0])
+        drawn.prepare([EpisodeMeta("one")])
         logs[delay_s] = drawn.log(motion, Sensors.flat(2, 1e-12, moving=False), np.random.default_rng(0))
         simulator = MujocoSimulator(nominal.candidate().compile(), nominal.robot, nominal.simulator.channels)
         same = replay_episode(motion, simulator, ReplaySettings(delay_s=delay_s, settle_s=2.0))
