@@ -74,7 +74,7 @@ def verdicts_of(result):
 
 def test_numbers_that_motions_show_are_recovered_and_the_file_says_so(tmp_path):
     robot, path = arm(tmp_path)
-    result = selftest(robot, model=path, config=config(), jobs=1, seed=1)
+    result = selftest(robot, model=path, config=config(), jobs=1, seed=1, budget_s=None)
     (truth,) = result.truths
     assert set(verdicts_of(result).values()) == {"recovered"}
     for item in truth.numbers:
@@ -92,7 +92,7 @@ def test_a_joint_that_does_not_move_stays_open(tmp_path):
     robot, path = arm(tmp_path)
     path.write_text(SIDE_BY_SIDE)  # or the shoulder would move the elbow
     data = dataset(tmp_path / "data", still=("elbow",), noise=2e-4)
-    result = selftest(robot, data, model=path, config=config(), jobs=1, seed=1)
+    result = selftest(robot, data, model=path, config=config(), jobs=1, seed=1, budget_s=None)
     found = verdicts_of(result)
     assert {own for name, own in found.items() if "elbow" in name} == {"open"}
     assert {own for name, own in found.items() if "shoulder" in name} == {"recovered"}
@@ -113,7 +113,7 @@ def test_a_joint_that_does_not_move_stays_open(tmp_path):
 def test_robots_that_are_led_follow_the_motion(tmp_path, drive, fit, given):
     robot, path = arm(tmp_path, drive)
     data = dataset(tmp_path / "data", signal=robot.controller.signal) if given else None
-    result = selftest(robot, data, model=path, config=config(fit), jobs=1)
+    result = selftest(robot, data, model=path, config=config(fit), jobs=1, budget_s=None)
     (truth,) = result.truths
     assert not any(item.name.startswith("encoder_zero") for item in truth.numbers)
     for item in truth.numbers:
