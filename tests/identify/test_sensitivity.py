@@ -28,6 +28,10 @@ def pendulum(tmp_path_factory):
     return pendulum_logs(tmp_path_factory.mktemp("pendulum"))
 
 
+def fitted(pendulum, fit):
+    return identify(pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})).result
+
+
 def problem_of(pendulum, fit):
     nominal = Nominal(pendulum.robot, pendulum.model)
     segments, _ = make_segments(pendulum.episodes["train"], nominal.simulator, SegmentRule())
@@ -104,9 +108,7 @@ def test_with_masses_that_are_known_the_scale_is_seen(pendulum):
 
 def test_everything_free_is_not_determined_and_not_ok(pendulum):
     fit = dict.fromkeys(("kp", "damping", "frictionloss", "armature", "mass"), "all")
-    found = identify(
-        pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
-    ).result
+    found = fitted(pendulum, fit)
     assert found.status != "ok"
     for name, true in pendulum.truth.items():
         if name in found.values:
@@ -119,9 +121,7 @@ def test_a_finer_truth_is_found_and_its_numbers_lie_in_their_intervals(pendulum)
     """The truth has a twentieth of the model's time step, as a robot has none."""
     assert mujoco.MjModel.from_xml_path(str(pendulum.model)).opt.timestep == pytest.approx(0.005)
     fit = dict.fromkeys(("delay_s", "kp", "kv", "frictionloss", "armature"), "all")
-    found = identify(
-        pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
-    ).result
+    found = fitted(pendulum, fit)
     assert found.data["timestep_s"] < 0.005
     assert any("time step" in line for line in found.statements)
     for name in ("kp[j]", "frictionloss[j]", "armature[j]"):
@@ -139,9 +139,7 @@ def in_intervals(found, truth):
 def test_a_logged_torque_tells_the_scale_of_all_torques(tmp_path):
     pendulum = pendulum_logs(tmp_path, torque=True, mass=0.6)
     fit = dict.fromkeys(("kp", "kv", "frictionloss", "armature"), "all") | {"mass": {"prior_std": 0.1}}
-    found = identify(
-        pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
-    ).result
+    found = fitted(pendulum, fit)
     known, missed = in_intervals(found, pendulum.truth)
     assert {"kp[j]", "mass[link]"} <= {item.name for item in known}
     assert not missed
@@ -163,9 +161,7 @@ def test_the_shape_of_a_link_is_no_better_known_than_its_mass(tmp_path):
     """Its mass grew by a fifth and its inertia did not, which the armature makes up for."""
     pendulum = pendulum_logs(tmp_path, torque=True, mass=0.6, shaped=False)
     fit = dict.fromkeys(("kp", "kv", "frictionloss", "armature"), "all") | {"mass": {"prior_std": 0.1}}
-    found = identify(
-        pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
-    ).result
+    found = fitted(pendulum, fit)
     known, missed = in_intervals(found, pendulum.truth)
     assert {"kp[j]", "mass[link]"} <= {item.name for item in known}
     assert not missed
@@ -175,15 +171,11 @@ def test_the_shape_of_a_link_is_no_better_known_than_its_mass(tmp_path):
 def test_a_bound_that_nobody_asked_for_is_moved_where_it_is_hit(tmp_path):
     pendulum = pendulum_logs(tmp_path, logged_late_s=0.04)
     fit = dict.fromkeys(("delay_s", "kp", "kv", "frictionloss", "armature"), "all")
-    found = identify(
-        pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
-    ).result
+    found = fitted(pendulum, fit)
     assert found["delay_s[j]"].value == pytest.approx(-0.04, abs=1e-3)  # the catalogue ends at -0.02
     assert found["delay_s[j]"].at_bound == ""
     asked = {**fit, "delay_s": {"low": -0.02}}
-    kept = identify(
-        pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=asked, models={})
-    ).result
+    kept = fitted(pendulum, asked)
     assert kept["delay_s[j]"].at_bound == "low"
     assert kept["delay_s[j]"].value == -0.02
 
@@ -191,9 +183,7 @@ def test_a_bound_that_nobody_asked_for_is_moved_where_it_is_hit(tmp_path):
 def test_windows_begin_where_the_motion_that_follows_says(tmp_path):
     pendulum = pendulum_logs(tmp_path, driven=True)
     fit = dict.fromkeys(("damping", "frictionloss", "armature"), "all") | {"mass": {"prior_std": 0.1}}
-    found = identify(
-        pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
-    ).result
+    found = fitted(pendulum, fit)
     assert found.whiteness["j"].rms < 1.3 * 3e-4  # of the encoder; with starts as they are measured it is 1 mrad
     known, missed = in_intervals(found, pendulum.truth)
     assert known
@@ -204,9 +194,7 @@ def test_friction_that_creeps_is_told_from_friction_that_holds(tmp_path):
     fit = dict.fromkeys(("kp", "kv", "frictionloss", "armature"), "all")
     for soft in (True, False):
         pendulum = pendulum_logs(tmp_path, soft=soft, frictionloss=0.4)
-        found = identify(
-            pendulum.episodes, pendulum.robot, pendulum.model, config=IdentifyConfig(fit=fit, models={})
-        ).result
+        found = fitted(pendulum, fit)
         assert any("creeps" in line for line in found.statements) == soft
         assert found["frictionloss[j]"].value == pytest.approx(0.4, rel=0.03)
 

@@ -36,10 +36,10 @@ _MASS, _ARM = 1e-3, 0.1
 _ONE = (0.5, 2.0)
 _ANY, _POSITIVE = (-np.inf, np.inf), (0.0, np.inf)
 
-# Something of each joint in each simulation step of each window, (W, N, J), or at each measured stamp, (T, J).
 # A time step takes its forces from as long ago [s].
 _LEAST_LATE_S = 0.0005
 
+# Something of each joint in each simulation step of each window, (W, N, J), or at each measured stamp, (T, J).
 Field = Mapping[Segment, np.ndarray]
 
 

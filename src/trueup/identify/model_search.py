@@ -383,8 +383,7 @@ class ModelSearch:
 
     def _better_timed(self, best: TriedModel, now: Discretization, other: TriedModel) -> TriedModel:
         """The better one of two timings: that of the model until now, and the one which it was just fitted with."""
-        samples = noise_of(self.problem_of(other), other.solution.residual).effective
-        gain = 2.0 * samples * float(np.log(best.solution.rms / max(other.solution.rms, 1e-300)))
+        gain = self._gained(best, other)
         if abs(gain) < DECIDED:
             ends = best.solution, other.solution
             one, other_one = (
@@ -472,6 +471,11 @@ class ModelSearch:
         """Squares of a residual, summed up by joint."""
         return np.asarray(np.sum([np.sum(own**2, axis=0) for _, _, own in problem.by_segment(residual)], axis=0))
 
+    def _gained(self, before: TriedModel, now: TriedModel) -> float:
+        """Twice the logarithm of how much likelier the logs are, each sample counted as often as its memory allows."""
+        samples = noise_of(self.problem_of(now), now.solution.residual).effective
+        return 2.0 * samples * float(np.log(before.solution.rms / max(now.solution.rms, 1e-300)))
+
     def _earned(self, richer: TriedModel, best: TriedModel) -> bool:
         """Whether a richer model earns its parameters: on motions that it was not fitted to.
 
@@ -480,8 +484,7 @@ class ModelSearch:
         """
         if richer.val is not None and best.val is not None:
             return richer.val.mean < (1.0 - _WORTH) * best.val.mean
-        samples = noise_of(self.problem_of(richer), richer.solution.residual).effective
-        gain = 2.0 * samples * float(np.log(best.solution.rms / max(richer.solution.rms, 1e-300)))
+        gain = self._gained(best, richer)
         more = len(richer.solution.parameters.free) - len(best.solution.parameters.free)
         return richer.solution.rms < (1.0 - _WORTH) * best.solution.rms and gain > DECIDED + 2.0 * max(more, 0)
 
