@@ -52,15 +52,47 @@ def linear_case(problem, rng, *, truth, sigma, jacobian):
     return z + truth + step, noise - jacobian.T @ step, residual
 
 
-def test_white_noise_gives_the_textbook_covariance(small):
-    rng = np.random.default_rng(1)
-    jacobian = rng.standard_normal((2, small.size)) * 0.1
-    sigma = 0.01
-    flat = ParameterSet(tuple(Parameter(p.name, p.value, p.unit, p.low, p.high, "log") for p in small.parameters))
-    problem = small.with_parameters(flat)
-    z, residual, _ = linear_case(problem, rng, truth=np.zeros(2), sigma=sigma, jacobian=jacobian)
-    posterior = posterior_of(problem, z, residual, jacobian)
-    np.testing.assert_allclose(posterior.covariance, sigma**2 * np.linalg.inv(jacobian @ jacobian.T), rtol=0.1)
+@pytest.fixture
+def flat(small):
+    """The same without priors."""
+    own = tuple(Parameter(p.name, p.value, p.unit, p.low, p.high, "log") for p in small.parameters)
+    return small.with_parameters(ParameterSet(own))
+
+
+def test_white_noise_gives_the_textbook_covariance(flat):
+    rng, sigma = np.random.default_rng(1), 0.01
+    jacobian = rng.standard_normal((2, flat.size)) * 0.1
+    found = []
+    for _ in range(30):
+        z, residual, _ = linear_case(flat, rng, truth=np.zeros(2), sigma=sigma, jacobian=jacobian)
+        found.append(posterior_of(flat, z, residual, jacobian).covariance)
+    textbook = sigma**2 * np.linalg.inv(jacobian @ jacobian.T)
+    # Thirty pieces of a motion disagree by chance, too: that may widen intervals by a tenth, and does not narrow them.
+    np.testing.assert_allclose(np.mean(found, axis=0), textbook, rtol=0.25, atol=0.1 * textbook[0, 0])
+    assert np.diagonal(found, axis1=1, axis2=2).min() > 0.8 * textbook.diagonal().min()
+
+
+@pytest.mark.parametrize("where", ["everywhere", "where the parameter shows"])
+def test_what_a_model_lacks_widens_intervals_though_noise_hides_it(flat, where):
+    """A disturbance of half the noise, which lasts, as the input of a loop that was not logged in full does."""
+    rng, sigma = np.random.default_rng(3), 0.01
+    shape = next(own for _, _, own in flat.by_segment(np.zeros(flat.size))).shape
+    every = np.arange(shape[0])
+    slow = np.exp(-0.5 * ((every[:, None] - every) / 6.0) ** 2)
+    slow /= np.linalg.norm(slow, axis=1)[:, None]
+    shown = 0.1 * np.stack([slow @ rng.standard_normal(shape) for _ in range(2)]).reshape(2, -1)
+    inverse = np.linalg.inv(shown @ shown.T)
+    errors, stds = [], []
+    for _ in range(200):
+        lasting = (slow @ rng.standard_normal(shape)).ravel()
+        if where != "everywhere":
+            lasting *= np.abs(shown[0]) / np.sqrt(np.mean(shown[0] ** 2))
+        noise = sigma * (rng.standard_normal(flat.size) + 0.5 * lasting)
+        step = inverse @ shown @ noise
+        errors.append(step)
+        stds.append(posterior_of(flat, flat.parameters.start, noise - shown.T @ step, shown).std)
+    ratio = np.sqrt(np.mean(np.square(stds), axis=0)) / np.std(errors, axis=0)
+    assert ((ratio > 0.75) & (ratio < 1.5)).all(), ratio  # 0.63 without the pieces, where the parameter shows
 
 
 def test_without_data_the_prior_stands(small):
@@ -155,7 +187,8 @@ def test_intervals_of_a_robust_fit_are_those_of_an_m_estimator(small):
         std.append(posterior.std)
         hits.append(np.abs(solution.z - truth) < 1.96 * posterior.std)
     scatter = np.std(found, axis=0)
-    np.testing.assert_allclose(np.mean(std, axis=0), scatter, rtol=0.15)
+    # 150 draws tell the scatter to 6 %, and pieces of a motion that disagree by chance widen intervals by as much.
+    np.testing.assert_allclose(np.mean(std, axis=0), scatter, rtol=0.2)
     assert 0.9 <= np.mean(hits) <= 0.99
     # Least squares would scatter by sqrt(0.95 + 0.05 * 400) as much as without outliers.
     assert np.all(scatter < 0.05 * 1.5)

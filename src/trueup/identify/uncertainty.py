@@ -13,6 +13,7 @@ from trueup.core.fit_result import Direction, FittedParameter, Identified, White
 from trueup.core.parameters import Parameter, ParameterSet
 from trueup.identify.problem import Problem
 from trueup.identify.quantities import quantity
+from trueup.identify.segments import Segment
 from trueup.identify.solvers import Loss
 
 Z95 = 1.959964
@@ -21,6 +22,8 @@ _NO, _WEAK = 0.5, 0.25
 # Standard deviations in z: a factor of 1.5 either way is known, one of 4 weakly (or a fifth, or 0.7, of a large
 # change).
 _KNOWN, _VAGUE = 0.2, 0.7
+# Length of the pieces of motion that are taken as independent of each other [s], and how many there are at least.
+_PIECE_S, _FEWEST_PIECES = 0.5, 30
 # What is left is called noise up to this ratio, or with a memory of less than so many samples.
 _NOISE, _FORGETFUL = 1.1, 1.3
 # Third differences that are looked at together, the share of them that is calm, and how many are too few for that.
@@ -29,6 +32,8 @@ _STRETCH, _CALM, _FEW_STRETCHES = 20, 0.1, 20
 _LEAST_DIGITS = 9
 # Of a motion, a share that no model is asked to explain: logs without noise are those of simulations.
 _RESOLVED = 1e-4
+# Of what is known about a combination of parameters, a share that comes from other pieces at least.
+_ALONE = 1e-3
 _PARTNER = 0.9
 _AT_BOUND = 1e-6
 # As good as no prior, in z.
@@ -235,18 +240,58 @@ def posterior_of(
     """Covariance of a least-squares estimate whose residuals differ in size and have a memory.
 
     With J the Jacobian, A = J Jᵀ + w L (L the precision of the prior, w the variance of one independent observation)
-    and B = J diag(variance * memory) Jᵀ + w² L, the covariance is A⁻¹ B A⁻¹: the sandwich of White 1980, with the
-    memory of the residuals in place of their neighbours' products.
+    and V = A⁻¹ J diag(variance * memory) Jᵀ A⁻¹, the covariance is D V D + w² A⁻¹ L A⁻¹: the sandwich of White 1980,
+    with the memory of the residuals in place of their neighbours' products. That takes them for alike wherever they
+    are. What a model lacks is not: it comes where a parameter shows, too. D, diagonal and no less than one, makes each
+    number no more certain than the pieces of the motions agree about it (`_disagreement`).
     """
     noise = noise_of(problem, residual)
     precision = precision_of(problem.parameters)
     weight = noise.weight
     data = jacobian @ jacobian.T
     bread = data + weight * precision
-    filling = (jacobian * (noise.variance * noise.memory)) @ jacobian.T + weight**2 * precision
     inverse = np.linalg.pinv(bread, rcond=1e-14, hermitian=True)
-    covariance = inverse @ filling @ inverse
+    known = inverse @ ((jacobian * (noise.variance * noise.memory)) @ jacobian.T) @ inverse
+    pieces = _disagreement(problem, residual, jacobian, bread)
+    apart = np.sqrt(np.maximum(1.0, pieces / np.maximum(np.diag(known), 1e-300)))
+    covariance = known * np.outer(apart, apart) + weight**2 * inverse @ precision @ inverse
     return Posterior(problem.parameters, z, 0.5 * (covariance + covariance.T), data / weight)
+
+
+def _disagreement(
+    problem: Problem,
+    residual: Float64[np.ndarray, "N"],
+    jacobian: Float64[np.ndarray, "P N"],
+    bread: Float64[np.ndarray, "P P"],
+) -> Float64[np.ndarray, "P"]:
+    """Variances of an estimate by how far pieces of the motions pull it apart, (P,).
+
+    With A = `bread` and J_g, r_g the columns and residuals of piece g, the sum of squares of
+    A⁻¹ J_g (1 - J_gᵀ A⁻¹ J_g)^(-1/2) r_g over G pieces, times G / (G - 1): the clustered sandwich of Liang & Zeger
+    1986, without bias where residuals are white (Bell & McCaffrey 2002, CR2). With A⁻¹ = T Tᵀ and B_g = Tᵀ J_g, a piece
+    counts as T (1 - B_g B_gᵀ)^(-1/2) B_g r_g, which needs no matrix of its samples.
+    """
+    seconds = sum(segment.seconds for segment in problem.segments)
+    length_s = min(_PIECE_S, seconds / _FEWEST_PIECES)
+    number: Float64[np.ndarray, "N"] = np.empty_like(residual)
+    first: dict[Segment, int] = {}
+    count = 0
+    for segment, _, rows in problem.by_segment(number):
+        many = max(1, round(segment.seconds / max(length_s, 1e-9)))
+        if segment not in first:
+            first[segment], count = count, count + many
+        rows[:] = first[segment] + (np.arange(len(rows)) * many // max(1, len(rows)))[:, None]
+    values, vectors = np.linalg.eigh(bread)
+    root = vectors / np.sqrt(np.maximum(values, 1e-14 * max(float(values[-1]), 1e-300)))
+    order = np.argsort(number, kind="stable")
+    total = np.zeros(len(bread))
+    for piece in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
+        own = root.T @ jacobian[:, piece]
+        share, axes = np.linalg.eigh(own @ own.T)
+        # A piece that alone decides about a combination has no other to disagree with.
+        pull = (axes.T @ (own @ residual[piece])) / np.sqrt(np.maximum(1.0 - share, _ALONE))
+        total += (root @ (axes @ pull)) ** 2
+    return np.asarray(total * count / max(1, count - 1))
 
 
 def remaining_step(
