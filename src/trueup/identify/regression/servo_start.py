@@ -93,8 +93,9 @@ def servo_start(
     best: dict[str, tuple[float, Float64[np.ndarray, "K"], float]] = {}
     for cutoff_hz in _CUTOFFS_HZ:
         parts = [_smoothed(log, model, joints, cutoff_hz) for log in logs]
-        for delay_s in _DELAYS_S:
-            told = [_commanded(log, joints, signal, delay_s, cutoff_hz) for log in logs]
+        commands = [_commanded(log, joints, signal, cutoff_hz) for log in logs]
+        for number, delay_s in enumerate(_DELAYS_S):
+            told = [own[number] for own in commands]
             for column, joint in enumerate(joints):
                 found = _regressed(parts, told, factors, column, signal, gains[joint], limits.get(joint))
                 if found is not None and (joint not in best or found[0] < best[joint][0]):
@@ -146,13 +147,16 @@ def _smoothed(log: Episode, model: mujoco.MjModel, joints: Sequence[str], cutoff
     return _Moved(q[:, own], dq[:, own], ddq[:, own], torque[:, own])
 
 
-def _commanded(
-    log: Episode, joints: Sequence[str], signal: str, delay_s: float, cutoff_hz: float
-) -> Float64[np.ndarray, "T J"]:
+def _commanded(log: Episode, joints: Sequence[str], signal: str, cutoff_hz: float) -> Float64[np.ndarray, "D T J"]:
+    """The command at the measured stamps, behind the low-pass, for each of the delays."""
     command = log.commanded().select(joints)
     stamps = log.measured.time_s
-    rows = np.maximum(held_rows(command.time_s, stamps - delay_s), 0)
-    return smooth(np.asarray(command[signal], np.float64)[rows], stamps, cutoff_hz=cutoff_hz).value
+    rows = np.maximum([held_rows(command.time_s, stamps - delay_s) for delay_s in _DELAYS_S], 0)
+    values = np.asarray(command[signal], np.float64)[rows]
+    # All of them are filtered at once.
+    side_by_side = np.moveaxis(values, 0, 1).reshape(stamps.size, -1)
+    smoothed = smooth(side_by_side, stamps, cutoff_hz=cutoff_hz).value
+    return np.asarray(np.moveaxis(smoothed.reshape(stamps.size, _DELAYS_S.size, -1), 1, 0))
 
 
 def _regressed(
