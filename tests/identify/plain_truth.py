@@ -40,7 +40,7 @@ class Plain:
 def pendulum_logs(
     folder: Path,
     *,
-    seconds: float = 6.0,
+    seconds: float = 4.0,
     torque: bool = False,
     driven: bool = False,
     soft: bool = False,

@@ -224,11 +224,12 @@ def test_an_encoder_s_tick_is_seen_in_its_readings():
     assert resolution_of(np.zeros(10)) == 0.0
 
 
-def test_what_is_unknown_of_a_change_by_the_step_is_half_of_what_is_left():
+def test_what_is_unknown_of_a_change_by_the_step_is_what_is_left():
     shift = np.array([0.3, -0.1])
     now, way = Discretization(4), Discretization(8)
     open_ = Alternative(way, shift, gain=0.0)
-    np.testing.assert_allclose(open_.unknown(now), 0.5 * shift)
+    np.testing.assert_allclose(open_.unknown(now), shift)
+    np.testing.assert_allclose(Alternative(way, shift, gain=-100.0).unknown(now), shift)
     assert Alternative(way, shift, gain=-100.0).unknown(Discretization()) == 0.0
     assert Alternative(Discretization(4), shift, gain=0.0).matters(Discretization(), np.array([0.1, 1.0]))
     assert not Alternative(Discretization(4), shift, gain=0.0).matters(Discretization(), np.array([1.0, 1.0]))

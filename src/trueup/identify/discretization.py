@@ -25,7 +25,7 @@ class Discretization:
 
     Attributes:
         divisor: of the model's time step.
-        command: `held` from stamp to stamp, or `linear` between them.
+        command: `held` from stamp to stamp, or `linear` or `smooth` between them.
         rigid: whether dry friction holds a joint as if it were rigid, or as softly as the model's constraint solver
             has it, which lets it creep.
     """
@@ -36,7 +36,7 @@ class Discretization:
 
     @property
     def retimed(self) -> Discretization:
-        """The same with the other timing of the command."""
+        """The same with a command that moves on where it is held now, and the other way round."""
         return replace(self, command="linear" if self.command == "held" else "held")
 
     def of(self, robot: RobotSpec, timestep_s: float) -> RobotSpec:
@@ -81,12 +81,11 @@ class Alternative:
         """One standard deviation of what is not known of the change by the time step, in z.
 
         The error of a step h is proportional to h: from h to h / k, a number changes by (1 - 1 / k) of what is left to
-        a step of zero. Where the finer step halves the present one and is taken, as much again is left, and half of
-        that is one standard deviation; at the model's own step, all of the change is.
+        a step of zero. So where the finer step halves the present one, as much again is left. A finer step is nearer to
+        a robot, which has none, even where it explains the logs a little worse: what else the model lacks decides that.
+        At the model's own step, the logs may be those of a simulation with that step, if they ask for it.
         """
-        if now.divisor > 1:
-            return 0.5 * self.shift
-        return self.shift if self._possible else 0.0
+        return self.shift if now.divisor > 1 or self._possible else 0.0
 
     @property
     def _possible(self) -> bool:
@@ -141,10 +140,10 @@ def in_words(way: Discretization, before: Discretization, timestep_s: float) -> 
             "at which numbers would change by more than their intervals; robot.fitted.yaml says so"
         )
     if way.command != before.command:
-        what = "moves on between its stamps" if way.command == "linear" else "is held between its stamps"
+        what = {"linear": "moves on", "smooth": "moves on smoothly", "held": "is held"}[way.command]
         said.append(
-            f"the command {what}: this explains the logs better (replay: {{command: {way.command}}} in "
-            "robot.fitted.yaml)"
+            f"the command {what} between its stamps: this explains the logs better (replay: {{command: "
+            f"{way.command}}} in robot.fitted.yaml)"
         )
     if not way.rigid:
         said.append(

@@ -158,6 +158,7 @@ class ModelSearch:
         if self.logs.way != step:  # the error of the larger one may have hidden what is better
             best = self._exchanged(best, fit, rough=rough, limit=limit)
         best = self._retimed(best, fit, rough=rough, limit=limit)
+        best = self._smoothed(best, fit, rough=rough, limit=limit)
         best = self._braked(best, fit, rough=rough, limit=limit)
         tried = [best]
         if self._explained(best) and not _over(self._until(_BEST)):
@@ -203,10 +204,7 @@ class ModelSearch:
         z = np.clip(found.z + finer_step.shift, low, high)
         problem = self.problem_of(item)
         left = float(np.linalg.norm(problem.residuals(z[None])[0]))
-        if not left < _ALIKE * found.rms:
-            self._finer = replace(finer_step, shift=2.0 * finer_step.shift)  # all of it is unknown, and not half
-            return item
-        return replace(item, solution=replace(found, z=z))
+        return replace(item, solution=replace(found, z=z)) if left < _ALIKE * found.rms else item
 
     def encoder_zeros(self, item: TriedModel) -> dict[str, float]:
         """What single recordings were off by, where that was fitted: `MOTION:JOINT` -> [rad or m]."""
@@ -521,6 +519,18 @@ class ModelSearch:
             self._scorer = Scorer(self.logs.nominal, self.usable, jobs=self._jobs, seed=self._seed)
             best = self._further(best, fit, "finer", left_out, rough=rough, limit=limit)
         return best
+
+    def _smoothed(
+        self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None
+    ) -> TriedModel:
+        """The same model with a command that has no corners at its stamps, if the logs say so.
+
+        A line between two stamps that are h apart cuts a curve by up to h^2 / 8 times its second derivative: little
+        beside the motion, and much beside what tells damping from inertia.
+        """
+        if self.logs.way.command != "linear" or _over(limit):
+            return best
+        return self._chosen(best, fit, replace(self.logs.way, command="smooth"), rough=rough, limit=limit)
 
     def _braked(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
         """The same model with dry friction as soft as the model has it, if the logs say so: those of simulations do."""

@@ -51,9 +51,11 @@ class SimulatedLogs:
         self._timestep_s = nominal.simulator.timestep_s
         self._own = self.way = Discretization(command=nominal.robot.replay.command)
         self.weights = Weights(config.weights, config.joints)
-        # Where windows begin, for each way to simulate, with parameters of these values.
+        # Where windows begin, for each way to simulate, with parameters of these values; and in the way that was the
+        # first, segment by segment: from there, it is one step to the starts of another.
         self._starts: dict[Discretization, Mapping[Segment, WindowStarts]] = {}
         self._place: Mapping[str, float] = {}
+        self._first: list[WindowStarts] = []
         segments, refused = self._segments_of(nominal, "train")
         self._cut: dict[Discretization, tuple[Nominal, list[Segment]]] = {self.way: (nominal, segments)}
         self.unfitted = {name: error.summary for name, error in refused.items()}
@@ -90,7 +92,7 @@ class SimulatedLogs:
 
         A held command is late by half of the time between two.
         """
-        return 0.5 * self.period_s * (1.0 if self.way.command == "linear" else -1.0)
+        return 0.5 * self.period_s * (-1.0 if self.way.command == "held" else 1.0)
 
     def problem(self, parameters: ParameterSet, way: Discretization | None = None) -> Problem:
         """The fit, simulated as it is now or in another way."""
@@ -101,7 +103,8 @@ class SimulatedLogs:
         problem = Problem(nominal, parameters, segments, weights=self.weights, jobs=self._jobs, coarse=coarse)
         if self._config.data.window_s is not None:
             if way not in self._starts:
-                self._starts[way] = window_starts(problem, parameters.at(self._place).start)
+                self._starts[way] = window_starts(problem, parameters.at(self._place).start, self._near(segments))
+                self._first = self._first or [self._starts[way][own] for own in segments if own in self._starts[way]]
             problem.starts = self._starts[way]
         return problem
 
@@ -123,9 +126,18 @@ class SimulatedLogs:
 
     def begin_at(self, values: Mapping[str, float], starts: Mapping[Segment, WindowStarts] | None = None) -> None:
         """Look again where windows begin, with these parameters; `starts` are known for the present way."""
-        self._starts, self._place = {}, values
+        self._starts, self._place, self._first = {}, values, []
         if starts is not None:
             self._starts[self.way] = starts
+            self._first = [starts[segment] for segment in self.segments if segment in starts]
+
+    def _near(self, segments: Sequence[Segment]) -> dict[Segment, WindowStarts] | None:
+        """Where these segments began in the first way; None if in none, or where windows are others."""
+        if len(self._first) != len(segments):
+            return None
+        pairs = list(zip(segments, self._first, strict=True))
+        alike = all(own.position.shape[0] == segment.plan.starts.size for segment, own in pairs)
+        return dict(pairs) if alike else None
 
     def _simulated(self, way: Discretization) -> tuple[Nominal, list[Segment]]:
         """The model and the pieces of the logs for one way to simulate them."""
