@@ -367,15 +367,16 @@ class ModelSearch:
         return self._better_timed(best, now, other)
 
     def _retimed(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
-        """The same model with the other timing of the command, if that is better with a step that is settled.
+        """The same model with the other timing of the command, if that is better by now.
 
-        Where numbers depend on the step, a wrong step may have decided.
+        Where numbers depend on the step, a wrong step may have decided. Where torques are weighed, positions alone did,
+        which a wrong timing explains with other delays and inertias. Where more than noise is left, all is in doubt.
         """
-        rival = self._rival
-        if self.logs.way.divisor == 1 or rival is None or _over(limit):
+        rival, heard = self._rival, bool(self.logs.weights.signals.get("torque"))
+        if rival is None or _over(limit) or (self.logs.way.divisor == 1 and not heard and self._explained(best)):
             return best
         now, self.logs.way = self.logs.way, self.logs.way.retimed
-        other = self._further(rival, fit, f"{self.logs.way.command}, finer", (), rough=rough, limit=limit)
+        other = self._further(rival, fit, "once more", (), rough=rough, limit=limit)
         self._undecided.clear()
         return self._better_timed(best, now, other)
 
