@@ -52,7 +52,7 @@ from trueup.identify.uncertainty import (
     unexplained,
     whiteness_of,
 )
-from trueup.robots import refuse_unknown_gains
+from trueup.robots import CommandTiming, refuse_unknown_gains
 
 # A richer model must make motions that it was not fitted to better by this share.
 _WORTH = 0.01
@@ -141,8 +141,8 @@ class ModelSearch:
         self._minimum: (
             tuple[Solution, Discretization, tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]]] | None
         ) = None
-        # The base model with the other timing of the command.
-        self._rival: TriedModel | None = None
+        # The base model with the other timing of the command, and that timing.
+        self._rival: tuple[TriedModel, CommandTiming] | None = None
         self.searched: Solution | None = None
 
     def climb(self) -> tuple[TriedModel, list[TriedModel]]:
@@ -354,6 +354,7 @@ class ModelSearch:
         """The base model, with the command held between its stamps or moving on, whichever explains the logs better.
 
         Both are searched from the same start: a fit that has made up for the wrong one with its numbers is far away.
+        A command that moves on may be a curve: that of held ones comes nearer to it than lines do.
         """
         limit = self._until(_BASE)
         best = self._widened(self._try("base", fit, rough=rough, limit=limit), fit, rough=rough, limit=limit)
@@ -364,7 +365,7 @@ class ModelSearch:
         delays = {item.name: item.value + self.logs.later_s for item in begun.free if item.quantity == "delay_s"}
         other = self._try(f"base, {self.logs.way.command}", fit, begun=begun.at(delays), rough=rough, limit=limit)
         other = self._widened(other, fit, rough=rough, limit=limit)
-        return self._better_timed(best, now, other)
+        return self._better_timed(best, now, self._smoothed(other, fit, rough=rough, limit=limit))
 
     def _retimed(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
         """The same model with the other timing of the command, if that is better by now.
@@ -372,17 +373,21 @@ class ModelSearch:
         Where numbers depend on the step, a wrong step may have decided. Where torques are weighed, positions alone did,
         which a wrong timing explains with other delays and inertias. Where more than noise is left, all is in doubt.
         """
-        rival, heard = self._rival, bool(self.logs.weights.signals.get("torque"))
-        if rival is None or _over(limit) or (self.logs.way.divisor == 1 and not heard and self._explained(best)):
+        heard = bool(self.logs.weights.signals.get("torque"))
+        if self._rival is None or _over(limit) or (self.logs.way.divisor == 1 and not heard and self._explained(best)):
             return best
-        now, self.logs.way = self.logs.way, self.logs.way.retimed
-        other = self._further(rival, fit, "once more", (), rough=rough, limit=limit)
+        rival, command = self._rival
+        now, self.logs.way = self.logs.way, replace(self.logs.way, command=command)
         self._undecided.clear()
-        return self._better_timed(best, now, other)
+        other = self._further(rival, fit, "once more", (), rough=rough, limit=limit)
+        return self._better_timed(best, now, self._smoothed(other, fit, rough=rough, limit=limit))
 
     def _better_timed(self, best: TriedModel, now: Discretization, other: TriedModel) -> TriedModel:
         """The better one of two timings: that of the model until now, and the one which it was just fitted with."""
         gain = self._gained(best, other)
+        better = gain > 0 and (gain > DECIDED or best.solution.rms > other.solution.rms)
+        if not better:
+            self._undecided.clear()  # between lines and a curve, neither of which it is
         if abs(gain) < DECIDED:
             ends = best.solution, other.solution
             one, other_one = (
@@ -390,11 +395,12 @@ class ModelSearch:
             )
             root = probability(-abs(gain)) ** 0.5
             self._undecided.append({name: root * (other_one[name] - one[name]) for name in one if name in other_one})
-        if gain > 0 and (gain > DECIDED or best.solution.rms > other.solution.rms):
-            self._rival = best if other.solution.rms > best.solution.rms / _HOPELESS else None
+        worse, way = (best, now) if better else (other, self.logs.way)
+        kept = other if better else best
+        self._rival = (worse, way.command) if worse.solution.rms < _HOPELESS * kept.solution.rms else None
+        if better:
             self._scorer = Scorer(self.logs.nominal, self.usable, jobs=self._jobs, seed=self._seed)
             return replace(other, row=replace(other.row, name="base"), val=self._on_val(other.solution))
-        self._rival = other if best.solution.rms > other.solution.rms / _HOPELESS else None
         self.logs.way = now
         self.logs.begin_at(best.solution.values)
         return best
