@@ -63,7 +63,8 @@ EXPLAINED = 1.1
 # A logged torque is that of the motors, in Nm, where the simulated one explains this share of it, times a factor within
 # these bounds: with a position fit, the scale of all torques is only as good as the model's masses.
 _HEARD, _SAME_UNIT = 0.5, (0.5, 2.0)
-# Where so many times the noise is left, a finer step has to take away this share of its squares.
+# Where so many times the noise is left, a finer step has to take away this share of its squares, and how commands act
+# between their stamps is not looked at again.
 _FAR_FROM_NOISE, _WORTH_A_STEP = 5.0, 0.1
 # A timing that leaves so many times more is not the better one with a smaller step either.
 _HOPELESS = 3.0
@@ -371,10 +372,12 @@ class ModelSearch:
         """The same model with the other timing of the command, if that is better by now.
 
         Where numbers depend on the step, a wrong step may have decided. Where torques are weighed, positions alone did,
-        which a wrong timing explains with other delays and inertias. Where more than noise is left, all is in doubt.
+        which a wrong timing explains with other delays and inertias. Where more than noise is left, all is in doubt, and
+        where far more is left, something else is missing.
         """
         heard = bool(self.logs.weights.signals.get("torque"))
-        if self._rival is None or _over(limit) or (self.logs.way.divisor == 1 and not heard and self._explained(best)):
+        doubtful = self.logs.way.divisor > 1 or heard or not self._explained(best)
+        if self._rival is None or _over(limit) or not doubtful or self._left(best) > _FAR_FROM_NOISE:
             return best
         rival, command = self._rival
         now, self.logs.way = self.logs.way, replace(self.logs.way, command=command)
@@ -535,7 +538,7 @@ class ModelSearch:
         A line between two stamps that are h apart cuts a curve by up to h^2 / 8 times its second derivative: little
         beside the motion, and much beside what tells damping from inertia.
         """
-        if self.logs.way.command != "linear" or _over(limit):
+        if self.logs.way.command != "linear" or _over(limit) or self._left(best) > _FAR_FROM_NOISE:
             return best
         return self._chosen(best, fit, replace(self.logs.way, command="smooth"), rough=rough, limit=limit)
 
