@@ -372,7 +372,7 @@ class ModelSearch:
         """The same model with the other timing of the command, if that is better by now.
 
         Where numbers depend on the step, a wrong step may have decided. Where torques are weighed, positions alone did,
-        which a wrong timing explains with other delays and inertias. Where more than noise is left, all is in doubt, and
+        which a wrong timing explains with other delays and inertias. Where more than noise is left, all is in doubt;
         where far more is left, something else is missing.
         """
         heard = bool(self.logs.weights.signals.get("torque"))
