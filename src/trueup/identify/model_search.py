@@ -133,7 +133,8 @@ class ModelSearch:
         self._settings = self.config.solver.settings(seed)
         self.logs = SimulatedLogs(nominal, self.usable, self.config, jobs=jobs, seed=seed)
         self.motions = [segment.episode_id for segment in self.logs.segments]
-        self._scorer = Scorer(nominal, self.usable, jobs=jobs, seed=seed)
+        # For each way to simulate the logs.
+        self._scorers = {self.logs.way: Scorer(nominal, self.usable, jobs=jobs, seed=seed)}
         self._finer: Alternative | None = None
         self._undecided: list[dict[str, float]] = []
         # Wider bounds than those of the catalogue, for what ended on these.
@@ -301,6 +302,14 @@ class ModelSearch:
         return tuple(split for split in splits if split != "train") if self._late and "val" in splits else splits
 
     @property
+    def _scorer(self) -> Scorer:
+        """Of models as the logs are simulated now."""
+        if self.logs.way not in self._scorers:
+            own = Scorer(self.logs.nominal, self.usable, jobs=self._jobs, seed=self._seed)
+            self._scorers[self.logs.way] = own
+        return self._scorers[self.logs.way]
+
+    @property
     def _late(self) -> bool:
         return self._limit is not None and self._limit.spent >= _SURE
 
@@ -402,8 +411,7 @@ class ModelSearch:
         kept = other if better else best
         self._rival = (worse, way.command) if worse.solution.rms < _HOPELESS * kept.solution.rms else None
         if better:
-            self._scorer = Scorer(self.logs.nominal, self.usable, jobs=self._jobs, seed=self._seed)
-            return replace(other, row=replace(other.row, name="base"), val=self._on_val(other.solution))
+            return replace(other, row=replace(other.row, name="base"))
         self.logs.way = now
         self.logs.begin_at(best.solution.values)
         return best
@@ -526,7 +534,6 @@ class ModelSearch:
             if self._finer.lowers < _WORTH_A_STEP and self._left(best) > _FAR_FROM_NOISE:
                 break  # whatever the model lacks, it is not a finer step; what that would change is in the intervals
             self.logs.way = self._finer.way
-            self._scorer = Scorer(self.logs.nominal, self.usable, jobs=self._jobs, seed=self._seed)
             best = self._further(best, fit, "finer", left_out, rough=rough, limit=limit)
         return best
 
@@ -570,7 +577,6 @@ class ModelSearch:
             self._undecided.append(dict(zip(names, shift.tolist(), strict=True)))
             return best
         self.logs.way = way
-        self._scorer = Scorer(self.logs.nominal, self.usable, jobs=self._jobs, seed=self._seed)
         low, high = found.parameters.bounds
         moved = replace(best, solution=replace(found, z=np.clip(found.z + other.shift, low, high)))
         return self._further(moved, fit, "another way", (), rough=rough, limit=limit)
