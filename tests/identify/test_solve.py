@@ -22,10 +22,12 @@ from trueup.identify import (
 )
 from trueup.identify.config import SolverChoice, make_parameters
 from trueup.identify.costs import PenalizedSquares, roles_of
+from trueup.identify.problem import Weights
 from trueup.identify.solution import Checkpoint, fingerprint_of
 from trueup.identify.solvers import GaussNewtonSettings
 from trueup.identify.uncertainty import fitted_parameters, posterior_of, whiteness_of
 from trueup.identify.verdict import Evidence, doubt, verdict
+from trueup.identify.window_starts import window_starts
 
 TARGET = np.array([0.9, -0.7])
 
@@ -134,6 +136,23 @@ def test_auto_does_not_lose_its_way_when_it_resumes_near_the_end(small, tmp_path
     )
     assert set(calls) == {"gauss-newton"}
     assert whole.solver["name"] == "gauss-newton"
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_candidate_is_simulated_the_same_alone_and_among_others(tmp_path, jobs):
+    """To the last bit, or a search that goes on from its checkpoint would leave its way."""
+    robot, nominal = nominal_of(tmp_path, SERVO)
+    log = Truth(robot, nominal, {"damping[shoulder]": 0.8}).log(1, seconds=3.0)
+    segments, _ = make_segments([log], nominal.simulator, SegmentRule(window_s=0.5))
+    weights = Weights({"position": 1.0, "torque": 1.0}, {}, torque_delay_s=dict.fromkeys(robot.joint_names, 0.0))
+    parameters = make_parameters({"kp": "all", "damping": "all"}, nominal)
+    problem = Problem(nominal, parameters, segments, weights=weights, jobs=jobs)
+    z = parameters.start
+    problem.starts = window_starts(problem, z)
+    assert problem.starts and all(own.pieces for own in problem.starts.values())
+    places = z + np.linspace(-0.05, 0.05, 5)[:, None]
+    alone = np.concatenate([problem.residuals(place[None]) for place in places])
+    np.testing.assert_array_equal(problem.residuals(places), alone)
 
 
 @pytest.mark.parametrize("solver", ["cma-es", "evolution"])

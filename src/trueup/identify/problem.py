@@ -436,10 +436,11 @@ class Problem:
             if signal == "position":
                 simulated = simulated - zeros[:, None, :]
             residual = (simulated - plan.measured[signal])[:, counted][:, :, self.columns]
-            residual *= self._factor(signal)
+            residual = np.ascontiguousarray(residual) * self._factor(signal)
             if signal == "torque" and task.segment in self._moments:
                 shape = self._moments[task.segment]
-                residual -= np.einsum("crj,rj->cj", residual, shape)[:, None, :] * shape
+                for own in residual:  # one by one: how a sum is rounded depends on the size of its batch
+                    own -= np.einsum("rj,rj->j", own, shape) * shape
             blocks.append(residual.reshape(task.rows.size, -1))
         residuals = np.concatenate(blocks, axis=1)
         return residuals if starts is None else starts.without(residuals)

@@ -39,10 +39,15 @@ class WindowStarts:
     pieces: tuple[tuple[Int[np.ndarray, "_"], Float64[np.ndarray, "_ _"]], ...] = ()
 
     def without(self, residuals: Float64[np.ndarray, "C N"]) -> Float64[np.ndarray, "C N"]:
-        """Residuals of the segment without what a change of the starts explains of them."""
+        """Residuals of the segment without what a change of the starts explains of them.
+
+        Those of one candidate do not depend on the others, to the last bit: how the product of a batch is rounded depends
+        on its size.
+        """
         left = residuals.copy()
-        for rows, basis in self.pieces:
-            left[:, rows] -= (residuals[:, rows] @ basis) @ basis.T
+        for own in left:
+            for rows, basis in self.pieces:
+                own[rows] -= basis @ (basis.T @ own[rows])
         return left
 
 
