@@ -149,7 +149,8 @@ def test_a_candidate_is_simulated_the_same_alone_and_among_others(tmp_path, jobs
     problem = Problem(nominal, parameters, segments, weights=weights, jobs=jobs)
     z = parameters.start
     problem.starts = window_starts(problem, z)
-    assert problem.starts and all(own.pieces for own in problem.starts.values())
+    assert problem.starts
+    assert all(own.pieces for own in problem.starts.values())
     places = z + np.linspace(-0.05, 0.05, 5)[:, None]
     alone = np.concatenate([problem.residuals(place[None]) for place in places])
     np.testing.assert_array_equal(problem.residuals(places), alone)

@@ -41,8 +41,7 @@ class WindowStarts:
     def without(self, residuals: Float64[np.ndarray, "C N"]) -> Float64[np.ndarray, "C N"]:
         """Residuals of the segment without what a change of the starts explains of them.
 
-        Those of one candidate do not depend on the others, to the last bit: how the product of a batch is rounded depends
-        on its size.
+        One candidate after the other, since how the product of a batch is rounded depends on its size.
         """
         left = residuals.copy()
         for own in left:
