@@ -7,8 +7,11 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from identify.plain_truth import pendulum_logs
+from identify.recovery_cases import Truth, arm
+from trueup.core.parameters import Parameter, ParameterSet
 from trueup.identify import IdentifyConfig, identify
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import make_parameters
@@ -18,7 +21,7 @@ from trueup.identify.search import Search, Stopwatch
 from trueup.identify.segments import SegmentRule, make_segments
 from trueup.identify.sensitivity import agreed, invariant, split_shifts, verified
 from trueup.identify.solution import SolveSettings
-from trueup.identify.uncertainty import noise_level, noise_of, resolution_of
+from trueup.identify.uncertainty import noise_level, noise_of, precision_of, resolution_of
 
 SCALED = ("kp", "kv", "damping", "frictionloss", "armature", "mass")
 
@@ -96,6 +99,44 @@ def test_errors_of_derivatives_are_no_information_where_the_true_ones_cancel():
     assert not agreed(one, other)[0].any()
 
 
+class Kinked(Problem):
+    """Thirty numbers of which motions show some combinations alone, with kinks all over."""
+
+    def __init__(self, shown, seed):
+        rng = np.random.default_rng(seed)
+        self.coarse, self.starts = None, {}
+        self.parameters = ParameterSet(
+            tuple(Parameter(f"com_x[{number}]", 0.0, "m", -10.0, 10.0, prior_std=1.0) for number in range(30))
+        )
+        self.true = rng.standard_normal((30, shown)) @ rng.standard_normal((shown, 400)) / 20
+        self._kinks = 5e-6 * rng.standard_normal((30, 400)) * np.linalg.norm(self.true, axis=1)[:, None]
+        self._phase = rng.uniform(0.0, 6.0, 30)
+
+    def residuals(self, z):
+        return z @ self.true + np.sin(700.0 * z + self._phase) @ self._kinks
+
+
+# Where more than half of all directions show nothing, not all of them are looked at.
+@pytest.mark.parametrize(("shown", "share"), [(12, 1.3), (18, 0.4), (24, 0.4)])
+@pytest.mark.parametrize("seed", range(3))
+def test_to_look_along_a_direction_adds_no_information_that_is_not_there(shown, share, seed):
+    """Directions of one round are nearly those of the one before; their difference was none that was simulated."""
+    problem, weight = Kinked(shown, seed), 1e-6
+    z = problem.parameters.start
+    moves = 0.002 * np.eye(z.size)
+    jacobian = (problem.residuals(moves) - problem.residuals(-moves)) / 0.004
+    true = problem.true @ problem.true.T / weight + precision_of(problem.parameters)
+
+    def too_much(own):
+        """By how much information is more than it can be, in the direction where it is most."""
+        return eigh(own @ own.T / weight + precision_of(problem.parameters), true, eigvals_only=True)[-1]
+
+    real = verified(problem, z, jacobian, weight)
+    assert too_much(jacobian) > 1000.0
+    assert too_much(real) < share * too_much(jacobian)
+    assert np.linalg.norm(real - problem.true) < 0.05 * np.linalg.norm(problem.true)
+
+
 def test_with_masses_that_are_known_the_scale_is_seen(pendulum):
     problem = problem_of(pendulum, SCALED[:-1])
     z = problem.parameters.start
@@ -104,6 +145,35 @@ def test_with_masses_that_are_known_the_scale_is_seen(pendulum):
     real = verified(problem, z, search.certain_jacobian(z), weight)
     (scale, *_) = invariant(problem.parameters, z)
     assert np.linalg.norm(scale @ real) ** 2 / weight > 1000.0
+
+
+def test_the_scale_of_a_joint_that_moves_next_to_nothing_is_not_known(tmp_path):
+    """The last joint's own armature and friction are all that its servo feels: any factor of them is the same motion."""
+    robot, path = arm(tmp_path)
+    light = path.read_text().replace(
+        'mass="0.6" diaginertia="0.001 0.005 0.004"', 'mass="1e-5" diaginertia="1e-8 1e-8 1e-8"'
+    )
+    path.write_text(light)
+    nominal = Nominal(robot, path)
+    segments, _ = make_segments([Truth(robot, nominal, {}).log(1, seconds=4.0)], nominal.simulator, SegmentRule())
+    fit = dict.fromkeys(("delay_s", "kp", "kv", "damping", "frictionloss", "armature"), "all")
+    problem = Problem(nominal, make_parameters(fit, nominal), segments)
+    z = problem.parameters.start
+    weight = noise_of(problem, problem.residuals(z[None])[0]).weight
+    search = Search(problem, SolveSettings(), Stopwatch(), checkpoint=None, on_progress=None)
+    exact = search.certain_jacobian(z)
+    # One part of a hundred is what kinks of dry friction do to derivatives.
+    errors = np.random.default_rng(0).standard_normal(exact.shape)
+    errors *= 0.01 * np.linalg.norm(exact, axis=1, keepdims=True) / np.sqrt(exact.shape[1])
+    names = [item.name for item in problem.parameters.free]
+    shoulder, elbow = (
+        np.array([name.endswith(f"[{joint}]") and not name.startswith("delay") for name in names], dtype=float)
+        for joint in robot.joint_names
+    )
+    assert np.linalg.norm(elbow @ (exact + errors)) ** 2 / weight > 10.0
+    real = verified(problem, z, exact + errors, weight, quick=True)
+    assert np.linalg.norm(elbow @ real) ** 2 / weight < 0.01
+    assert np.linalg.norm(shoulder @ real) == pytest.approx(np.linalg.norm(shoulder @ exact), rel=0.01)
 
 
 def test_everything_free_is_not_determined_and_not_ok(pendulum):

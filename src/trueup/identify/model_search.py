@@ -202,9 +202,7 @@ class ModelSearch:
         found, finer_step = item.solution, self._finer
         if finer_step is None or finer_step.gain < -DECIDED or self.logs.way.divisor == 1:
             return item
-        low, high = found.parameters.bounds
-        z = np.clip(found.z + finer_step.shift, low, high)
-        problem = self.problem_of(item)
+        z, problem = self._minimum_of(finer_step, found), self.problem_of(item)
         left = float(np.linalg.norm(problem.residuals(z[None])[0]))
         return replace(item, solution=replace(found, z=z)) if left < _ALIKE * found.rms else item
 
@@ -577,8 +575,7 @@ class ModelSearch:
             self._undecided.append(dict(zip(names, shift.tolist(), strict=True)))
             return best
         self.logs.way = way
-        low, high = found.parameters.bounds
-        moved = replace(best, solution=replace(found, z=np.clip(found.z + other.shift, low, high)))
+        moved = replace(best, solution=replace(found, z=self._minimum_of(other, found)))
         return self._further(moved, fit, "another way", (), rough=rough, limit=limit)
 
     def _heard(
@@ -648,6 +645,11 @@ class ModelSearch:
         if self._minimum is None or there is None:
             return None
         return alternative(now, other, self._minimum[2], there, weight, way)
+
+    def _minimum_of(self, other: Alternative, found: Solution) -> Float64[np.ndarray, "P"]:
+        """Where the way that a solution was compared with has its minimum."""
+        assert self._minimum is not None
+        return np.asarray(np.clip(self._minimum[2][0] + other.shift, *found.parameters.bounds))
 
     def _polished(
         self, problem: Problem, found: Solution, weight: float

@@ -11,13 +11,16 @@ from trueup.identify.problem import Problem
 from trueup.identify.quantities import quantity
 from trueup.identify.uncertainty import precision_of
 
-# Directions along which derivatives cancel to less than this share of their size are looked at, the weakest first.
+# Directions along which derivatives cancel to less than this share of their size are looked at, the weakest first: half
+# of all, and more where these are few.
 _CANCELED = 0.3
-_MOST_DIRECTIONS = 12
+_FEWEST_DIRECTIONS = 12
 # As near as derivatives are taken, and as far as the residual should have changed by so many standard deviations, but
 # not further than the last; in z of the parameter that moves most.
 _NEAR, _FAR, _FARTHEST = 0.01, 3.0, 1.0
 _ROUNDS = 2
+# Directions of one set that differ by less are not told apart.
+_ALIKE = 0.01
 # The weakest directions along which others follow a move not further than this, in z, and how many times.
 _MOST_FOLLOWED, _CURVED, _FOLLOWED = 6, 0.2, 4
 # A drive is at its limit from this share of it on, and saturates where that is so for this share of the time.
@@ -40,9 +43,10 @@ def verified(
     not add up. Along a combination of parameters that changes nothing (all torques and masses times the same factor,
     say) the true derivatives cancel, and their errors do not: they look like information. So the residual itself is
     simulated along such directions v, and its central difference d takes the place of J^T v: with V the directions
-    and D their differences as rows, J <- J + pinv(V) (D - V J). Directions are those of `invariant`, and those in which
-    derivatives nearly cancel, by the eigenvectors of J J^T with each row of J divided by its norm. They are looked for
-    again when these are mended.
+    and D their differences as rows, J <- J + pinv(V) (D - V J). Directions are those of `invariant` along which
+    derivatives nearly cancel, and others in which they do, by the eigenvectors of J J^T with each row of J divided by
+    its norm. They are looked for again when these are mended, one set after the other: what two nearly equal directions
+    differ by is no direction that was simulated.
 
     Then the residual is simulated as far out as it should have changed by three standard deviations: where it changes
     by less than that, in either sense, |r(z + t v) - r(z)| = rho |t J^T v| with rho < 1, the derivatives along v are
@@ -63,14 +67,14 @@ def verified(
     norms = np.linalg.norm(jacobian, axis=1)
     alive = np.flatnonzero(norms > 0)
     low, high = problem.parameters.bounds
-    raw = jacobian[alive] / norms[alive, None]
-    unit, known, slopes = raw, np.zeros((0, alive.size)), np.zeros((0, raw.shape[1]))
+    unit = jacobian[alive] / norms[alive, None]
     own = invariant(problem.parameters, z)[:, alive] * norms[alive]
+    own = own[np.linalg.norm(own @ unit, axis=1) < _CANCELED * np.linalg.norm(own, axis=1)]
     for number in range(1 if quick else _ROUNDS + 1):
         far = number == _ROUNDS
-        if number or not own.size:
+        if number or not (quick or own.size):
             squares, vectors = np.linalg.eigh(unit @ unit.T)
-            weak = np.flatnonzero(squares < _CANCELED**2)[:_MOST_DIRECTIONS]
+            weak = np.flatnonzero(squares < _CANCELED**2)[: max(_FEWEST_DIRECTIONS, alive.size // 2)]
             own = vectors[:, weak].T
         if not own.size:
             break
@@ -88,9 +92,9 @@ def verified(
             usable = np.isfinite(changed).all(axis=(0, 2)) & (places == np.stack([z + moves, z - moves])).all(
                 axis=(0, 2)
             )
-            known = np.concatenate([known, own[usable]])
-            slopes = np.concatenate([slopes, ((changed[0] - changed[1]) / (2 * reach[:, None]))[usable]])
-            unit = raw + np.linalg.pinv(known, rcond=1e-6) @ (slopes - known @ raw)
+            own = own[usable]
+            slopes = ((changed[0] - changed[1]) / (2 * reach[:, None]))[usable]
+            unit = unit + np.linalg.pinv(own, rcond=_ALIKE) @ (slopes - own @ unit)
             continue
         kept = _kept(changed, places - z, unit, alive, norms)
         unit = _lowered(unit, own, kept)
@@ -305,8 +309,10 @@ def invariant(parameters: ParameterSet, z: Float64[np.ndarray, "P"]) -> Float64[
     """Directions along which the equations of motion say that little or nothing changes, in z, (K, P).
 
     All torques and masses times the same factor give the same motion: d(value) = value for everything that is counted
-    in N, Nm or kg. What the damping of a position servo loses, viscous friction of its joint can take over: d(kv) =
-    -d(damping). Whether it is so in this fit (a torque may be known, a servo saturated) is for the simulation to say.
+    in N, Nm or kg. So do all numbers of one joint, where its own armature and friction are far more than what its links
+    ask for, as at a wrist. What the damping of a position servo loses, viscous friction of its joint can take over:
+    d(kv) = -d(damping). Whether it is so in this fit (a torque may be known, a servo saturated) is for the simulation
+    to say.
     """
     free = parameters.free
     rate = np.array([1.0 if item.transform == "log" else item.scale for item in free])
@@ -316,6 +322,9 @@ def invariant(parameters: ParameterSet, z: Float64[np.ndarray, "P"]) -> Float64[
     sized = np.array([item.unit.startswith(("N", "kg")) for item in free])
     scaled = np.where([item.transform == "log" for item in free], 1.0, values)
     found = [np.where(sized, scaled, 0.0)]
+    of_joint = [item.target if quantity(item.quantity).of == "joint" else "" for item in free]
+    joints = sorted({*of_joint} - {""})
+    found += [np.where(sized & [own == joint for own in of_joint], scaled, 0.0) for joint in joints]
     names = [item.name for item in free]
     for index, item in enumerate(free):
         partner = f"damping[{item.target}]"
