@@ -45,8 +45,8 @@ def verified(
     simulated along such directions v, and its central difference d takes the place of J^T v: with V the directions
     and D their differences as rows, J <- J + pinv(V) (D - V J). Directions are those of `invariant` along which
     derivatives nearly cancel, and others in which they do, by the eigenvectors of J J^T with each row of J divided by
-    its norm. They are looked for again when these are mended, one set after the other: what two nearly equal directions
-    differ by is no direction that was simulated.
+    its norm. They are looked for again when these are mended. One set is applied after the other, not all at once: two
+    nearly equal directions would be told apart by the errors of their differences.
 
     Then the residual is simulated as far out as it should have changed by three standard deviations: where it changes
     by less than that, in either sense, |r(z + t v) - r(z)| = rho |t J^T v| with rho < 1, the derivatives along v are
