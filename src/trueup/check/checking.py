@@ -122,24 +122,27 @@ def _explained(robot: RobotSpec, evidence: Evidence, change: Accepted, joint: in
     }
     ways = []
     if before.outside[joint] > 0.2 and after.outside[joint] < 0.02:
-        ways.append(f"{name} is then within its range, and else out of it {percent(before.outside[joint])} of the time")
+        ways.append(
+            f"{name} stays within its range (as configured, it is outside {percent(before.outside[joint])} of the time)"
+        )
     if signal == "torque":
         ways.append(
-            f"the model explains {_share(after.left[joint])} of the torque of {name}, "
-            f"without {_share(before.left[joint])}"
+            f"the model explains {_share(after.left[joint])} of the torque of {name} "
+            f"(as configured, {_share(before.left[joint])} of it)"
         )
     elif before.left[joint] > 0.1:
         ways.append(
-            f"the command explains {_share(after.left[joint])} of the motion of {name}, "
-            f"without {_share(before.left[joint])}"
+            f"the command explains {_share(after.left[joint])} of the motion of {name} "
+            f"(as configured, {_share(before.left[joint])} of it)"
         )
     else:
         share, was = (1.0 - one.left[joint] / max(one.blind[joint], 1e-12) for one in (after, before))
         numbers |= {"explained": float(share), "explained_before": float(was)}
         ways.append(
-            f"the model explains {percent(share)} of how far {name} is from its command, without {percent(was)}"
+            f"the model explains {percent(share)} of how far {name} is from its command "
+            f"(as configured, {percent(was)} of it)"
         )
-    return "so read, " + "; ".join(ways), numbers
+    return "read this way, " + ", and ".join(ways), numbers
 
 
 def _mends(

@@ -146,7 +146,7 @@ def payload(setting: Setting) -> Iterator[Finding]:
         "payload",
         "likely",
         f"With about {mass:.2g} kg more at {evidence.first.end_body!r} the model explains {percent(share[joint])} of "
-        f"what {setting.names([joint])[0]} takes, without {percent(had[joint])}.",
+        f"the torque of {setting.names([joint])[0]}; without it, {percent(had[joint])}.",
         setting.names(own),
         tuple(mends),
         {"mass_kg": mass, "explained": float(share[joint]), "before": float(had[joint])},

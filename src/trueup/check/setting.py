@@ -65,5 +65,5 @@ def where(mask: np.ndarray) -> list[int]:
 
 
 def percent(share: float) -> str:
-    """A share from 0 to 1, for people."""
-    return f"{100.0 * max(float(share), -9.99):.0f} %"
+    """A share from 0 to 1, for people; what is worse than nothing explains nothing."""
+    return f"{100.0 * float(share):.0f} %" if share >= 0.005 else "none"
