@@ -57,12 +57,14 @@ class Alternative:
         gain: by how much it explains the data better: twice the difference of logarithmic likelihoods, each sample
             counted as often as the better residual's memory allows; negative where it is worse.
         lowers: share of the sum of squares that it takes away; negative where it is worse.
+        candidate_s: time that one simulation of all logs took that way [s].
     """
 
     way: Discretization
     shift: Float64[np.ndarray, "P"]
     gain: float
     lowers: float = 0.0
+    candidate_s: float = 0.0
 
     def matters(self, now: Discretization, std: Float64[np.ndarray, "P"]) -> bool:
         """Whether a finer step moves a number by more than half of its standard deviation, and data do not object.
@@ -123,7 +125,8 @@ def alternative(
     )
     least = noise[1] if instead < present else noise[0]
     lowers = 1.0 - instead / max(present, 1e-300)
-    return Alternative(way, there[0] - here[0], (present - instead) / max(least, 1e-300), lowers)
+    candidate_s = other.seconds / max(1, other.evaluations)
+    return Alternative(way, there[0] - here[0], (present - instead) / max(least, 1e-300), lowers, candidate_s)
 
 
 def finer(now: Discretization) -> Discretization:

@@ -66,6 +66,8 @@ _HEARD, _SAME_UNIT = 0.5, (0.5, 2.0)
 # Where so many times the noise is left, a finer step has to take away this share of its squares, and how commands act
 # between their stamps is not looked at again.
 _FAR_FROM_NOISE, _WORTH_A_STEP = 5.0, 0.1
+# Simulations with a finer step that a fit still needs when it takes that step, for each of its numbers.
+_TO_FINISH = 8
 # A timing that leaves so many times more is not the better one with a smaller step either.
 _HOPELESS = 3.0
 # Of what is left with the numbers of another step, so many times as much is still the same fit.
@@ -532,6 +534,9 @@ class ModelSearch:
                 break
             if self._finer.lowers < _WORTH_A_STEP and self._left(best) > _FAR_FROM_NOISE:
                 break  # whatever the model lacks, it is not a finer step; what that would change is in the intervals
+            sure, candidates = self._until(_SURE), _TO_FINISH * len(best.solution.parameters.free)
+            if sure is not None and sure.left_s < candidates * self._finer.candidate_s:
+                break  # no time to come to an end with it
             self.logs.way = self._finer.way
             best = self._further(best, fit, "finer", left_out, rough=rough, limit=limit)
         return best

@@ -50,6 +50,8 @@ _SOME = 0.2
 _MOST = 3
 # Share of what is left that a suspect explains at least, on train and on val, and on train without val.
 _EXPLAINS, _EXPLAINS_ALONE = 0.3, 0.5
+# Of one of its joints, on train.
+_PART = 0.15
 # What is left beyond the noise of the measurement counts as no less than this share of that noise.
 _LEAST_EXCESS = 0.1
 # What acts on the whole robot explains at least so much of what is left of all joints.
@@ -537,13 +539,14 @@ class Suspicion:
     def about(self, item: Tested) -> list[int]:
         """Places of the joints, among those that count, that a cause is about.
 
-        What acts on the whole robot is about those that it explains.
+        What acts on the whole robot is about those that it explains. What each joint may have of its own is about those
+        of which it explains some part on train: one that it hardly explains says nothing against the others.
         """
         columns = list(self.train.problem.columns)
         joints = {column.joint for column in item.columns}
-        if None not in joints and not item.cause.single:
-            return [place for place, joint in enumerate(columns) if joint in joints]
         shares = self._by_joint(item)
+        if None not in joints and not item.cause.single:
+            return [place for place, joint in enumerate(columns) if joint in joints and shares[0][place] > _PART]
         return [place for place in range(len(columns)) if all(own[place] > _EXPLAINS for own in shares)]
 
     def _by_joint(self, item: Tested) -> list[Float64[np.ndarray, "K"]]:
