@@ -91,6 +91,7 @@ def true_model(path: Path, case: Case, true: Numbers, cause: dict[str, Any]) -> 
     if case.cause == "payload":
         body = spec.body(cause["body"]).add_body(name="unmodelled payload", pos=cause["position_m"])
         body.mass, body.inertia, body.explicitinertial = cause["mass_kg"], [cause["inertia_kg_m2"]] * 3, True
+        body.ipos = [0, 0, 0]  # if not given, it is `pos` once more
     model = spec.compile()
     model.opt.timestep, model.opt.integrator = FINE_S, mujoco.mjtIntegrator.mjINT_EULER
     model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = 100, 50, 1e-12

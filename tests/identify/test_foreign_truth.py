@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from benchmarks.foreign_cases import CASES
-from benchmarks.foreign_motions import cause_of, simulate
+from benchmarks.foreign_motions import cause_of, simulate, true_model
 from benchmarks.foreign_plants import FINE_S, Gear
 from benchmarks.foreign_robots import ROBOTS, foreign_folder
 from benchmarks.foreign_truth import Truth, make, numbers
@@ -235,6 +235,22 @@ def test_late_feedback_and_payload_change_the_motion(tmp_path):
     np.testing.assert_allclose(late.position[0], plain.position[0], atol=5e-3)  # at rest, late is as good as not
     np.testing.assert_allclose(unloaded.position, plain.position, atol=1e-6)
     assert (loaded.position[0] - plain.position[0])[:, 1].min() > 0.01  # the shoulder counts downward
+
+
+def test_a_payload_is_where_the_truth_says(tmp_path):
+    path, true, typical = setup(ARM, tmp_path)
+    case = replace(ARM, cause="payload", amount=0.3)
+    cause = cause_of(case, mujoco.MjModel.from_xml_path(str(path)), true, typical)
+    data = []
+    for own in (case, ARM):
+        model = true_model(path, own, true, cause)
+        data.append((model, mujoco.MjData(model)))
+        mujoco.mj_forward(*data[-1])
+    (loaded, there), (bare, alone) = data
+    body = bare.body(cause["body"]).id
+    at = alone.xpos[body] + alone.xmat[body].reshape(3, 3) @ cause["position_m"]
+    moment = loaded.body_mass @ there.xipos - bare.body_mass @ alone.xipos
+    np.testing.assert_allclose(moment, 0.3 * at, atol=1e-9)
 
 
 @pytest.mark.parametrize("both", [False, True])

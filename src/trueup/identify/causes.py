@@ -191,21 +191,40 @@ class Motions:
         pressed = {segment: load + _LINK_FRICTION * self._friction(segment) for segment, load in self.loads.items()}
         size = np.maximum(_SOFT_LOAD * _rms(list(pressed.values())), 1e-12)
         twist = {segment: 0.5 * np.tanh(own / size) for segment, own in pressed.items()}
-        # What drives make of it that their motors are ahead of the links by a twist s: -(kp s + kv ds/dt).
+        return self._twisted(twist, np.zeros(len(self.joints)))
+
+    def elastic(self) -> list[Column]:
+        """The link hangs behind its motor by its load over the stiffness."""
+        return self._twisted(self.loads, self.model.dof_armature[self._qvel])
+
+    def _twisted(self, twist: Field, rotors: Float64[np.ndarray, "J"]) -> list[Column]:
+        """Motors that are ahead of their links by a twist s, and drives that act on where the motors are.
+
+        To the link, a drive with gains kp and kv and a rotor with inertia I add -(kp s + kv ds/dt + I d2s/dt2).
+        """
         kp, kv = self._gains
         forces = {
-            segment: -(segment.setup.kp_factor * kp * own + kv * np.gradient(own, self._step_s, axis=1))
+            segment: -(
+                segment.setup.kp_factor * kp * own
+                + kv * np.gradient(own, self._step_s, axis=1)
+                + rotors * self._bent(own)
+            )
             for segment, own in twist.items()
         }
         driven = self.driven
         others = [joint for joint in range(len(self.joints)) if joint not in driven]
         return [*self.each(forces, driven), *self._behind(twist, others)]
 
-    def elastic(self) -> list[Column]:
-        """The link hangs behind its motor by its load over the stiffness."""
-        return self._behind(self.loads)
+    def _bent(self, values: np.ndarray) -> np.ndarray:
+        """The second derivative of what is known at the poses only and straight between them, (W, N, J)."""
+        every = max(1, round(1.0 / (_POSES_HZ * self._step_s)))
+        rows, steps = np.arange(0, values.shape[1], every), np.arange(values.shape[1])
+        if rows.size < 2:
+            return np.zeros_like(values)
+        bent = np.gradient(np.gradient(values[:, rows], every * self._step_s, axis=1), every * self._step_s, axis=1)
+        return np.asarray(np.apply_along_axis(lambda own: np.interp(steps, rows, own), 1, bent))
 
-    def _behind(self, twist: Field, joints: Sequence[int] | None = None) -> list[Column]:
+    def _behind(self, twist: Field, joints: Sequence[int]) -> list[Column]:
         """Links that are measured behind their motors by a twist."""
         shifts = {
             segment: -segment.plan.at_stamps(np.concatenate([own, own[:, -1:]], axis=1)[None])[0]

@@ -588,7 +588,7 @@ class Suspicion:
                 other
                 for other in looked
                 if other is not item
-                and set(about) <= set(self.about(other))
+                and set(about) & set(self.about(other))
                 and float(np.sum(other.judged[about])) > _NEARLY * float(np.sum(item.judged[about]))
             ]
             found.append(self._named(item, train, val, gain, rivals, about))
