@@ -33,6 +33,8 @@ ACCEPTED: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "payload": (("payload",), (r"\bpayload\b", r"\bcarries more\b")),
     "sign": (("sign",), (r"\bmirrored\b", r"\bother way round\b", r"\bwrong sign\b")),
 }
+# What a fit has looked for in vain.
+_DENIED = re.compile(r"none of .*? explains it")
 # Finding of this severity is worth knowing, and accuses nobody.
 _NOTE = "note"
 
@@ -180,10 +182,11 @@ def naming(cell: Cell) -> list[str]:
         for item in accusations(cell)
         if item["kind"] in kinds and _about(item["joints"], cause["joints"])
     ]
-    for text in cell["statements"]:
+    for said in cell["statements"]:
+        text = _DENIED.sub("", said)
         joints = [joint for joint in cell["joints"] if re.search(rf"(?<![\w/]){re.escape(joint)}(?![\w/])", text)]
         if pattern.search(text) and _about(joints, cause["joints"]):
-            found.append(text)
+            found.append(said)
     return found
 
 

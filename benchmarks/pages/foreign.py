@@ -63,7 +63,8 @@ By kind of number:
 {causes}
 
 A cause is *named* if a finding of the [check](check.md) that is certain or likely, or a sentence of the fit, says one
-of the words for it; if that names joints, one of them must be the cause's. The words:
+of the words for it; if that names joints, one of them must be the cause's. Causes that a sentence says were looked for
+in vain do not count. The words:
 
 {words}
 

@@ -126,7 +126,9 @@ def test_what_every_fit_may_say_names_nothing(kind):
     usual = [
         (
             "what is left is 2.1 times the noise of the measurement (most of a: 0.0012, noise 0.0003): the model lacks "
-            "something, and fitted numbers may be off by more than their intervals to make up for it"
+            "something, and fitted numbers may be off by more than their intervals to make up for it; none of late feedback, "
+            "an integral term, backlash, an elastic gear, friction that grows with the load or falls with time, a largest "
+            "speed, a payload and a mirrored joint explains it"
         ),
         (
             "the fitted model simulates a logged signal worse than the nominal one: velocity of a (0.1 -> 0.2); its numbers "
@@ -159,7 +161,7 @@ def test_causes_of_the_cases_have_words_that_a_table_can_show():
     ],
 )
 def test_a_finding_names_a_cause_by_its_kind_and_joints(kind, severity, joints, named):
-    finding = {"kind": kind, "severity": severity, "joints": joints, "evidence": "so read, it is explained"}
+    finding = {"kind": kind, "severity": severity, "joints": joints, "evidence": "read this way, it is explained"}
     own = cell("B", cause={"kind": "sign", "joints": ["a"]}, findings=[finding])
     assert bool(verdicts.naming(own)) == named
 
