@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -11,16 +12,19 @@ from scipy.linalg import eigh
 
 from identify.plain_truth import pendulum_logs
 from identify.recovery_cases import Truth, arm
+from trueup.core.fit_result import ModelRow
 from trueup.core.parameters import Parameter, ParameterSet
+from trueup.core.time_limit import TimeLimit
 from trueup.identify import IdentifyConfig, identify
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import make_parameters
 from trueup.identify.discretization import Alternative, Discretization, probability
+from trueup.identify.model_search import ModelSearch, TriedModel
 from trueup.identify.problem import Problem, Weights
 from trueup.identify.search import Search, Stopwatch
 from trueup.identify.segments import SegmentRule, make_segments
 from trueup.identify.sensitivity import agreed, invariant, split_shifts, verified
-from trueup.identify.solution import SolveSettings
+from trueup.identify.solution import Solution, SolveSettings
 from trueup.identify.uncertainty import noise_level, noise_of, precision_of, resolution_of
 
 SCALED = ("kp", "kv", "damping", "frictionloss", "armature", "mass")
@@ -200,6 +204,19 @@ def test_a_finer_truth_is_found_and_its_numbers_lie_in_their_intervals(pendulum)
         assert found[name].value == pytest.approx(pendulum.truth[name], rel=0.1)
 
 
+def test_a_finer_step_that_could_not_be_finished_is_not_begun(pendulum, monkeypatch):
+    """What it would change is in the intervals."""
+    monkeypatch.setattr("trueup.identify.model_search._TO_FINISH", 1e9)
+    config = IdentifyConfig(fit=dict.fromkeys(("kp", "kv", "frictionloss", "armature"), "all"), models={})
+    limit = TimeLimit.after(600.0)
+    found = identify(pendulum.episodes, pendulum.robot, pendulum.model, config=config, limit=limit).result
+    assert found.data["timestep_s"] == pytest.approx(0.005)
+    assert not found.solver.get("short_of_time")
+    for name in ("kp[j]", "frictionloss[j]", "armature[j]"):
+        low, high = found[name].interval
+        assert low < pendulum.truth[name] < high, found[name]
+
+
 def in_intervals(found, truth):
     """The numbers that are called determined, and which of them do not hold the truth."""
     known = [item for item in found.parameters if item.identified == "yes" and item.name in truth]
@@ -306,3 +323,13 @@ def test_what_is_unknown_of_a_change_by_the_step_is_what_is_left():
     assert not Alternative(Discretization(4), shift, gain=-100.0).matters(Discretization(), np.array([0.1, 1.0]))
     assert probability(0.0) == 0.5
     assert probability(20.0) + probability(-20.0) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("gain", "better", "kept"), [(-100.0, False, False), (0.0, False, True), (100.0, True, False)])
+def test_what_the_data_do_not_decide_is_kept_for_the_intervals(gain, better, kept):
+    free = ParameterSet((Parameter("mass[a]", 1.0, "kg", 0.1, 10.0, "log"),))
+    solution = Solution(free, np.zeros(1), np.zeros(3), np.ones((1, 3)), 0.0, {})
+    best = TriedModel(ModelRow("base", ("mass",), 1, 0.0, {}), solution, None)
+    search = SimpleNamespace(_undecided=[])
+    assert ModelSearch._better(search, Alternative(Discretization(), np.array([0.4]), gain), best) is better
+    assert search._undecided == ([{"mass[a]": pytest.approx(0.4 * 0.5**0.5)}] if kept else [])
