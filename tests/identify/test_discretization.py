@@ -21,6 +21,8 @@ NOISE = 1e-3
 class Valley(Problem):
     """A residual that shows the sum of two numbers well, and each of them next to not at all, as kv and damping."""
 
+    evaluations, seconds = 0, 0.0
+
     def __init__(self, total):
         self.total, self.columns = total, np.array([0])
         self.coarse, self.starts = None, {}

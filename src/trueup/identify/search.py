@@ -214,8 +214,7 @@ class Search:
             search = Search(self.problem.alone(), self.settings, self.clock, checkpoint=None, on_progress=None)
             newton, _ = search._settled(newton.state.z, _FINISHED, jacobian)
             self.problem.starts = search.problem.starts
-        # Curvature is an error of one-sided differences, and of one of the two alone: they do not agree on it.
-        jacobian = agreed(newton.central_jacobian(_TWO_STEPS[0]), newton.jacobian(_TWO_STEPS[1]))
+        jacobian = agreed(*(newton.central_jacobian(step) for step in _TWO_STEPS))
         assert newton.residual is not None
         weight = self._weight(newton.residual)
         newton.polish(verified(search.problem, newton.state.z, jacobian, weight, quick=True))
