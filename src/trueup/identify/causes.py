@@ -123,6 +123,11 @@ class Motions:
         """Torque that the links take, without rotors and friction of the joints [Nm or N]."""
         return {segment: self._inverse(segment, course.model) for segment, course in self.courses.items()}
 
+    @property
+    def _every(self) -> int:
+        """Simulation steps from one pose to the next."""
+        return max(1, round(1.0 / (_POSES_HZ * self._step_s)))
+
     @cached_property
     def _soft_speed(self) -> Float64[np.ndarray, "J"]:
         return np.maximum(_SOFT_SPEED * _rms([course.velocity for course in self.courses.values()]), 1e-9)
@@ -207,7 +212,7 @@ class Motions:
             segment: -(
                 segment.setup.kp_factor * kp * own
                 + kv * np.gradient(own, self._step_s, axis=1)
-                + rotors * self._bent(own)
+                + (rotors * self._bent(own) if rotors.any() else 0.0)
             )
             for segment, own in twist.items()
         }
@@ -217,11 +222,11 @@ class Motions:
 
     def _bent(self, values: np.ndarray) -> np.ndarray:
         """The second derivative of what is known at the poses only and straight between them, (W, N, J)."""
-        every = max(1, round(1.0 / (_POSES_HZ * self._step_s)))
-        rows, steps = np.arange(0, values.shape[1], every), np.arange(values.shape[1])
+        rows, steps = np.arange(0, values.shape[1], self._every), np.arange(values.shape[1])
         if rows.size < 2:
             return np.zeros_like(values)
-        bent = np.gradient(np.gradient(values[:, rows], every * self._step_s, axis=1), every * self._step_s, axis=1)
+        apart_s = self._every * self._step_s
+        bent = np.gradient(np.gradient(values[:, rows], apart_s, axis=1), apart_s, axis=1)
         return np.asarray(np.apply_along_axis(lambda own: np.interp(steps, rows, own), 1, bent))
 
     def _behind(self, twist: Field, joints: Sequence[int]) -> list[Column]:
@@ -342,8 +347,7 @@ class Motions:
         model.dof_damping[:], model.dof_armature[:], model.jnt_user[:] = 0.0, 0.0, 0.0
         data = mujoco.MjData(model)
         windows, steps = course.position.shape[0], course.position.shape[1] - 1
-        every = max(1, round(1.0 / (_POSES_HZ * self._step_s)))
-        rows = np.unique(np.append(np.arange(0, steps, every), steps - 1))
+        rows = np.unique(np.append(np.arange(0, steps, self._every), steps - 1))
         acceleration = (0.0 if steady else 1.0) * np.gradient(course.velocity, self._step_s, axis=1)
         out, some = np.empty((windows, steps, sign.size)), np.empty((rows.size, sign.size))
         for window in range(windows):
