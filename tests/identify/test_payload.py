@@ -1,14 +1,16 @@
 """Fits of motions with several payloads: each is simulated with what it carries."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from identify.lacking_truth import Lack, arm_logs
 from identify.recovery_cases import JOINTS, SERVO, arm, wave
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries, same_units
-from trueup.identify import Nominal, Problem, SegmentRule, SolveSettings, make_segments, solve
+from trueup.identify import IdentifyConfig, Nominal, Problem, SegmentRule, SolveSettings, identify, make_segments, solve
 from trueup.identify.config import make_parameters
 from trueup.identify.solution import fingerprint_of
 from trueup.robots import PayloadSpec, Setup
@@ -61,3 +63,28 @@ def test_what_is_carried_decides_whether_a_search_is_gone_on_with(tmp_path):
     other = [replace(log, meta=replace(log.meta, payload_kg=2 * log.meta.payload_kg)) for log in logs]
     one, same, heavier = (fingerprint_of(problem_of(nominal, own), SolveSettings()) for own in (logs, logs, other))
     assert one == same != heavier
+
+
+def test_a_payload_is_looked_for_amid_what_carries_it_or_at_its_site(tmp_path):
+    robot, path = arm(tmp_path, SERVO)
+    assert Nominal(robot, path).payload_start == (0.0, 0.0, 0.0)
+    path.write_text(re.sub("<site[^>]*>", "", path.read_text()))
+    assert Nominal(robot, path).payload_start == pytest.approx((0.12, 0.0, 0.0))
+    # A flange, as they have one, weighs nothing and is turned: the link before it is what carries.
+    flange = '<body name="flange" pos="0.25 0 0" quat="0.70710678 0 0 0.70710678"/></body>'
+    path.write_text(path.read_text().replace("</body>", flange, 1))
+    assert Nominal(robot, path).payload_start == pytest.approx((0.0, 0.13, 0.0))
+
+
+def test_a_payload_that_nobody_has_described_is_found_and_masses_stay_where_they_are(tmp_path):
+    robot, model, logs = arm_logs(tmp_path, Lack(payload_kg=0.4), seconds=3.0)
+    models = {"payload": IdentifyConfig().resolved(Nominal(robot, model)).models["payload"]}
+    some = {"train": logs["train"][:2], "val": logs["val"][:1]}
+    found = identify(some, robot, model, config=IdentifyConfig(models=models)).result
+    assert next(row.name for row in found.models if row.chosen) == "payload"
+    payload = found["payload_mass"]
+    assert payload.interval[0] < 0.4 < payload.interval[1]
+    assert payload.value == pytest.approx(0.4, rel=0.1)
+    assert [found[name].value for name in ("mass[upper]", "mass[fore]")] == pytest.approx([1.2, 0.7], rel=0.05)
+    assert found["payload_z"].value == pytest.approx(0.0, abs=0.01)
+    assert any(text.startswith("the robot carries a payload") for text in found.statements)

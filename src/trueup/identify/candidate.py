@@ -259,6 +259,25 @@ class Nominal:
             raise ConfigError(f"{self.path}: no body moves, so nothing can carry a payload")
         return self.bodies[-1], (0.0, 0.0, 0.0)
 
+    @cached_property
+    def payload_start(self) -> tuple[float, float, float]:
+        """How far from its place a payload is looked for first: at the site `payload`, or amid what carries it [m].
+
+        The origin of the last body is at its joint, with what is carried far outside: from there, a search may
+        end on the wrong side.
+        """
+        model, (body, site) = self.model, self.payload_place
+        last = model.body(body).id
+        welded = np.flatnonzero(model.body_weldid == model.body_weldid[last])
+        masses = model.body_mass[welded]
+        if any(model.site(number).name == "payload" for number in range(model.nsite)) or not masses.any():
+            return (0.0, 0.0, 0.0)
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        center = masses @ data.xipos[welded] / masses.sum()
+        x, y, z = map(float, data.xmat[last].reshape(3, 3).T @ (center - data.xpos[last]) - site)
+        return x, y, z
+
     @property
     def hangs_payloads(self) -> bool:
         """Whether a payload is a body of its own: it weighs, also where the weight of what carries it does not."""

@@ -28,6 +28,7 @@ _SERVO_FIT: Mapping[str, Any] = {
     "mass": _WEIGHED,
 }
 _SERVO_MODELS = {
+    "payload": ("payload_mass", "payload_x", "payload_y", "payload_z"),
     "limits": ("torque_limit",),
     "integral": ("ki",),
     **_LAWS,

@@ -40,7 +40,7 @@ from trueup.identify.simulated_logs import SimulatedLogs
 from trueup.identify.solution import OnModel, Solution
 from trueup.identify.solve import solve
 from trueup.identify.start import idle_names, off_bounds, regressed_start, servo_regressed, swept_start
-from trueup.identify.suspects import suspects_of
+from trueup.identify.suspects import strange_masses, suspects_of
 from trueup.identify.uncertainty import (
     Posterior,
     absent_at,
@@ -166,9 +166,10 @@ class ModelSearch:
         best = self._braked(best, fit, rough=rough, limit=limit)
         tried = [best]
         if self._explained(best) and not _over(self._until(_BEST)):
-            # Nothing is left that a richer model could explain.
-            models = {}
+            # Nothing is left that a richer model could explain, unless masses have made up for what hangs at the end.
             best = self._further(best, fit, "to the end", (), limit=self._until(_BEST))
+            strange = strange_masses(best.solution.parameters, best.solution.values)
+            models = {name: extra for name, extra in models.items() if strange and _carries(extra)}
             tried = [best]
         # What changes nothing near the solution is left out from here on; far from it, nothing can be told.
         idle = self._idle(best)
@@ -179,7 +180,10 @@ class ModelSearch:
                 self.untried.append(name)
                 continue
             limit = self._until(_RICHER)
-            tried.append(self._try(joined, richer, best.solution, left_out=idle, rough=True, limit=limit))
+            if _carries(extra):
+                tried.append(self._loaded(joined, richer, best, idle, limit=limit))
+            else:
+                tried.append(self._try(joined, richer, best.solution, left_out=idle, rough=True, limit=limit))
             if self._earned(tried[-1], best):
                 best, fit = tried[-1], richer
         if models and not _over(self._until(_BEST)):
@@ -493,17 +497,41 @@ class ModelSearch:
         samples = noise_of(self.problem_of(now), now.solution.residual).effective
         return 2.0 * samples * float(np.log(before.solution.rms / max(now.solution.rms, 1e-300)))
 
+    def _loaded(
+        self,
+        name: str,
+        fit: Mapping[str, Any],
+        best: TriedModel,
+        left_out: Sequence[str],
+        *,
+        limit: TimeLimit | None,
+    ) -> TriedModel:
+        """A model with a payload, which is found before masses are free.
+
+        Masses and gains of the model without one have made up for it. Positions show products of masses and places, so
+        masses that are free from the beginning divide it among themselves, and a way back need not go down.
+        """
+        begun = best.solution.parameters
+        masses = [item.name for item in begun.free if item.quantity == "mass" and item.name not in left_out]
+        found = self._try(name, fit, begun=begun, left_out=[*left_out, *masses], rough=True, limit=limit)
+        return self._further(found, fit, "with masses", left_out, rough=True, limit=limit)
+
     def _earned(self, richer: TriedModel, best: TriedModel) -> bool:
         """Whether a richer model earns its parameters: on motions that it was not fitted to.
 
         Without val, on those of train, where it has to be more likely by far than its further parameters make any: by
-        twice the logarithm of the likelihood, as Akaike's criterion of 1974 counts it.
+        twice the logarithm of the likelihood, as Akaike's criterion of 1974 counts it. So may one that makes motions of
+        val no worse, if what it gains is that numbers are where the robot's description has them.
         """
-        if richer.val is not None and best.val is not None:
-            return richer.val.mean < (1.0 - _WORTH) * best.val.mean
         gain = self._gained(best, richer)
         more = len(richer.solution.parameters.free) - len(best.solution.parameters.free)
-        return richer.solution.rms < (1.0 - _WORTH) * best.solution.rms and gain > DECIDED + 2.0 * max(more, 0)
+        needed = DECIDED + 2.0 * max(more, 0)
+        if richer.val is not None and best.val is not None:
+            if richer.val.mean < (1.0 - _WORTH) * best.val.mean:
+                return True
+            nearer = _strangeness(best.solution) - _strangeness(richer.solution)
+            return richer.val.mean < (1.0 + _WORTH) * best.val.mean and nearer > DECIDED and gain + nearer > needed
+        return richer.solution.rms < (1.0 - _WORTH) * best.solution.rms and gain > needed
 
     def _explained(self, item: TriedModel) -> bool:
         """Whether what a fit leaves is no more than the noise of the measurement."""
@@ -819,6 +847,18 @@ class ModelSearch:
         weight = noise_of(problem, found.residual).weight
         idle = idle_names(problem, found.jacobian, weight)
         return idle if len(idle) < len(found.parameters.free) else []
+
+
+def _carries(quantities: Sequence[str]) -> bool:
+    """Whether a model has a payload."""
+    return "payload_mass" in quantities
+
+
+def _strangeness(found: Solution) -> float:
+    """Squares of how far masses are from those of the robot's description, in standard deviations of their priors."""
+    mean, std = found.parameters.prior
+    masses = np.array([item.quantity == "mass" for item in found.parameters.free])
+    return float(np.sum(((found.z - mean) / std)[masses] ** 2))
 
 
 def _over(limit: TimeLimit | None) -> bool:

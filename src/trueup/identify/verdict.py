@@ -81,6 +81,7 @@ def doubt(evidence: Evidence) -> str:
 def _judged(evidence: Evidence) -> list[_Judged]:
     """All that was looked at and says something, the gravest doubt last."""
     looked = [
+        _of_payload(evidence),
         _of_numbers(evidence),
         _of_bounds(evidence),
         *_of_motion(evidence),
@@ -155,6 +156,19 @@ def _of_numbers(evidence: Evidence) -> _Judged | None:
         "not-identifiable" if asked else "ok",
         f"{len(unknown)} of {len(free)} parameters are not determined by these motions: {names}; their values rest on "
         "the model that you gave, and their intervals say how far they may be from the robot's",
+    )
+
+
+def _of_payload(evidence: Evidence) -> _Judged | None:
+    """What the fit found the robot to carry, which a user may have forgotten to describe."""
+    found = next((item for item in evidence.parameters if item.name == "payload_mass" and not item.frozen), None)
+    if found is None or found.identified == "no" or not found.interval[0] > 0.0:
+        return None
+    low, high = found.interval
+    return _Judged(
+        "ok",
+        f"the robot carries a payload that the model does not have: {found.value:.3g} [{low:.3g}, {high:.3g}] kg; "
+        "the fitted model has it",
     )
 
 

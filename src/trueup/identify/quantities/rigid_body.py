@@ -48,11 +48,18 @@ def _component(name: str) -> Callable[[Candidate, str, float], None]:
     return write
 
 
-def _carried(name: str) -> Callable[[Candidate, str, float], None]:
+def _write_carried(name: str) -> Callable[[Candidate, str, float], None]:
     def write(candidate: Candidate, _target: str, value: float) -> None:
         candidate.payload[name] = value
 
     return write
+
+
+def _place(axis: int) -> tuple[Callable[[Nominal, str], float | None], Callable[[Candidate, str, float], None]]:
+    def read(nominal: Nominal, _target: str) -> float:
+        return nominal.payload_start[axis]
+
+    return read, _write_carried("xyz"[axis])
 
 
 def _unchanged(value: float) -> Callable[[Nominal, str], float | None]:
@@ -115,20 +122,19 @@ RIGID_BODY: tuple[Quantity, ...] = (
     Quantity(
         *("payload_mass", "mass of the payload", "kg", "robot", "gravity"),
         _zero,
-        _carried("mass"),
+        _write_carried("mass"),
         "hold and swing the payload in many poses",
-        SearchRange(low=0.0, high=50.0, scale=0.3, prior_std=3.0),
+        SearchRange(low=0.0, high=50.0, scale=0.3, prior_std=10.0),
         relative=True,
     ),
     *(
         Quantity(
             *(f"payload_{axis}", f"payload, {axis}", "m", "robot", "gravity"),
-            _zero,
-            _carried(axis),
+            *_place(index),
             "turn the payload about several axes",
-            SearchRange(low=-0.5, high=0.5, scale=0.03, prior_std=1.0),
+            SearchRange(low=-0.5, high=0.5, scale=0.03, prior_std=4.0),
             relative=True,
         )
-        for axis in "xyz"
+        for index, axis in enumerate("xyz")
     ),
 )
