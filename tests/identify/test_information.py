@@ -189,7 +189,11 @@ def test_fits_of_designed_motions_are_nearer_to_the_truth_and_as_sure_as_was_pre
             )
             widths.append([(high - low) / (2 * 1.96) for low, high in ends])
         error[kind], width[kind] = np.sqrt(np.mean(np.square(errors), axis=0)), np.mean(widths, axis=0)
-        np.testing.assert_allclose(width[kind], predicted, rtol=0.15)
+        # A fit also counts how far pieces of motions pull it apart, and takes that only to be less sure: by chance, a
+        # tenth on average where noise is white.
+        wider = width[kind] / predicted
+        assert 0.9 < wider.min() < wider.max() < 1.4
+        assert wider.mean() < 1.2
         # Fifty errors that are each as large as predicted: their mean square is 1, give or take 0.2.
         assert 0.4 < np.mean(np.square(error[kind] / predicted)) < 2.0
     assert np.log(width["random"] / width["designed"]).mean() > 0.2

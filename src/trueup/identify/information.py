@@ -38,7 +38,8 @@ class PlannedInformation:
     J holds the derivatives of what would be recorded, by central differences over a batch of simulations. W is the
     inverse variance of every sample; samples are taken as independent. Numbers that each
     recording has of its own (`encoder_zero`) are unknown, so what they could explain is taken off (the Schur
-    complement of their block).
+    complement of their block). Intervals of a fit are wider by a tenth on average where this holds, since they also
+    count how far pieces of the motions disagree, and by more where the model lacks something.
 
     A servo is simulated from where it rests in the first pose. A torque-driven robot gets the torque that the motion
     needs by inverse dynamics, in the windows of the fit, each from the planned state.
