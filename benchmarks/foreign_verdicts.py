@@ -53,17 +53,19 @@ HOLD, WORST, WIDE, LEFT, STATUS, FAR, WRONG, CAUSE = NAMES = (
 _DIGITS = 7
 
 
-def truths(truth: Mapping[str, Any]) -> dict[str, float]:
+def truths(truth: Mapping[str, Any], *, carries: bool = False) -> dict[str, float]:
     """Parameter -> true value, of all that truth.json knows.
 
     What is welded to a body moves as one with it: a payload belongs to the mass of its body, and that body's center and
-    shape have no truth of their own.
+    shape have no truth of their own; unless the fit `carries` a payload that hangs there itself.
     """
     found = dict(truth["parameters"])
     found |= {f"torque_limit[{joint}]": limit for joint, limit in truth["limits"].items() if limit is not None}
     if truth["cause"].get("kind") == "payload":
-        body = truth["cause"]["body"]
-        found[f"mass[{body}]"] += truth["cause"]["mass_kg"]
+        body, mass = truth["cause"]["body"], truth["cause"]["mass_kg"]
+        if carries:
+            return {**found, "payload_mass": mass}
+        found[f"mass[{body}]"] += mass
         for name in ("com_x", "com_y", "com_z", "inertia_scale"):
             found.pop(f"{name}[{body}]", None)
     return found
@@ -71,7 +73,8 @@ def truths(truth: Mapping[str, Any]) -> dict[str, float]:
 
 def numbers(fit: FitResult, truth: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Every parameter of a fit beside its true value, None where there is none."""
-    true = truths(truth)
+    carries = any(item.name == "payload_mass" and not item.frozen for item in fit.parameters)
+    true = truths(truth, carries=carries)
     return [_number(item, true.get(item.name)) for item in fit.parameters]
 
 

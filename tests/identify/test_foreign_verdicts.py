@@ -35,6 +35,9 @@ def test_what_hangs_at_a_body_belongs_to_its_mass():
     assert found["mass[hand]"] == pytest.approx(0.5 + 1.2)
     assert not {"com_x[hand]", "inertia_scale[hand]"} & set(found)
     assert verdicts.truths(TRUTH)["com_x[hand]"] == 0.01
+    # A fit that carries it itself leaves the body as it is.
+    fit = fit_result(parameter("mass[hand]", 0.5, (0.4, 0.6)), parameter("payload_mass", 1.1, (1.0, 1.3)))
+    assert [row["truth"] for row in verdicts.numbers(fit, {**TRUTH, "cause": PAYLOAD})] == [0.5, 1.2]
 
 
 def test_only_numbers_that_are_called_determined_and_have_a_truth_are_judged():

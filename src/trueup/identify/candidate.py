@@ -259,6 +259,12 @@ class Nominal:
             raise ConfigError(f"{self.path}: no body moves, so nothing can carry a payload")
         return self.bodies[-1], (0.0, 0.0, 0.0)
 
+    @property
+    def carrier(self) -> str:
+        """The body that stands in a fit for those which a payload hangs on."""
+        body, _ = self.payload_place
+        return next(group[0] for group in self.rigid_groups if body in group)
+
     @cached_property
     def payload_start(self) -> tuple[float, float, float]:
         """How far from its place a payload is looked for first: at the site `payload`, or amid what carries it [m].

@@ -67,7 +67,7 @@ _HEARD, _SAME_UNIT = 0.5, (0.5, 2.0)
 # between their stamps is not looked at again.
 _FAR_FROM_NOISE, _WORTH_A_STEP = 5.0, 0.1
 # Simulations with a finer step that a fit still needs when it takes that step, for each of its numbers.
-_TO_FINISH = 8
+_TO_FINISH = 12
 # A timing that leaves so many times more is not the better one with a smaller step either.
 _HOPELESS = 3.0
 # Of what is left with the numbers of another step, so many times as much is still the same fit.
@@ -80,6 +80,8 @@ _EXCHANGES = 3
 _WIDENINGS = 2
 # Of an armature, the share that is left at least.
 _LEAST_KEPT = 0.2
+# A number that ended below this share of its usual start hardly moves from there.
+_DEAD = 0.1
 # No torque is simulated better than to this share of its size.
 _SURE_OF_TORQUE = 1e-3
 # Shares of a time limit at which the base model ends, no richer one is begun, these end, the best one ends, and what
@@ -376,9 +378,11 @@ class ModelSearch:
         if not self.logs.between_stamps or _over(limit):
             return best
         now, self.logs.way = self.logs.way, self.logs.way.retimed
-        begun = best.solution.parameters
-        delays = {item.name: item.value + self.logs.later_s for item in begun.free if item.quantity == "delay_s"}
-        other = self._try(f"base, {self.logs.way.command}", fit, begun=begun.at(delays), rough=rough, limit=limit)
+        begun = {
+            item.name: item.value + self.logs.later_s * (item.quantity == "delay_s")
+            for item in best.solution.parameters
+        }
+        other = self._try(f"base, {self.logs.way.command}", fit, begun=begun, rough=rough, limit=limit)
         other = self._widened(other, fit, rough=rough, limit=limit)
         return self._better_timed(best, now, self._smoothed(other, fit, rough=rough, limit=limit))
 
@@ -508,11 +512,21 @@ class ModelSearch:
     ) -> TriedModel:
         """A model with a payload, which is found before masses are free.
 
-        Masses and gains of the model without one have made up for it. Positions show products of masses and places, so
+        Masses and gains of the model without one have made up for it: it begins where that one began, or where it ended
+        if that is near, with as much payload as its link was too heavy. Positions show products of masses and places:
         masses that are free from the beginning divide it among themselves, and a way back need not go down.
         """
-        begun = best.solution.parameters
-        masses = [item.name for item in begun.free if item.quantity == "mass" and item.name not in left_out]
+        nominal, before = self.logs.nominal, best.solution
+        masses = [item.name for item in before.parameters.free if item.quantity == "mass" and item.name not in left_out]
+        begun = {item.name: item.value for item in before.parameters}
+        if self._left(best) < _FAR_FROM_NOISE:
+            heavy = f"mass[{nominal.carrier}]"
+            more = before.values[heavy] - nominal.inertial(nominal.carrier).mass if heavy in masses else 0.0
+            begun = {**before.values, "payload_mass": max(0.0, more)}
+        # On a logarithmic scale there is no slope that leads back from next to nothing.
+        made = make_parameters(fit, nominal, self.motions)
+        dead = [item for item in made if item.transform == "log" and begun.get(item.name, np.inf) < _DEAD * item.value]
+        begun |= {item.name: item.value for item in dead}
         found = self._try(name, fit, begun=begun, left_out=[*left_out, *masses], rough=True, limit=limit)
         return self._further(found, fit, "with masses", left_out, rough=True, limit=limit)
 
@@ -734,7 +748,7 @@ class ModelSearch:
         rough: bool = False,
         starts: int | None = None,
         limit: TimeLimit | None = None,
-        begun: ParameterSet | None = None,
+        begun: Mapping[str, float] | None = None,
     ) -> TriedModel:
         """Fit one model, from where another search ended (`start`) or began (`begun`), or from afar.
 
@@ -750,7 +764,7 @@ class ModelSearch:
             newton = replace(newton, tolerance=max(newton.tolerance, _ROUGH))
             settings = replace(settings, gauss_newton=newton)
         if begun is not None:
-            problem = self.logs.problem(off_bounds(parameters.at({item.name: item.value for item in begun})))
+            problem = self.logs.problem(off_bounds(parameters.at(begun)))
         elif start is None:
             started = self._started(self.logs.problem(parameters), limit).parameters
             self.logs.begin_at({item.name: item.value for item in started})
