@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -188,6 +188,12 @@ class ModelSearch:
                 tried.append(self._try(joined, richer, best.solution, left_out=idle, rough=True, limit=limit))
             if self._earned(tried[-1], best):
                 best, fit = tried[-1], richer
+        if _carries(fit):
+            # What made up for the payload may have been delays.
+            limit = self._until(_RICHER)
+            again = self._exchanged(best, fit, rough=True, limit=limit)
+            again = self._retimed(again, fit, rough=True, limit=limit)
+            tried[tried.index(best)] = best = again
         if models and not _over(self._until(_BEST)):
             # What the richer models have brought, and changes nothing either, goes; the motion stays as it is.
             idle = [*idle, *(name for name in self._idle(best) if name not in idle)]
@@ -400,6 +406,11 @@ class ModelSearch:
         rival, command = self._rival
         now, self.logs.way = self.logs.way, replace(self.logs.way, command=command)
         self._undecided.clear()
+        if _carries(fit) and not _carries(rival.row.quantities):
+            found = best.solution  # nearer than what has no payload
+            delays = {item.name for item in found.parameters.free if item.quantity == "delay_s"}
+            begun = {name: value + self.logs.later_s * (name in delays) for name, value in found.values.items()}
+            rival = replace(best, solution=replace(found, z=found.parameters.at(begun).start))
         other = self._further(rival, fit, "once more", (), rough=rough, limit=limit)
         return self._better_timed(best, now, self._smoothed(other, fit, rough=rough, limit=limit))
 
@@ -420,7 +431,7 @@ class ModelSearch:
         kept = other if better else best
         self._rival = (worse, way.command) if worse.solution.rms < _HOPELESS * kept.solution.rms else None
         if better:
-            return replace(other, row=replace(other.row, name="base"))
+            return replace(other, row=replace(other.row, name=best.row.name))
         self.logs.way = now
         self.logs.begin_at(best.solution.values)
         return best
@@ -534,8 +545,8 @@ class ModelSearch:
         """Whether a richer model earns its parameters: on motions that it was not fitted to.
 
         Without val, on those of train, where it has to be more likely by far than its further parameters make any: by
-        twice the logarithm of the likelihood, as Akaike's criterion of 1974 counts it. So may one that makes motions of
-        val no worse, if what it gains is that numbers are where the robot's description has them.
+        twice the logarithm of the likelihood, as Akaike's criterion of 1974 counts it. A payload may leave val as it is
+        if masses are where the robot's description has them for it.
         """
         gain = self._gained(best, richer)
         more = len(richer.solution.parameters.free) - len(best.solution.parameters.free)
@@ -544,7 +555,8 @@ class ModelSearch:
             if richer.val.mean < (1.0 - _WORTH) * best.val.mean:
                 return True
             nearer = _strangeness(best.solution) - _strangeness(richer.solution)
-            return richer.val.mean < (1.0 + _WORTH) * best.val.mean and nearer > DECIDED and gain + nearer > needed
+            heavy = _carries(richer.row.quantities) and not _carries(best.row.quantities) and nearer > DECIDED
+            return heavy and richer.val.mean < (1.0 + _WORTH) * best.val.mean and gain + nearer > needed
         return richer.solution.rms < (1.0 - _WORTH) * best.solution.rms and gain > needed
 
     def _explained(self, item: TriedModel) -> bool:
@@ -863,7 +875,7 @@ class ModelSearch:
         return idle if len(idle) < len(found.parameters.free) else []
 
 
-def _carries(quantities: Sequence[str]) -> bool:
+def _carries(quantities: Iterable[str]) -> bool:
     """Whether a model has a payload."""
     return "payload_mass" in quantities
 
