@@ -56,8 +56,8 @@ _PART = 0.15
 _LEAST_EXCESS = 0.1
 # What acts on the whole robot explains at least so much of what is left of all joints.
 _ON_ALL = 0.1
-# Another cause explains nearly as much.
-_NEARLY = 0.85
+# Another joint explains nearly as much, and another cause so much that it may be that one.
+_NEARLY, _RIVAL = 0.85, 0.75
 # Simulated forces that are held at a time [numbers].
 _AT_ONCE = 20_000_000
 # Prior standard deviations by which a mass, or their sum, is out of what CAD may have wrong.
@@ -540,13 +540,15 @@ class Suspicion:
         """Places of the joints, among those that count, that a cause is about.
 
         What acts on the whole robot is about those that it explains. What each joint may have of its own is about those
-        of which it explains some part on train: one that it hardly explains says nothing against the others.
+        of which it explains some part on train, and something on val: a joint that it hardly explains says nothing
+        against the others.
         """
         columns = list(self.train.problem.columns)
         joints = {column.joint for column in item.columns}
         shares = self._by_joint(item)
         if None not in joints and not item.cause.single:
-            return [place for place, joint in enumerate(columns) if joint in joints and shares[0][place] > _PART]
+            some = [place for place, joint in enumerate(columns) if joint in joints and shares[0][place] > _PART]
+            return [place for place in some if shares[-1][place] > 0.0]
         return [place for place in range(len(columns)) if all(own[place] > _EXPLAINS for own in shares)]
 
     def _by_joint(self, item: Tested) -> list[Float64[np.ndarray, "K"]]:
@@ -589,7 +591,7 @@ class Suspicion:
                 for other in looked
                 if other is not item
                 and set(about) & set(self.about(other))
-                and float(np.sum(other.judged[about])) > _NEARLY * float(np.sum(item.judged[about]))
+                and float(np.sum(other.judged[about])) > _RIVAL * float(np.sum(item.judged[about]))
             ]
             found.append(self._named(item, train, val, gain, rivals, about))
         return tuple(found)
@@ -646,7 +648,10 @@ class Suspicion:
             "what is left" if len(about) == self.train.problem.columns.size else f"what is left of {', '.join(joints)}"
         )
         judged = "" if val is None else f" (val: {val:.0%})"
-        other = "; ".join(f"{rival.cause.name} would explain nearly as much" for rival in rivals)
+        other = "; ".join(
+            f"{rival.cause.name.replace('-', ' ')}, which looks alike, {self._shares(rival, about)[0]:.0%}"
+            for rival in rivals
+        )
         sentence = f"{words} would explain {train:.0%} of {what}{judged}" + (f"; {other}" if other else "")
         return Suspect(cause.name, joints, sizes, unit, train, val, gain, sentence)
 
