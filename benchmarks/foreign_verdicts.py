@@ -22,7 +22,7 @@ Number = Mapping[str, Any]
 ACCEPTED: Mapping[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "late-feedback": (
         ("late-feedback", "feedback-delay"),
-        (r"\blate feedback\b", r"\bfeedback is late\b", r"\bfeedback delay", r"\bdelay of (the )?feedback\b"),
+        (r"\blate feedback\b", r"\bfeedback (that )?is late\b", r"\bfeedback delay", r"\bdelay of (the )?feedback\b"),
     ),
     "integral": (("integral",), (r"\bintegral\b", r"\bintegrator\b", r"\bintegrates\b")),
     "backlash": (("backlash",), (r"\bbacklash\b", r"\bplay\b")),

@@ -25,7 +25,7 @@ simulated at {step_ms:g} ms by code that shares nothing with trueup, in MuJoCo o
 
 - **Group A**, {a} robots with a drive each: the nominal model is wrong in numbers that a fit can find, such as gains,
   friction, armatures, delays and masses.
-- **Group B**, {b} robots: the same, and one thing that no number expresses: feedback that is late, an integral part,
+- **Group B**, {b} robots: the same, and one thing that no number expresses: late feedback, an integral part,
   play or springs in the gears, a payload that nobody mentions, a sign that is wrong in the log.
 
 Each is drawn with {seeds} seeds and given to the command as its user would, without any configuration:

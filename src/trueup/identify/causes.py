@@ -401,7 +401,7 @@ def late_feedback(late_s: float) -> Cause:
     """The drive acts on a state of so long ago [s]."""
     return Cause(
         "late-feedback",
-        "feedback that is late in the drive of {joints} ({size})",
+        "late feedback in the drive of {joints} ({size})",
         "s",
         lambda motions: motions.late(late_s),
         # What parameters cannot hide of it goes with the square.
