@@ -111,6 +111,25 @@ def test_a_whole_log_in_degrees_is_named_by_one_finding(made, signal):
     assert [joint.log_unit for joint in right.joints] == ["deg"] * 3
 
 
+@pytest.mark.parametrize(
+    ("signal", "side"), [("position", "measured"), ("position", "command"), ("velocity", "command")]
+)
+def test_one_series_in_degrees_is_named_by_one_finding(made, signal, side):
+    robot, path, episodes = made(signal)
+    measured, command = SIDES[side]
+    wrong = changed(episodes, lambda _, values: np.degrees(values), measured=measured, command=command)
+    right = assert_named(robot, path, wrong, "unit", NAMES)
+    units = [(joint.log_unit, joint.command and joint.command.log_unit) for joint in right.joints]
+    assert units == ([("deg", "rad")] if side == "measured" else [(None, "deg")]) * 3
+
+
+def test_an_offset_is_told_without_what_the_servo_sags(made):
+    robot, path, episodes = made("position")
+    wrong = changed(episodes, scaled(1, 1.0, 0.7), command=False)
+    right = assert_named(robot, path, wrong, "offset", ["lift"])
+    assert right.joints[1].offset == pytest.approx(-0.7, abs=0.01)
+
+
 @pytest.mark.parametrize(("signal", "side"), [("position", "both"), ("position", "measured"), ("torque", "measured")])
 def test_a_zero_that_is_a_quarter_turn_off_is_named(made, signal, side):
     robot, path, episodes = made(signal)

@@ -13,9 +13,10 @@ from trueup.cli.main import main
 from trueup.core.check_result import CheckResult
 from trueup.core.close_result import CloseResult
 from trueup.dataset import Dataset, DatasetWriter
+from trueup.errors import DataError
 from trueup.identify.export import robot_yaml
 from trueup.robots import load_robot
-from trueup.stages import check_setup, close
+from trueup.stages import check_setup, close, close_steps
 
 PAGE = (Path(__file__).parent.parent.parent / "docs" / "check.md").read_text()
 
@@ -102,6 +103,24 @@ def test_a_close_ends_before_the_fit_and_goes_on_if_it_is_told_to(mirrored, tmp_
     result = CloseResult.load(tmp_path / "out" / "close.json")
     assert result.step("check").status == "kept"
     assert (tmp_path / "out" / "explain.json").exists()
+
+
+@pytest.mark.parametrize("wrong", [True, False])
+def test_where_nothing_can_be_simulated_a_wrong_set_up_is_named(
+    wrong, recorded, mirrored, tmp_path, capsys, monkeypatch
+):
+    def diverged(*_, **__):
+        raise DataError("no episode could be replayed", got="the simulation diverged")
+
+    monkeypatch.setattr(close_steps, "replay_unless_same", diverged)
+    data = mirrored if wrong else recorded
+    given = ("close", data, "--robot", "demo_arm", "--until", "check")
+    assert run(*given, "--out", tmp_path / "out") == (3 if wrong else 2)
+    said = capsys.readouterr()
+    assert ("sign: -1" in said.out) == wrong
+    assert ("the set-up is wrong" if wrong else "no episode could be replayed") in said.err
+    assert run(*given, "--out", tmp_path / "forced", "--force") == 2
+    assert "no episode could be replayed" in capsys.readouterr().err
 
 
 def test_the_mended_robot_is_closed_on(mirrored, tmp_path):

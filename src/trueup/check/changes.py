@@ -154,7 +154,7 @@ def units(looked: Looked) -> Iterator[Proposal]:
         for name in names:
             own = {joint: unit for joint in hinges for unit in _units(looked, joint) if unit.name == name}
             if len(own) == len(hinges) > 1:
-                for side in sides:
+                for side in _SIDES if looked.servo else sides:
                     yield _unit(looked, hinges, own, side)
 
 
@@ -174,7 +174,7 @@ def relations(looked: Looked) -> Iterator[Proposal]:
             for rest in _offsets(offset):
                 if factor == 1.0 and rest == 0.0:
                     continue
-                yield from _gear(looked, joint, factor, rest)
+                yield from _gear(looked, joint, factor, _without_sag(looked, joint, factor, rest))
 
 
 def offsets(looked: Looked) -> Iterator[Proposal]:
@@ -370,6 +370,14 @@ def _scaled(looked: Looked, joint: int, slope: float) -> Iterator[Proposal]:
                 + _of_range(unit),
                 value=sign * unit.si,
             )
+
+
+def _without_sag(looked: Looked, joint: int, factor: float, offset: float) -> float:
+    """An offset without what a servo is off by under its load, where the model knows that; quarters of turns stay."""
+    if not offset or _round(offset) or abs(factor) != 1.0 or not looked.evidence.sure:
+        return offset
+    zero = looked.evidence.score(_geared(looked, joint, factor, offset, "measured").reading).zero[joint]
+    return offset - factor * float(np.nan_to_num(zero))
 
 
 def _gear(looked: Looked, joint: int, factor: float, offset: float) -> Iterator[Proposal]:

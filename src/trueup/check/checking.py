@@ -16,7 +16,7 @@ from trueup.check.log_looks import LOOKS
 from trueup.check.reading import Reading, Side, Unit, joint_lines, yaml_lines
 from trueup.check.samples import Motion, motion_of
 from trueup.check.search import Accepted, accepted, nominal
-from trueup.check.setting import Logs, Setting, percent
+from trueup.check.setting import Logs, Setting, listed, percent
 from trueup.core.check_result import SEVERITIES, Finding, Mend
 from trueup.core.episode import Episode
 from trueup.core.units import si_factor
@@ -89,14 +89,14 @@ def _finding(
     names = tuple(robot.joint_names[joint] for joint in proposal.joints)
     joint = int(max(change.joints, key=lambda one: change.before.left[one] / (change.after.left[one] + 1e-9)))
     said, numbers = _explained(robot, evidence, change, joint)
-    subject = " and ".join(names) + " " if names else ""
+    subject = listed(names) + " " if names else ""
     text = f"{subject}{proposal.says}: {said}"
     mends = _mends(robot, evidence, proposal, units, lengths)
     others = []
     for other in change.others:
         alternative = _mends(robot, evidence, other, {**units, **other.units}, lengths)[:1]
         about = "the log cannot tell it from this" if other.alike == proposal.alike else "explains nearly as much"
-        subject = " and ".join(robot.joint_names[own] for own in other.joints)
+        subject = listed([robot.joint_names[own] for own in other.joints]) if other.joints else ""
         others += [replace(mend, words=f"{subject} {other.says}".strip() + f" ({about})") for mend in alternative]
     return Finding(
         proposal.kind,
@@ -156,7 +156,8 @@ def _mends(
     if proposal.joints:
         names = {robot.joint_names[joint] for joint in proposal.joints}
         lines = joint_lines(robot, reading, units, signal=evidence.followed(reading), lengths=lengths, only=names)
-        return (Mend("robot.yaml", lines, f"{' and '.join(sorted(names))} {proposal.says}"),)
+        ordered = [name for name in robot.joint_names if name in names]
+        return (Mend("robot.yaml", lines, f"{listed(ordered)} {proposal.says}"),)
     if proposal.kind == "delay":
         lag_s, shift_s = round(reading.lag_s, 3), round(robot.clock.command_shift_s + reading.lag_s, 3)
         clock = Mend(

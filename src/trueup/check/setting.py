@@ -13,6 +13,11 @@ from trueup.core.episode import Episode
 from trueup.robots import RobotSpec
 
 
+def listed(names: Sequence[str]) -> str:
+    """`a`, `a and b`, or `a, b and c`."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
 @dataclass(frozen=True, eq=False)
 class Logs:
     """Logs and the description that they are read by.
@@ -27,8 +32,7 @@ class Logs:
 
     def listed(self, joints: Sequence[int] | np.ndarray) -> str:
         """Names of joints by number, for a sentence."""
-        names = self.names(joints)
-        return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+        return listed(self.names(joints))
 
     def names(self, joints: Sequence[int] | np.ndarray) -> tuple[str, ...]:
         """Names of joints by number."""

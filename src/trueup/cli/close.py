@@ -218,6 +218,8 @@ def show(closed: Closed, out_dir: Path) -> None:
             note(line)
         run = f", with the run {closed.replayed.label}" if closed.replayed else ""
         out.print(f"dataset: {closed.dataset.path}{run}", markup=False)
+        if closed.checked is not None:
+            show_findings(closed.checked)
         return
     if len(closed.result.steps) > 2:
         out.print(steps_table(closed.result))

@@ -16,7 +16,7 @@ from trueup.core.fit_result import FitResult
 from trueup.core.results import Ladder
 from trueup.core.time_limit import TimeLimit
 from trueup.dataset import Dataset
-from trueup.errors import TrueupError
+from trueup.errors import DataError, TrueupError
 from trueup.robots import RobotSpec
 from trueup.stages import close_words as words
 from trueup.stages.checking import check_inputs, check_setup
@@ -117,7 +117,14 @@ class CloseSteps:
         if not self.folder.overwrite:
             refuse_other_fit(out, self.dataset.hash)
         self.folder.agree(asked_of_data(self.dataset, self.robot, self.model), data_hash=self.dataset.hash)
-        replayed = self._replay()
+        try:
+            replayed = self._replay()
+        except DataError:
+            # Of degrees for radians, no simulation comes back: what is wrong is the set-up, if the check is sure of it.
+            checked = check_setup(self.dataset, self.robot, model=self.model) if asked("check") else None
+            if checked is None or not checked.certain or self.force:
+                raise
+            return Closed(self.dataset, self.folder.result, checked=checked, stopped=True)
         forget_explanation(out, unless_of=None if self.folder.overwrite else self.dataset.hash)
         if not asked("gap"):
             return Closed(self.dataset, self.folder.result, replayed=replayed, notes=replayed.notes)
