@@ -72,6 +72,14 @@ def test_a_mirrored_joint_is_named(made, signal, joint, side):
         assert (rule.sign, sign) == (-1 if measured else 1, -1 if command else 1)
 
 
+@pytest.mark.parametrize("side", ["measured", "command"])
+def test_a_whole_robot_that_counts_the_other_way_round_is_named_by_one_finding(made, side):
+    robot, path, episodes = made("position")
+    measured, command = SIDES[side]
+    wrong = changed(episodes, lambda _, values: -values, measured=measured, command=command)
+    assert_named(robot, path, wrong, "sign", NAMES)
+
+
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("signal", SIGNALS)
 def test_swapped_joints_are_named(made, signal, side):
@@ -111,11 +119,9 @@ def test_a_whole_log_in_degrees_is_named_by_one_finding(made, signal):
     assert [joint.log_unit for joint in right.joints] == ["deg"] * 3
 
 
-@pytest.mark.parametrize(
-    ("signal", "side"), [("position", "measured"), ("position", "command"), ("velocity", "command")]
-)
-def test_one_series_in_degrees_is_named_by_one_finding(made, signal, side):
-    robot, path, episodes = made(signal)
+@pytest.mark.parametrize("side", ["measured", "command"])
+def test_one_series_in_degrees_is_named_by_one_finding(made, side):
+    robot, path, episodes = made("position")
     measured, command = SIDES[side]
     wrong = changed(episodes, lambda _, values: np.degrees(values), measured=measured, command=command)
     right = assert_named(robot, path, wrong, "unit", NAMES)
@@ -147,6 +153,13 @@ def test_a_gear_is_named(made, signal):
     # Torques of the motor's side go the other way than its positions.
     exponent = 1.0 if signal == "torque" else -1.0
     assert right.joints[2].command.scale == pytest.approx(10.0**exponent, rel=0.05)
+
+
+def test_commands_of_motors_behind_gears_that_are_alike_are_named_by_one_finding(made):
+    robot, path, episodes = made("position")
+    wrong = changed(episodes, lambda _, values: 100.0 * values, measured=False)
+    right = assert_named(robot, path, wrong, "scale", NAMES)
+    assert [joint.command.scale for joint in right.joints] == pytest.approx([0.01] * 3, rel=0.05)
 
 
 @pytest.mark.parametrize("direction", [(0, 0, 1), (1, 0, 0)])

@@ -162,10 +162,12 @@ def relations(looked: Looked) -> Iterator[Proposal]:
     """What a straight line between command and motion says: a unit, a gear, a sign, an offset in one of the series."""
     if not looked.servo:
         return
+    related = {}
     for joint in looked.lost:
         slope, offset, share = _line(looked, joint, joint)
         if share < _RELATED or slope == 0.0:
             continue
+        related[joint] = slope
         sign = 1.0 if slope > 0 else -1.0
         yield from _scaled(looked, joint, slope)
         for factor in (sign,) if _SOFT[0] < abs(slope) < _SOFT[1] else (sign, slope):
@@ -174,7 +176,15 @@ def relations(looked: Looked) -> Iterator[Proposal]:
             for rest in _offsets(offset):
                 if factor == 1.0 and rest == 0.0:
                     continue
-                yield from _gear(looked, joint, factor, _without_sag(looked, joint, factor, rest))
+                yield from _gear(looked, (joint,), factor, _without_sag(looked, joint, factor, rest))
+    # A whole robot whose series counts the other way round, or is that of motors behind gears that are alike.
+    mirrored = tuple(joint for joint, slope in related.items() if _SOFT[0] < -slope < _SOFT[1])
+    if len(mirrored) > 1:
+        yield from _gear(looked, mirrored, -1.0, 0.0)
+    middle = float(np.median(list(related.values()))) if related else 1.0
+    alike = tuple(joint for joint, slope in related.items() if abs(slope / middle - 1.0) < _NEAR_UNIT)
+    if len(alike) > 1 and not _SOFT[0] < abs(middle) < _SOFT[1]:
+        yield from _gear(looked, alike, middle, 0.0)
 
 
 def offsets(looked: Looked) -> Iterator[Proposal]:
@@ -376,40 +386,42 @@ def _without_sag(looked: Looked, joint: int, factor: float, offset: float) -> fl
     """An offset without what a servo is off by under its load, where the model knows that; quarters of turns stay."""
     if not offset or _round(offset) or abs(factor) != 1.0 or not looked.evidence.sure:
         return offset
-    zero = looked.evidence.score(_geared(looked, joint, factor, offset, "measured").reading).zero[joint]
+    zero = looked.evidence.score(_geared(looked, (joint,), factor, offset, "measured").reading).zero[joint]
     return offset - factor * float(np.nan_to_num(zero))
 
 
-def _gear(looked: Looked, joint: int, factor: float, offset: float) -> Iterator[Proposal]:
-    """What makes `factor * command + offset` of a command, or the reverse of a measurement."""
+def _gear(looked: Looked, joints: tuple[int, ...], factor: float, offset: float) -> Iterator[Proposal]:
+    """What makes `factor * command + offset` of the commands of joints, or the reverse of their measurements."""
     for side in ("command", "measured"):
-        yield _geared(looked, joint, factor, offset, side)
+        yield _geared(looked, joints, factor, offset, side)
 
 
-def _geared(looked: Looked, joint: int, factor: float, offset: float, side: Side) -> Proposal:
+def _geared(looked: Looked, joints: tuple[int, ...], factor: float, offset: float, side: Side) -> Proposal:
     def change(columns: Columns) -> Columns:
-        if side == "command":
-            return columns.changed(joint, factor=factor, offset=offset)
-        return columns.changed(joint, factor=1.0 / factor, offset=-offset / factor)
+        own = (factor, offset) if side == "command" else (1.0 / factor, -offset / factor)
+        for joint in joints:
+            columns = columns.changed(joint, factor=own[0], offset=own[1])
+        return columns
 
     own = factor if side == "command" else 1.0 / factor
     kind = "offset" if factor == 1.0 else ("sign" if factor == -1.0 else "scale")
+    one = len(joints) == 1
     words = []
     if factor < 0:
-        words.append("counts the other way round")
+        words.append(f"{'counts' if one else 'count'} the other way round")
     if abs(factor) != 1.0:
-        words.append(_times(abs(own)))
+        words.append(f"{'is' if one else 'are'} {_times(abs(own))}")
     if offset:
         words.append(f"has its zero {_far(abs(offset))} away")
     return Proposal(
         kind,
-        (joint,),
+        joints,
         looked.reading.with_columns(side, change),
         side,
         f"{' and '.join(words)} {_in(side)}",
         freedom=(0.0 if kind != "scale" else _ANY_FACTOR) + (0.0 if not offset else 0.3 if _round(offset) else 0.6),
         value=offset if abs(factor) == 1.0 else own,
-        again=(lambda much: _geared(looked, joint, factor * much, offset, side)) if kind == "scale" else None,
+        again=(lambda much: _geared(looked, joints, factor * much, offset, side)) if kind == "scale" else None,
     )
 
 
@@ -423,7 +435,7 @@ def _effort(looked: Looked, joints: tuple[int, ...], factor: float) -> Proposal:
             columns = columns.changed(joint, factor=factor)
         return columns
 
-    says = f"{'has' if len(joints) == 1 else 'have'} commanded torques, each of which {_times(abs(factor))}"
+    says = f"{'has' if len(joints) == 1 else 'have'} commanded torques, each of which is {_times(abs(factor))}"
     if factor < 0:
         says += ", and count the other way round"
     return Proposal(
@@ -490,7 +502,7 @@ def _offsets(offset: float) -> tuple[float, ...]:
 
 
 def _times(factor: float) -> str:
-    return f"is {factor:.4g} times too small" if factor >= 1 else f"is {1 / factor:.4g} times too large"
+    return f"{factor:.4g} times too small" if factor >= 1 else f"{1 / factor:.4g} times too large"
 
 
 def _round(offset: float) -> bool:

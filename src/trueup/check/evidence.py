@@ -279,13 +279,16 @@ class Evidence:
 def loss(score: Score, than: Score) -> Float64[np.ndarray, "J"]:
     """Logarithm of what is left, joint by joint; 0 for joints that do not move. Being outside of a range counts, too.
 
+    A joint that moves no more, since its numbers are read as next to nothing, is explained no better.
+
     Args:
         score: of a reading.
         than: of the one that it is compared with: what is left counts no further down than to a small share of what the
             model could explain there.
     """
     least = _FLOOR + _SMALL * np.nan_to_num(np.minimum(than.blind, 0.01))
-    left = np.where(np.isnan(score.left), 1.0, np.clip(score.left, least, 1e6))
+    known = np.where(np.isnan(score.left), np.fmax(than.left, 1.0), score.left)
+    left = np.where(np.isnan(known), 1.0, np.clip(known, least, 1e6))
     return np.asarray(np.log(left) + 4.0 * score.outside)
 
 

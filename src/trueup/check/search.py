@@ -136,7 +136,7 @@ def _best(looked: Looked) -> Accepted | None:
         after = looked.evidence.score(own.reading)
         ranked.append((float((base - loss(after, before)).sum()) - own.freedom, own, after))
     ranked.sort(key=lambda item: -item[0])
-    for place, (gain, proposal, after) in enumerate(ranked[:3]):
+    for place, (gain, proposal, after) in enumerate(ranked):
         better = _better(looked, proposal, after)
         if gain < -np.log(_TOLD) or not better:
             continue

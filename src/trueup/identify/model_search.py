@@ -73,7 +73,7 @@ _HOPELESS = 3.0
 # Of what is left with the numbers of another step, so many times as much is still the same fit.
 _ALIKE = 1.3
 # Shares of a drive's lag that its delay may have been taken for, or has taken.
-_EXCHANGED = (-1.0, -0.5, 0.3, 0.6, 0.8, 0.9)
+_EXCHANGED = (-1.0, -0.5, -0.1, -0.03, 0.03, 0.1, 0.3, 0.6, 0.8, 0.9)
 # How often, at most; each time a search follows.
 _EXCHANGES = 3
 # How often bounds that were hit are moved.
@@ -193,6 +193,7 @@ class ModelSearch:
             limit = self._until(_RICHER)
             again = self._exchanged(best, fit, rough=True, limit=limit)
             again = self._retimed(again, fit, rough=True, limit=limit)
+            again = self._exchanged(again, fit, rough=True, limit=limit)
             tried[tried.index(best)] = best = again
         if models and not _over(self._until(_BEST)):
             # What the richer models have brought, and changes nothing either, goes; the motion stays as it is.
