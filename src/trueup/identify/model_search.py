@@ -74,8 +74,6 @@ _HOPELESS = 3.0
 _ALIKE = 1.3
 # Shares of a drive's lag that its delay may have been taken for, or has taken.
 _EXCHANGED = (-1.0, -0.5, -0.1, -0.03, 0.03, 0.1, 0.3, 0.6, 0.8, 0.9)
-# How often, at most; each time a search follows.
-_EXCHANGES = 3
 # How often bounds that were hit are moved.
 _WIDENINGS = 2
 # Of an armature, the share that is left at least.
