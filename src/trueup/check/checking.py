@@ -96,7 +96,7 @@ def _finding(
     for other in change.others:
         alternative = _mends(robot, evidence, other, {**units, **other.units}, lengths)[:1]
         about = "the log cannot tell it from this" if other.alike == proposal.alike else "explains nearly as much"
-        subject = listed([robot.joint_names[own] for own in other.joints]) if other.joints else ""
+        subject = listed([robot.joint_names[own] for own in other.joints])
         others += [replace(mend, words=f"{subject} {other.says}".strip() + f" ({about})") for mend in alternative]
     return Finding(
         proposal.kind,
@@ -154,10 +154,9 @@ def _mends(
 ) -> tuple[Mend, ...]:
     reading = proposal.reading
     if proposal.joints:
-        names = {robot.joint_names[joint] for joint in proposal.joints}
+        names = [robot.joint_names[joint] for joint in sorted(proposal.joints)]
         lines = joint_lines(robot, reading, units, signal=evidence.followed(reading), lengths=lengths, only=names)
-        ordered = [name for name in robot.joint_names if name in names]
-        return (Mend("robot.yaml", lines, f"{listed(ordered)} {proposal.says}"),)
+        return (Mend("robot.yaml", lines, f"{listed(names)} {proposal.says}"),)
     if proposal.kind == "delay":
         lag_s, shift_s = round(reading.lag_s, 3), round(robot.clock.command_shift_s + reading.lag_s, 3)
         clock = Mend(

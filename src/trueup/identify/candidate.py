@@ -247,14 +247,18 @@ class Nominal:
             groups.setdefault(int(model.body_weldid[model.body(name).id]), []).append(name)
         return tuple(tuple(_leading(model, group)) for group in groups.values())
 
+    @property
+    def _payload_site(self) -> int:
+        """The site that says where a payload hangs; -1 without."""
+        return int(mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, "payload"))
+
     @cached_property
     def payload_place(self) -> tuple[str, tuple[float, float, float]]:
         """Body that carries the payload and where in its frame: the site `payload`, or the last body's origin."""
-        model = self.model
-        sites = [site for site in range(model.nsite) if model.site(site).name == "payload"]
-        if sites:
-            x, y, z = map(float, model.site_pos[sites[0]])
-            return model.body(int(model.site_bodyid[sites[0]])).name, (x, y, z)
+        model, site = self.model, self._payload_site
+        if site >= 0:
+            x, y, z = map(float, model.site_pos[site])
+            return model.body(int(model.site_bodyid[site])).name, (x, y, z)
         if not self.bodies:
             raise ConfigError(f"{self.path}: no body moves, so nothing can carry a payload")
         return self.bodies[-1], (0.0, 0.0, 0.0)
@@ -272,16 +276,16 @@ class Nominal:
         The origin of the last body is at its joint, with what is carried far outside: from there, a search may
         end on the wrong side.
         """
-        model, (body, site) = self.model, self.payload_place
+        model, (body, _) = self.model, self.payload_place
         last = model.body(body).id
         welded = np.flatnonzero(model.body_weldid == model.body_weldid[last])
         masses = model.body_mass[welded]
-        if any(model.site(number).name == "payload" for number in range(model.nsite)) or not masses.any():
+        if self._payload_site >= 0 or not masses.any():
             return (0.0, 0.0, 0.0)
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         center = masses @ data.xipos[welded] / masses.sum()
-        x, y, z = map(float, data.xmat[last].reshape(3, 3).T @ (center - data.xpos[last]) - site)
+        x, y, z = map(float, data.xmat[last].reshape(3, 3).T @ (center - data.xpos[last]))
         return x, y, z
 
     @property
