@@ -298,7 +298,7 @@ def test_the_evolution_strategy_knows_the_joint_of_an_encoder_zero(tmp_path):
 # Several starts
 
 
-def judged(problem, solution, errors=None, torque=None, ratios=()):
+def judged(problem, solution, errors=None, torque=None, ratios=(), suspects=()):
     posterior = posterior_of(problem, solution.z, solution.residual, solution.jacobian)
     items = fitted_parameters(posterior)
     left = {name: replace(item, white=True) for name, item in whiteness_of(problem, solution.residual).items()}
@@ -308,7 +308,9 @@ def judged(problem, solution, errors=None, torque=None, ratios=()):
         "fitted": {"val": Estimate(1.0, "rad", 0.9, 1.1)},
     }
     signals, size = ({"torque": {"j": torque}}, {"torque": {"j": 1.0}}) if torque else ({}, {})
-    evidence = Evidence(solution, items, left, errors, signals, size, chosen_by_user=True, torque_seen=True)
+    evidence = Evidence(
+        solution, items, left, errors, signals, size, chosen_by_user=True, torque_seen=True, suspects=suspects
+    )
     status, statements = verdict(evidence, ())
     doubtful = ("unexplained", "signal-worse", "no-better", "not-converged")
     assert bool(doubt(evidence)) == (status in doubtful)
@@ -324,6 +326,17 @@ def test_the_test_motions_decide_nothing_about_the_status(small):
     assert any("there is no val split" in line for line in statements)
     errors["fitted"] = {"train": Estimate(2.5, "rad"), "test": Estimate(1.0, "rad")}
     assert judged(problem, solve(problem, SolveSettings()), errors)[0] == "no-better"
+
+
+@pytest.mark.parametrize(
+    ("ratio", "suspects", "status"),
+    [(1.1, None, "unexplained"), (1.1, (), "ok"), (0.9, None, "ok"), (1.5, None, "unexplained")],
+)
+def test_what_nobody_has_looked_into_is_not_ok(small, ratio, suspects, status):
+    problem = Replaced(small, linear(small.size))
+    found, statements = judged(problem, solve(problem, SolveSettings()), ratios=(ratio,), suspects=suspects)
+    assert found == status
+    assert any("no time was left to look" in line for line in statements) == (suspects is None)
 
 
 @pytest.mark.parametrize(

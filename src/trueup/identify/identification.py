@@ -143,8 +143,7 @@ def identify(
         suspects,
         strange_masses(solution.parameters, solution.values),
     )
-    unlooked = () if suspects is not None else ("no time was left to look for what the model lacks",)
-    beforehand = (*search.ways_in_words, *search.seen.statements, *search.notes, *_untried(search.untried), *unlooked)
+    beforehand = (*search.ways_in_words, *search.seen.statements, *search.notes, *_untried(search.untried))
     status, statements = verdict(evidence, beforehand)
     if why := doubt(evidence):
         parameters = relabelled(parameters, ("yes",), "effective", f"effective value: the data determine it, but {why}")

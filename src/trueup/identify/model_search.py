@@ -26,11 +26,15 @@ from trueup.identify.discretization import (
     Alternative,
     Discretization,
     alternative,
+    coarser,
+    extrapolated,
     finer,
     probability,
 )
 from trueup.identify.excitation import excitation_of, freeze_still
-from trueup.identify.problem import Problem, Weights
+from trueup.identify.lag_exchange import exchanged
+from trueup.identify.logged_torque import logged_torque
+from trueup.identify.problem import Problem
 from trueup.identify.quantities import quantity
 from trueup.identify.scoring import Scorer, Scores
 from trueup.identify.search import Search, Stopwatch
@@ -60,9 +64,6 @@ _WORTH = 0.01
 _ROUGH = 0.005
 # What is left is the noise of the measurement up to this ratio.
 EXPLAINED = 1.1
-# A logged torque is that of the motors, in Nm, where the simulated one explains this share of it, times a factor within
-# these bounds: with a position fit, the scale of all torques is only as good as the model's masses.
-_HEARD, _SAME_UNIT = 0.5, (0.5, 2.0)
 # Where so many times the noise is left, a finer step has to take away this share of its squares, and how commands act
 # between their stamps is not looked at again.
 _FAR_FROM_NOISE, _WORTH_A_STEP = 5.0, 0.1
@@ -72,16 +73,10 @@ _TO_FINISH = 12
 _HOPELESS = 3.0
 # Of what is left with the numbers of another step, so many times as much is still the same fit.
 _ALIKE = 1.3
-# Shares of a drive's lag that its delay may have been taken for, or has taken.
-_EXCHANGED = (-1.0, -0.5, -0.1, -0.03, 0.03, 0.1, 0.3, 0.6, 0.8, 0.9)
 # How often bounds that were hit are moved.
 _WIDENINGS = 2
-# Of an armature, the share that is left at least.
-_LEAST_KEPT = 0.2
 # A number that ended below this share of its usual start hardly moves from there.
 _DEAD = 0.1
-# No torque is simulated better than to this share of its size.
-_SURE_OF_TORQUE = 1e-3
 # Shares of a time limit at which the base model ends, no richer one is begun, these end, the best one ends, and what
 # makes its intervals certain.
 _BASE, _LAST_BEGIN, _RICHER, _BEST, _SURE = 0.4, 0.55, 0.65, 0.75, 0.95
@@ -438,54 +433,13 @@ class ModelSearch:
     def _exchanged(
         self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None
     ) -> TriedModel:
-        """The same model from where delays have taken a part of the drives' lag, or given some of theirs to it.
-
-        A position servo with I q'' + d q' = kp (u - q), d = kv + damping, lags by a = d / kp, and in slow motions a lag
-        is a lag: a search that made up for a delay with damping stands in a long valley, whose bottom it does not see.
-        To the second order in frequency, exp(-t s) / (1 + a' s + b' s^2) is 1 / (1 + a s + b s^2) for a' = a - t and
-        b' = b - a t + t^2 / 2, with b = I / kp. So part of a lag is tried as delay, with the inertia that belongs to it
-        and with the present one, and each joint takes what is best for it.
-        """
+        """The same model from where delays have taken a part of the drives' lag, or given some of theirs to it."""
         if _over(limit):
             return best
-        found, problem = best.solution, self.problem_of(best)
-        values, free = found.values, {item.name: item for item in found.parameters.free}
-
-        def placed(shares: Mapping[str, tuple[float, bool]]) -> Float64[np.ndarray, "P"]:
-            other = dict(values)
-            for joint, (share, inertia) in shares.items():
-                late = share * lags[joint]
-                other[f"delay_s[{joint}]"] += late
-                for name in (f"kv[{joint}]", f"damping[{joint}]"):
-                    other[name] = (1.0 - share) * values.get(name, 0.0)
-                name = f"armature[{joint}]"
-                if inertia and name in values:
-                    change = values[f"kp[{joint}]"] * (0.5 * late**2 - lags[joint] * late)
-                    other[name] = max(values[name] + change, _LEAST_KEPT * values[name])
-            return found.parameters.at(
-                {name: float(np.clip(other[name], item.low, item.high)) for name, item in free.items()}
-            ).start
-
-        lags = {}
-        for joint in self.logs.nominal.robot.joint_names:
-            lag = sum(values.get(f"{name}[{joint}]", 0.0) for name in ("kv", "damping"))
-            if f"delay_s[{joint}]" in free and values.get(f"kp[{joint}]", 0.0) > 0.0 and lag > 0.0:
-                lags[joint] = lag / values[f"kp[{joint}]"]
-        if not lags:
+        z = exchanged(self.problem_of(best), best.solution, worth=_ROUGH)
+        if z is None:
             return best
-        ways = [(0.0, False), *((share, inertia) for share in _EXCHANGED for inertia in (True, False))]
-        tried = problem.residuals(np.array([placed(dict.fromkeys(lags, way)) for way in ways]))
-        squares = np.nan_to_num([self._by_joint(problem, row) for row in tried], nan=np.inf)
-        names = [self.logs.nominal.robot.joint_names[column] for column in problem.columns]
-        chosen = {
-            name: ways[number]
-            for name, number in zip(names, np.argmin(squares, axis=0), strict=True)
-            if name in lags and number
-        }
-        z = placed(chosen)
-        if not chosen or not float(np.sum(problem.residuals(z[None]) ** 2)) < (1.0 - _ROUGH) * found.rms**2:
-            return best
-        place = replace(best, solution=replace(found, z=z))
+        place = replace(best, solution=replace(best.solution, z=z))
         return self._further(place, fit, "lags for delays", (), rough=rough, limit=limit)
 
     def _widened(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
@@ -500,11 +454,6 @@ class ModelSearch:
             self._room |= room
             best = self._further(best, fit, "wider", (), rough=rough, limit=limit)
         return best
-
-    @staticmethod
-    def _by_joint(problem: Problem, residual: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "J"]:
-        """Squares of a residual, summed up by joint."""
-        return np.asarray(np.sum([np.sum(own**2, axis=0) for _, _, own in problem.by_segment(residual)], axis=0))
 
     def _gained(self, before: TriedModel, now: TriedModel) -> float:
         """Twice the logarithm of how much likelier the logs are, each sample counted as often as its memory allows."""
@@ -677,56 +626,30 @@ class ModelSearch:
         """
         if self._signal == "torque" or self.config.signals.get("torque") != AUTO or _over(limit):
             return best
-        found, base = best.solution, self.config.weights
-        segments = self.logs.segments
-        delays = {item.target: found.values[item.name] for item in found.parameters if item.quantity == "delay_s"}
-        late = {name: delays.get(name, delays.get("", 0.0)) for name in self.logs.nominal.robot.scored_joints}
-        both = Weights({**base, "torque": 1.0}, self.config.joints, torque_delay_s=late)
-        problem = Problem(self.logs.nominal, found.parameters, segments, weights=both, jobs=self._jobs)
-        blocks = list(problem.by_segment(problem.residuals(found.z[None])[0] / problem.scale))
-        rows = [
-            (values, segment.plan.measured["torque"][segment.rows("torque", problem.columns)][:, problem.columns])
-            for segment, signal, values in blocks
-            if signal == "torque"
-        ]
-        if not rows:
+        heard = logged_torque(self.problem_of(best), best.solution, self.config)
+        if heard is None:
             return best
-        names = [self.logs.nominal.robot.joint_names[column] for column in problem.columns]
-        joint_weights = np.array([self.config.joints.get(name, 1.0) for name in names])
-        left, measured = (np.concatenate(own) for own in zip(*rows, strict=True))
-        left = left / joint_weights
-        size = np.maximum(np.sqrt(np.mean(measured**2, axis=0)), 1e-300)
-        one, other = ((left + measured) / size).ravel(), (measured / size).ravel()
-        factor = float(one @ other) / max(float(one @ one), 1e-300)
-        explained = 1.0 - float(np.mean((factor * one - other) ** 2)) / max(float(np.mean(other**2)), 1e-300)
-        if not (explained > _HEARD and _SAME_UNIT[0] < factor < _SAME_UNIT[1]):
-            self.logs.weights = Weights(base, self.config.joints)
-            self._torque_said = (
-                "the logged torque is not used: the best multiple of the simulated one "
-                f"({factor:.3g} times) explains {max(0.0, 100 * explained):.0f} % of it; has it another sign, unit or "
-                "place? (signals: {torque: …} weighs it nevertheless)"
-            )
+        self.logs.weights, self._torque_said = heard
+        if not self.torque_seen:
             return best
-        away = np.maximum(np.sqrt(np.mean(left**2, axis=0)), _SURE_OF_TORQUE * size)
-        positions = np.concatenate([values for _, signal, values in blocks if signal == "position"])
-        usual = float(np.sqrt(np.mean(positions**2)))
-        own = {name: usual / float(std) for name, std in zip(names, away, strict=True)}
-        self.logs.weights = replace(both, own={"torque": own})
-        self._torque_said = "the logged torque is weighed, each joint's by what the fit leaves of it"
         return self._further(best, fit, "with torque", left_out, rough=rough, limit=limit)
 
     def _compared(self, item: TriedModel, way: Discretization | None = None) -> Alternative | None:
         """What another way, or a finer time step, would find; None where it cannot be simulated, or no time is left."""
-        found, way = item.solution, way or finer(self.logs.way)
+        found, present = item.solution, self.logs.way
+        halved = way is None and present.divisor > 1
+        way = way or (coarser(present) if halved else finer(present))
         now, other = self.problem_of(item), self.logs.problem(found.parameters, way)
         weight = noise_of(now, found.residual).weight
         # Both have nearly the same derivatives: with these, corrected by what steps show, each comes to its minimum.
-        if self._minimum is None or self._minimum[0] is not found or self._minimum[1] != self.logs.way:
+        if self._minimum is None or self._minimum[0] is not found or self._minimum[1] != present:
             here = self._polished(now, found, weight)
-            self._minimum = (found, self.logs.way, here) if here is not None else None
+            self._minimum = (found, present, here) if here is not None else None
         there = self._polished(other, found, weight)
         if self._minimum is None or there is None:
             return None
+        if halved:
+            return extrapolated(now, other, self._minimum[2], there, weight, present)
         return alternative(now, other, self._minimum[2], there, weight, way)
 
     def _minimum_of(self, other: Alternative, found: Solution) -> Float64[np.ndarray, "P"]:

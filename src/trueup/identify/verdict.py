@@ -87,6 +87,7 @@ def _judged(evidence: Evidence) -> list[_Judged]:
         *_of_motion(evidence),
         _of_signals(evidence),
         _of_what_is_left(evidence),
+        _of_the_unlooked(evidence),
         _of_suspects(evidence),
         _of_starts(evidence),
         _of_search(evidence),
@@ -133,6 +134,18 @@ def _or_else(evidence: Evidence) -> str:
         return ""
     found = f"; none of {_LOOKED_FOR} explains it"
     return found + (f". But {evidence.masses}" if evidence.masses else "")
+
+
+def _of_the_unlooked(evidence: Evidence) -> _Judged | None:
+    """Where something is left and nobody has looked for its cause, numbers may have been bent to hide that cause."""
+    if evidence.suspects is not None:
+        return None
+    left = any(unexplained({joint: item}) > 1.0 for joint, item in evidence.whiteness.items())
+    return _Judged(
+        "unexplained" if left else "ok",
+        "no time was left to look for what the model lacks" + ("; give the fit more time" if left else ""),
+        "nobody has looked for what the model lacks" if left else "",
+    )
 
 
 def _of_suspects(evidence: Evidence) -> _Judged | None:
