@@ -13,7 +13,7 @@ from pathlib import Path
 
 from trueup.dataset import Dataset, DatasetWriter
 from trueup.identify import IdentifyConfig
-from trueup.identify.config import SolverChoice
+from trueup.identify.config import DataChoice, SolverChoice
 from trueup.robots import load_robot
 from trueup.stages import demo_dataset
 from trueup.stages.fleet import fleet
@@ -32,7 +32,10 @@ def main(out: Path) -> None:
                 command = replace(episode.command, time_s=episode.command.time_s - lag_s)
                 meta = replace(episode.meta, id=f"arm-{number}/{episode.id}", unit=f"arm-{number}")
                 writer.append(replace(episode, meta=meta, command=command))
-    config = IdentifyConfig(fit=FIT, models={}, solver=SolverChoice("gauss-newton", max_iterations=10))
+    # Four seconds of each motion are enough for these numbers.
+    config = IdentifyConfig(
+        fit=FIT, models={}, data=DataChoice(budget_s=12.0), solver=SolverChoice("gauss-newton", max_iterations=10)
+    )
     found = fleet([out / "data"], load_robot("demo_arm"), out / "fleet", config=config)
     for unit in found.units:
         print(f"{unit.name}: delay {unit.parameters['delay_s'].value:.3f} s")

@@ -8,7 +8,7 @@ import pytest
 from identify.plain_truth import pendulum_logs
 from trueup.core.parameters import Parameter, ParameterSet
 from trueup.identify import IdentifyConfig, Nominal
-from trueup.identify.discretization import Discretization, alternative, finer
+from trueup.identify.discretization import Discretization, alternative, coarser, extrapolated, finer
 from trueup.identify.model_search import ModelSearch
 from trueup.identify.problem import Problem
 from trueup.identify.search import Search, Stopwatch
@@ -112,3 +112,19 @@ def test_a_delay_that_was_taken_for_damping_is_given_back(tmp_path):
     back = search._exchanged(valley, fit, rough=False, limit=None)
     assert back.solution.rms < 1.01 * found.rms
     assert back.solution.values["delay_s[j]"] == pytest.approx(late_s, abs=0.003)
+
+
+def test_half_of_a_step_is_told_from_a_larger_one():
+    """Where the error of numbers and of residuals is proportional to the step, without a simulation of it."""
+    problem, rng = Valley(2.0), np.random.default_rng(3)
+    z, by_step = problem.parameters.start, 0.1 * rng.normal(size=2)
+    (left,), more = problem.residuals(z[None]), 0.3 * NOISE * rng.normal(size=400)
+    ends = {divisor: (z + by_step / divisor, left + more / divisor) for divisor in (1, 4, 8, 16)}
+    for larger, now in ((1, 4), (4, 8)):
+        told = extrapolated(problem, problem, ends[now], ends[larger], 1.0, Discretization(now))
+        real = alternative(problem, problem, ends[now], ends[2 * now], 1.0, Discretization(2 * now))
+        assert told.way == real.way
+        np.testing.assert_allclose(told.shift, real.shift)
+        assert told.gain == pytest.approx(real.gain)
+    for way in (Discretization(), Discretization(4), Discretization(8)):
+        assert coarser(finer(way)) == way

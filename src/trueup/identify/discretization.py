@@ -15,8 +15,9 @@ from trueup.robots import CommandTiming, RobotSpec
 _QUARTER, _LAST = 4, 32
 # Twice the difference of logarithmic likelihoods above which data have decided between two ways.
 DECIDED = 10.0
-# A number that a quarter of the time step moves by more than this many of its standard deviations is worth it.
-_MATTERS = 0.5
+# A number that a quarter of the time step moves by more than so many of its standard deviations is worth it; half of a
+# quarter, by so many.
+_MATTERS, _WIDENS = 0.5, 2.0
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class Alternative:
     candidate_s: float = 0.0
 
     def matters(self, now: Discretization, std: Float64[np.ndarray, "P"]) -> bool:
-        """Whether a finer step moves a number by more than half of its standard deviation, and data do not object.
+        """Whether a finer step is worth its time: it moves a number visibly, and data do not object.
 
         Once the step is a quarter, data have to ask for a finer one: what is left to a step of zero is known by then.
 
@@ -75,9 +76,16 @@ class Alternative:
             now: the present way.
             std: standard deviations of the parameters, (P,), in z.
         """
+        return (self._possible if now.divisor == 1 else self.gain > DECIDED) and self.moves(now, std)
+
+    def moves(self, now: Discretization, std: Float64[np.ndarray, "P"]) -> bool:
+        """Whether it is used at all, and moves a number by more than half of its standard deviation.
+
+        Once the step is a quarter, what it changes by is known and in the intervals: by more than makes them twice as
+        wide.
+        """
         moved = np.max(np.abs(self.shift) / np.maximum(std, 1e-12), initial=0.0)
-        asked = self._possible if now.divisor == 1 else self.gain > DECIDED and self.way.divisor < _LAST
-        return bool(asked and moved > _MATTERS)
+        return bool(moved > (_MATTERS if now.divisor == 1 else _WIDENS) and self.way.divisor < _LAST)
 
     def unknown(self, now: Discretization) -> Float64[np.ndarray, "P"] | float:
         """One standard deviation of what is not known of the change by the time step, in z.
@@ -140,7 +148,8 @@ def extrapolated(
     """What half of the present time step would find, told from a larger one, which takes a fraction of the time.
 
     The error of a step h is proportional to h, in numbers as in residuals: what they change by from a step H to h they
-    change by (h / 2) / (H - h) times as much from h to h / 2.
+    change by (h / 2) / (H - h) times as much from h to h / 2. Numbers follow this well. Of residuals, a part jumps from
+    step to step, so the gain is no more than a guess.
 
     Args:
         now: the fit as it is simulated now.

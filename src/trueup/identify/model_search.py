@@ -181,9 +181,10 @@ class ModelSearch:
                 tried.append(self._try(joined, richer, best.solution, left_out=idle, rough=True, limit=limit))
             if self._earned(tried[-1], best):
                 best, fit = tried[-1], richer
+                idle = self._frozen(best) if _carries(extra) else idle  # some may have died of the payload
         if _carries(fit):
-            # What made up for the payload may have been delays.
-            limit = self._until(_RICHER)
+            # What made up for the payload may have been delays; with it, all is free again.
+            limit, idle = self._until(_RICHER), []
             again = self._exchanged(best, fit, rough=True, limit=limit)
             again = self._retimed(again, fit, rough=True, limit=limit)
             again = self._exchanged(again, fit, rough=True, limit=limit)
@@ -486,6 +487,7 @@ class ModelSearch:
         made = make_parameters(fit, nominal, self.motions)
         dead = [item for item in made if item.transform == "log" and begun.get(item.name, np.inf) < _DEAD * item.value]
         begun |= {item.name: item.value for item in dead}
+        left_out = [own for own in left_out if own not in {item.name for item in dead}]
         found = self._try(name, fit, begun=begun, left_out=[*left_out, *masses], rough=True, limit=limit)
         return self._further(found, fit, "with masses", left_out, rough=True, limit=limit)
 
@@ -531,16 +533,22 @@ class ModelSearch:
     ) -> TriedModel:
         """The same model, fitted with a finer time step while numbers depend on it and the data do not object."""
         while not _over(limit):
+            now, std = self.logs.way, self.posterior_of(best).std
             self._finer = self._compared(best)
-            if self._finer is None or not self._finer.matters(self.logs.way, self.posterior_of(best).std):
+            if self._finer is not None and now.divisor > 1 and self._finer.moves(now, std):
+                # Whether the data ask for it is not told from a larger step.
+                place = self._minimum_of(self._finer, best.solution)
+                self._finer = self._compared(best, self._finer.way, near=place)
+            if self._finer is None or not self._finer.matters(now, std):
                 break
             if self._finer.lowers < _WORTH_A_STEP and self._left(best) > _FAR_FROM_NOISE:
                 break  # whatever the model lacks, it is not a finer step; what that would change is in the intervals
             sure, candidates = self._until(_SURE), _TO_FINISH * len(best.solution.parameters.free)
             if sure is not None and sure.left_s < candidates * self._finer.candidate_s:
                 break  # no time to come to an end with it
+            moved = replace(best, solution=replace(best.solution, z=self._minimum_of(self._finer, best.solution)))
             self.logs.way = self._finer.way
-            best = self._further(best, fit, "finer", left_out, rough=rough, limit=limit)
+            best = self._further(moved, fit, "finer", left_out, rough=rough, limit=limit)
         return best
 
     def _smoothed(
@@ -634,8 +642,14 @@ class ModelSearch:
             return best
         return self._further(best, fit, "with torque", left_out, rough=rough, limit=limit)
 
-    def _compared(self, item: TriedModel, way: Discretization | None = None) -> Alternative | None:
-        """What another way, or a finer time step, would find; None where it cannot be simulated, or no time is left."""
+    def _compared(
+        self, item: TriedModel, way: Discretization | None = None, *, near: Float64[np.ndarray, "P"] | None = None
+    ) -> Alternative | None:
+        """What another way, or a finer time step, would find; None where it cannot be simulated, or no time is left.
+
+        A minimum of the other way is looked for from `near`, or from where the model is. Without a way, what half of a
+        time step would find is told from a larger one, unless that is the model's own.
+        """
         found, present = item.solution, self.logs.way
         halved = way is None and present.divisor > 1
         way = way or (coarser(present) if halved else finer(present))
@@ -643,9 +657,9 @@ class ModelSearch:
         weight = noise_of(now, found.residual).weight
         # Both have nearly the same derivatives: with these, corrected by what steps show, each comes to its minimum.
         if self._minimum is None or self._minimum[0] is not found or self._minimum[1] != present:
-            here = self._polished(now, found, weight)
+            here = self._polished(now, found.z, found, weight)
             self._minimum = (found, present, here) if here is not None else None
-        there = self._polished(other, found, weight)
+        there = self._polished(other, found.z if near is None else near, found, weight)
         if self._minimum is None or there is None:
             return None
         if halved:
@@ -658,13 +672,16 @@ class ModelSearch:
         return np.asarray(np.clip(self._minimum[2][0] + other.shift, *found.parameters.bounds))
 
     def _polished(
-        self, problem: Problem, found: Solution, weight: float
+        self, problem: Problem, z: Float64[np.ndarray, "P"], found: Solution, weight: float
     ) -> tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]] | None:
-        """The minimum of a fit that is simulated in some way, near a solution; None where it cannot be, or in time."""
+        """The minimum of a fit that is simulated in some way, near z, with the derivatives of a solution.
+
+        None where it cannot be simulated, or in time.
+        """
         search = Search(problem, self._settings, Stopwatch(), checkpoint=None, on_progress=None)
         try:
             with problem.ending(self._until(_SURE)):
-                return search.polished(found.z, found.jacobian, weight)
+                return search.polished(z, found.jacobian, weight)
         except (DataError, OutOfTime):
             return None
 
