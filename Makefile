@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 TRUEUP := $(BIN)/trueup
+# Two processes share the cores, and threads of BLAS would wait for those of the other.
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
 .PHONY: demo test test-all attack install lint bench acceptance pages docs lock clean
 
@@ -11,11 +13,11 @@ demo: $(VENV)/.base
 	$(TRUEUP) demo --out runs/demo --overwrite
 
 test: install lint
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
+	$(PYTEST) -m "not slow"
 	$(BIN)/mkdocs build --strict --quiet --site-dir $(VENV)/site
 
 test-all: install lint
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+	$(PYTEST)
 	$(BIN)/mkdocs build --strict --quiet --site-dir $(VENV)/site
 
 # TRUEUP_MUTATIONS damaged files for every parser (10000 if not given); a parser that is done is not attacked again.

@@ -114,7 +114,7 @@ def test_robots_that_are_led_follow_the_motion(tmp_path, drive, fit, given):
     robot, path = arm(tmp_path, drive)
     data = dataset(tmp_path / "data", signal=robot.controller.signal) if given else None
     # Windows of torque-driven motions are dear.
-    fewer = config(fit, motion_s=6.0 if drive is TORQUE else 12.0)
+    fewer = config(fit, motion_s=4.0 if drive is TORQUE else 12.0)
     result = selftest(robot, data, model=path, config=fewer, jobs=1, budget_s=None)
     (truth,) = result.truths
     assert not any(item.name.startswith("encoder_zero") for item in truth.numbers)

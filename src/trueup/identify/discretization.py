@@ -68,24 +68,20 @@ class Alternative:
     candidate_s: float = 0.0
 
     def matters(self, now: Discretization, std: Float64[np.ndarray, "P"]) -> bool:
-        """Whether a finer step is worth its time: it moves a number visibly, and data do not object.
+        """Whether a finer step is worth its time: it moves a number, and data do not object.
 
-        Once the step is a quarter, data have to ask for a finer one: what is left to a step of zero is known by then.
+        At the model's own step, by more than half of its standard deviation. Once the step is a quarter, what is left
+        to a step of zero is known, and in the intervals: by more than makes them twice as wide, and data have to ask
+        for it.
 
         Args:
             now: the present way.
             std: standard deviations of the parameters, (P,), in z.
         """
-        return (self._possible if now.divisor == 1 else self.gain > DECIDED) and self.moves(now, std)
-
-    def moves(self, now: Discretization, std: Float64[np.ndarray, "P"]) -> bool:
-        """Whether it is used at all, and moves a number by more than half of its standard deviation.
-
-        Once the step is a quarter, what it changes by is known and in the intervals: by more than makes them twice as
-        wide.
-        """
         moved = np.max(np.abs(self.shift) / np.maximum(std, 1e-12), initial=0.0)
-        return bool(moved > (_MATTERS if now.divisor == 1 else _WIDENS) and self.way.divisor < _LAST)
+        if now.divisor == 1:
+            return bool(self._possible and moved > _MATTERS)
+        return bool(self.gain > DECIDED and moved > _WIDENS and self.way.divisor < _LAST)
 
     def unknown(self, now: Discretization) -> Float64[np.ndarray, "P"] | float:
         """One standard deviation of what is not known of the change by the time step, in z.
@@ -142,28 +138,34 @@ def extrapolated(
     coarse: Problem,
     here: tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]],
     there: tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]],
-    weight: float,
     way: Discretization,
 ) -> Alternative:
     """What half of the present time step would find, told from a larger one, which takes a fraction of the time.
 
-    The error of a step h is proportional to h, in numbers as in residuals: what they change by from a step H to h they
-    change by (h / 2) / (H - h) times as much from h to h / 2. Numbers follow this well. Of residuals, a part jumps from
-    step to step, so the gain is no more than a guess.
+    The error of a step h is proportional to h, in numbers z as in residuals r: what they change by from a step H to h
+    they change by (h / 2) / (H - h) times as much from h to h / 2. Numbers follow this well. A part of the residual
+    jumps from step to step, and its square would count as if it grew: so the gain is that of the first order, with the
+    noise of one observation w, -2 r . dr / w.
 
     Args:
         now: the fit as it is simulated now.
         coarse: the same fit with the larger step.
         here: parameters and residual at the minimum of `now`, as `Search.polished` has them.
         there: likewise of `coarse`.
-        weight: of the prior, the variance of one observation.
         way: the present way.
     """
     larger, half = coarser(way), finer(way)
     share = 0.5 / (way.divisor / larger.divisor - 1.0)
-    ends = (own + share * (own - other) for own, other in zip(here, there, strict=True))
-    found = alternative(now, coarse, here, (next(ends), next(ends)), weight, half)
-    return replace(found, candidate_s=found.candidate_s * half.divisor / larger.divisor)
+    shift, change = (share * (own - other) for own, other in zip(here, there, strict=True))
+    less = -2.0 * float(here[1] @ change)
+    candidate_s = coarse.seconds / max(1, coarse.evaluations) * half.divisor / larger.divisor
+    return Alternative(
+        half,
+        np.asarray(shift),
+        less / max(noise_of(now, here[1]).weight, 1e-300),
+        less / max(float(here[1] @ here[1]), 1e-300),
+        candidate_s,
+    )
 
 
 def finer(now: Discretization) -> Discretization:

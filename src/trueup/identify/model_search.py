@@ -533,13 +533,8 @@ class ModelSearch:
     ) -> TriedModel:
         """The same model, fitted with a finer time step while numbers depend on it and the data do not object."""
         while not _over(limit):
-            now, std = self.logs.way, self.posterior_of(best).std
             self._finer = self._compared(best)
-            if self._finer is not None and now.divisor > 1 and self._finer.moves(now, std):
-                # Whether the data ask for it is not told from a larger step.
-                place = self._minimum_of(self._finer, best.solution)
-                self._finer = self._compared(best, self._finer.way, near=place)
-            if self._finer is None or not self._finer.matters(now, std):
+            if self._finer is None or not self._finer.matters(self.logs.way, self.posterior_of(best).std):
                 break
             if self._finer.lowers < _WORTH_A_STEP and self._left(best) > _FAR_FROM_NOISE:
                 break  # whatever the model lacks, it is not a finer step; what that would change is in the intervals
@@ -642,14 +637,8 @@ class ModelSearch:
             return best
         return self._further(best, fit, "with torque", left_out, rough=rough, limit=limit)
 
-    def _compared(
-        self, item: TriedModel, way: Discretization | None = None, *, near: Float64[np.ndarray, "P"] | None = None
-    ) -> Alternative | None:
-        """What another way, or a finer time step, would find; None where it cannot be simulated, or no time is left.
-
-        A minimum of the other way is looked for from `near`, or from where the model is. Without a way, what half of a
-        time step would find is told from a larger one, unless that is the model's own.
-        """
+    def _compared(self, item: TriedModel, way: Discretization | None = None) -> Alternative | None:
+        """What another way, or a finer time step, would find; None where it cannot be simulated, or no time is left."""
         found, present = item.solution, self.logs.way
         halved = way is None and present.divisor > 1
         way = way or (coarser(present) if halved else finer(present))
@@ -657,13 +646,13 @@ class ModelSearch:
         weight = noise_of(now, found.residual).weight
         # Both have nearly the same derivatives: with these, corrected by what steps show, each comes to its minimum.
         if self._minimum is None or self._minimum[0] is not found or self._minimum[1] != present:
-            here = self._polished(now, found.z, found, weight)
+            here = self._polished(now, found, weight)
             self._minimum = (found, present, here) if here is not None else None
-        there = self._polished(other, found.z if near is None else near, found, weight)
+        there = self._polished(other, found, weight)
         if self._minimum is None or there is None:
             return None
         if halved:
-            return extrapolated(now, other, self._minimum[2], there, weight, present)
+            return extrapolated(now, other, self._minimum[2], there, present)
         return alternative(now, other, self._minimum[2], there, weight, way)
 
     def _minimum_of(self, other: Alternative, found: Solution) -> Float64[np.ndarray, "P"]:
@@ -672,16 +661,13 @@ class ModelSearch:
         return np.asarray(np.clip(self._minimum[2][0] + other.shift, *found.parameters.bounds))
 
     def _polished(
-        self, problem: Problem, z: Float64[np.ndarray, "P"], found: Solution, weight: float
+        self, problem: Problem, found: Solution, weight: float
     ) -> tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]] | None:
-        """The minimum of a fit that is simulated in some way, near z, with the derivatives of a solution.
-
-        None where it cannot be simulated, or in time.
-        """
+        """The minimum of a fit that is simulated in some way, near a solution; None where it cannot be, or in time."""
         search = Search(problem, self._settings, Stopwatch(), checkpoint=None, on_progress=None)
         try:
             with problem.ending(self._until(_SURE)):
-                return search.polished(z, found.jacobian, weight)
+                return search.polished(found.z, found.jacobian, weight)
         except (DataError, OutOfTime):
             return None
 
