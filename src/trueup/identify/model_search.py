@@ -189,6 +189,10 @@ class ModelSearch:
             again = self._retimed(again, fit, rough=True, limit=limit)
             again = self._exchanged(again, fit, rough=True, limit=limit)
             tried[tried.index(best)] = best = again
+        if best is not tried[0]:
+            # Where far more than noise was left, how commands act between their stamps could not be told.
+            smoothed = self._smoothed(best, fit, rough=True, limit=self._until(_RICHER))
+            tried[tried.index(best)] = best = smoothed
         if models and not _over(self._until(_BEST)):
             # What the richer models have brought, and changes nothing either, goes; the motion stays as it is.
             idle = [*idle, *(name for name in self._idle(best) if name not in idle)]
