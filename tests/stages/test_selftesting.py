@@ -101,20 +101,24 @@ def test_a_joint_that_does_not_move_stays_open(tmp_path):
     assert result.noise["shoulder"] == pytest.approx(2e-4, rel=0.1)  # what the logs show
 
 
+BY_TORQUE = {"frictionloss": "all", "delay_s": "all", "encoder_zero": "all", "damping": "all"}
+BY_VELOCITY = {"kv": "all", "frictionloss": "all", "delay_s": "all"}
+
+
 @pytest.mark.parametrize(
-    ("drive", "fit"),
+    ("drive", "fit", "given"),
     [
-        (TORQUE, {"frictionloss": "all", "delay_s": "all", "encoder_zero": "all", "damping": "all"}),
-        (VELOCITY, {"kv": "all", "frictionloss": "all", "delay_s": "all"}),
+        pytest.param(TORQUE, BY_TORQUE, False, id="designed-torque"),
+        pytest.param(TORQUE, BY_TORQUE, True, id="data-torque", marks=pytest.mark.slow),  # a minute and a half
+        pytest.param(VELOCITY, BY_VELOCITY, False, id="designed-velocity"),
+        pytest.param(VELOCITY, BY_VELOCITY, True, id="data-velocity"),
     ],
-    ids=["torque", "velocity"],
 )
-@pytest.mark.parametrize("given", [False, True], ids=["designed", "data"])
 def test_robots_that_are_led_follow_the_motion(tmp_path, drive, fit, given):
     robot, path = arm(tmp_path, drive)
     data = dataset(tmp_path / "data", signal=robot.controller.signal) if given else None
     # Windows of torque-driven motions are dear.
-    fewer = config(fit, motion_s=4.0 if drive is TORQUE else 12.0)
+    fewer = config(fit, motion_s=6.0 if drive is TORQUE else 12.0)
     result = selftest(robot, data, model=path, config=fewer, jobs=1, budget_s=None)
     (truth,) = result.truths
     assert not any(item.name.startswith("encoder_zero") for item in truth.numbers)
