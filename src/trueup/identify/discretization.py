@@ -19,6 +19,9 @@ DECIDED = 10.0
 # quarter, by so many.
 _MATTERS, _WIDENS = 0.5, 2.0
 
+# Parameters in z, and the residual there, where a fit that is simulated in some way has its minimum.
+Minimum = tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]]
+
 
 @dataclass(frozen=True)
 class Discretization:
@@ -106,8 +109,8 @@ def probability(gain: float) -> float:
 def alternative(
     now: Problem,
     other: Problem,
-    here: tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]],
-    there: tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]],
+    here: Minimum,
+    there: Minimum,
     weight: float,
     way: Discretization,
 ) -> Alternative:
@@ -136,8 +139,8 @@ def alternative(
 def extrapolated(
     now: Problem,
     coarse: Problem,
-    here: tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]],
-    there: tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]],
+    here: Minimum,
+    there: Minimum,
     way: Discretization,
 ) -> Alternative:
     """What half of the present time step would find, told from a larger one, which takes a fraction of the time.

@@ -25,6 +25,7 @@ from trueup.identify.discretization import (
     DECIDED,
     Alternative,
     Discretization,
+    Minimum,
     alternative,
     coarser,
     extrapolated,
@@ -137,9 +138,7 @@ class ModelSearch:
         # Wider bounds than those of the catalogue, for what ended on these.
         self._room: dict[str, tuple[float, float]] = {}
         # A solution that was brought to the minimum of the present way, with parameters and residual there.
-        self._minimum: (
-            tuple[Solution, Discretization, tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]]] | None
-        ) = None
+        self._minimum: tuple[Solution, Discretization, Minimum] | None = None
         # The base model with the other timing of the command, and that timing.
         self._rival: tuple[TriedModel, CommandTiming] | None = None
         self.searched: Solution | None = None
@@ -664,9 +663,7 @@ class ModelSearch:
         assert self._minimum is not None
         return np.asarray(np.clip(self._minimum[2][0] + other.shift, *found.parameters.bounds))
 
-    def _polished(
-        self, problem: Problem, found: Solution, weight: float
-    ) -> tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]] | None:
+    def _polished(self, problem: Problem, found: Solution, weight: float) -> Minimum | None:
         """The minimum of a fit that is simulated in some way, near a solution; None where it cannot be, or in time."""
         search = Search(problem, self._settings, Stopwatch(), checkpoint=None, on_progress=None)
         try:
