@@ -74,9 +74,7 @@ def test_strange_names_are_explained_and_identified(tmp_path, kind):
     dataset = Dataset(tmp_path / "data")
     gains = {"kp": 8.0, "kv": 0.3} if kind == "position" else {}
     robot = robot_of(path, ControllerSpec(kind=kind, **gains))
-    # All quantities of seven joints driven by torque, each recording's zeros with them, would take a minute.
-    fit = {} if kind == "position" else {"damping": "all", "mass": "all", "encoder_zero": "all"}
-    config = IdentifyConfig(fit=fit, models={}, data=DataChoice(budget_s=3.0), solver=QUICK)
+    config = IdentifyConfig(models={}, data=DataChoice(budget_s=3.0), solver=QUICK)
     found = identifying.explain(dataset, robot, model=path, config=config)
     assert found.statements is not None
     done = identifying.fit(dataset, robot, tmp_path / "fit", model=path, config=config)

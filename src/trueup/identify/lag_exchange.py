@@ -39,7 +39,7 @@ def exchanged(problem: Problem, found: Solution, *, worth: float) -> Float64[np.
         return None
     ways: list[_Way] = [(0.0, False), *((share, inertia) for share in _SHARES for inertia in (True, False))]
     tried = problem.residuals(np.array([_placed(found, lags, dict.fromkeys(lags, way)) for way in ways]))
-    squares = np.nan_to_num([_by_joint(problem, row) for row in tried], nan=np.inf)
+    squares = np.nan_to_num([problem.squares(row) for row in tried], nan=np.inf)
     names = [problem.nominal.robot.joint_names[column] for column in problem.columns]
     chosen = {
         name: ways[number]
@@ -79,8 +79,3 @@ def _placed(found: Solution, lags: Mapping[str, float], ways: Mapping[str, _Way]
     return found.parameters.at(
         {item.name: float(np.clip(other[item.name], item.low, item.high)) for item in free}
     ).start
-
-
-def _by_joint(problem: Problem, residual: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "J"]:
-    """Squares of a residual, summed up by joint."""
-    return np.asarray(np.sum([np.sum(own**2, axis=0) for _, _, own in problem.by_segment(residual)], axis=0))

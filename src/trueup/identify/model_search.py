@@ -489,8 +489,9 @@ class ModelSearch:
         # On a logarithmic scale there is no slope that leads back from next to nothing.
         made = make_parameters(fit, nominal, self.motions)
         dead = [item for item in made if item.transform == "log" and begun.get(item.name, np.inf) < _DEAD * item.value]
-        begun |= {item.name: item.value for item in dead}
-        left_out = [own for own in left_out if own not in {item.name for item in dead}]
+        revived = {item.name: item.value for item in dead}
+        begun |= revived
+        left_out = [own for own in left_out if own not in revived]
         found = self._try(name, fit, begun=begun, left_out=[*left_out, *masses], rough=True, limit=limit)
         return self._further(found, fit, "with masses", left_out, rough=True, limit=limit)
 

@@ -310,6 +310,13 @@ class Problem:
                 yield segment, signal, residual[place : place + size].reshape(rows, self.columns.size)
                 place += size
 
+    def squares(self, residual: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "K"]:
+        """Sum of squares of each joint that counts, over all segments and signals."""
+        total = np.zeros(self.columns.size)
+        for _, _, own in self.by_segment(residual):
+            total += (own**2).sum(axis=0)
+        return total
+
     def shift(self, change: Mapping[Segment, Float64[np.ndarray, "_ J"]]) -> Float64[np.ndarray, "N"]:
         """What the residual changes by if simulated positions change by this at the measured stamps [rad or m]."""
         out = np.zeros(self.size)

@@ -158,17 +158,10 @@ class Rest:
             self.counts * self.problem.shift({segment: column.of(segment) for segment in self.motions.courses})
         )
 
-    def squares(self, residual: Float64[np.ndarray, "N"]) -> Float64[np.ndarray, "K"]:
-        """Sum of squares of each joint that counts."""
-        total = np.zeros(self.problem.columns.size)
-        for _, _, own in self.problem.by_segment(residual):
-            total += (own**2).sum(axis=0)
-        return total
-
     @property
     def samples(self) -> Float64[np.ndarray, "K"]:
         """How many residuals each joint that counts has."""
-        return self.squares(self.counts)
+        return self.problem.squares(self.counts)
 
     def push(self, column: Column) -> float:
         """A size at which a force is small against the drives; 0 where the cause does nothing."""
@@ -333,13 +326,13 @@ class Suspicion:
         """Squares of each joint beyond the noise of the measurement, and no less than a share of that."""
         noise = self._noise * (rest.problem.scale / self.train.problem.scale) ** 2
         noise = noise * rest.samples
-        return np.asarray(np.maximum(rest.squares(residual) - noise, _LEAST_EXCESS * noise))
+        return np.asarray(np.maximum(rest.problem.squares(residual) - noise, _LEAST_EXCESS * noise))
 
     @cached_property
     def _open(self) -> set[int]:
         """Joints of which so much is left that a cause could be named."""
         noise = self._noise * self.train.samples
-        beyond = self.train.squares(self.train.residual) - noise
+        beyond = self.train.problem.squares(self.train.residual) - noise
         columns = self.train.problem.columns
         return {int(columns[place]) for place in np.flatnonzero(beyond > _EXPLAINS * _LEAST_EXCESS * noise)}
 
@@ -561,7 +554,7 @@ class Suspicion:
 
     def _explained(self, item: Tested | None, *, beginnings: bool) -> _Left:
         place = self.fitted([] if item is None else item.columns, beginnings=beginnings)
-        train, excess = self.train.squares(place.residual), self.excess(self.train, place.residual)
+        train, excess = self.train.problem.squares(place.residual), self.excess(self.train, place.residual)
         if self.val is None:
             return _Left(place, train, excess, None, None)
         own: list[Column] = []
@@ -574,7 +567,7 @@ class Suspicion:
             # How the motions of val begin is not known either.
             basis, _ = np.linalg.qr(self.val.beginnings[1].T)
             left = left - basis @ (basis.T @ left)
-        return _Left(place, train, excess, self.val.squares(left), beyond)
+        return _Left(place, train, excess, self.val.problem.squares(left), beyond)
 
     def suspects(self) -> tuple[Suspect, ...]:
         """The causes that explain what is left, one for each group of joints, the most important first."""
