@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from identify.plain_truth import pendulum_logs
+from identify.plain_truth import MODEL, pendulum_logs
 from identify.recovery_cases import Truth, arm
 from trueup.core.fit_result import ModelRow
 from trueup.core.parameters import Parameter, ParameterSet
@@ -180,7 +180,8 @@ def test_the_scale_of_a_joint_that_moves_next_to_nothing_is_not_known(tmp_path):
     assert np.linalg.norm(shoulder @ real) == pytest.approx(np.linalg.norm(shoulder @ exact), rel=0.01)
 
 
-def test_everything_free_is_not_determined_and_not_ok(pendulum):
+def test_everything_free_is_not_determined_and_not_ok(tmp_path):
+    pendulum = pendulum_logs(tmp_path, kv=MODEL["kv"])  # which is not fitted
     fit = dict.fromkeys(("kp", "damping", "frictionloss", "armature", "mass"), "all")
     found = fitted(pendulum, fit)
     assert found.status != "ok"
@@ -313,14 +314,20 @@ def test_an_encoder_s_tick_is_seen_in_its_readings():
 
 def test_what_is_unknown_of_a_change_by_the_step_is_what_is_left():
     shift = np.array([0.3, -0.1])
-    now, way = Discretization(4), Discretization(8)
+    now, way = Discretization(4, trapezoidal=True), Discretization(8, trapezoidal=True)
     open_ = Alternative(way, shift, gain=0.0)
     np.testing.assert_allclose(open_.unknown(now), shift)
     np.testing.assert_allclose(Alternative(way, shift, gain=-100.0).unknown(now), shift)
     assert Alternative(way, shift, gain=-100.0).unknown(Discretization()) == 0.0
-    assert Alternative(Discretization(4), shift, gain=0.0).matters(Discretization(), np.array([0.1, 1.0]))
-    assert not Alternative(Discretization(4), shift, gain=0.0).matters(Discretization(), np.array([1.0, 1.0]))
-    assert not Alternative(Discretization(4), shift, gain=-100.0).matters(Discretization(), np.array([0.1, 1.0]))
+    assert Alternative(Discretization(trapezoidal=True), shift, gain=0.0).matters(
+        Discretization(), np.array([0.1, 1.0])
+    )
+    assert not Alternative(Discretization(trapezoidal=True), shift, gain=0.0).matters(
+        Discretization(), np.array([1.0, 1.0])
+    )
+    assert not Alternative(Discretization(trapezoidal=True), shift, gain=-100.0).matters(
+        Discretization(), np.array([0.1, 1.0])
+    )
     assert probability(0.0) == 0.5
     assert probability(20.0) + probability(-20.0) == pytest.approx(1.0)
 

@@ -11,13 +11,15 @@ from trueup.identify.problem import Problem
 from trueup.identify.uncertainty import noise_of, precision_of
 from trueup.robots import CommandTiming, RobotSpec
 
-# The model's time step is compared with a quarter of it; then it is halved, down to this part.
-_QUARTER, _LAST = 4, 32
+# A time step is halved down to this part of the model's.
+_LAST = 8
+# MuJoCo's own damping comes near the trapezoidal rule in this part of the step.
+_PLAIN = 2
 # Twice the difference of logarithmic likelihoods above which data have decided between two ways.
 DECIDED = 10.0
-# A number that a quarter of the time step moves by more than so many of its standard deviations is worth it; half of a
-# quarter, by so many.
-_MATTERS, _WIDENS = 0.5, 2.0
+# A number that another damping moves by more than so many of its standard deviations is worth it; a step of zero, by so
+# many.
+_MATTERS, _WIDENS = 0.5, 1.0
 
 # Parameters in z, and the residual there, where a fit that is simulated in some way has its minimum.
 Minimum = tuple[Float64[np.ndarray, "P"], Float64[np.ndarray, "N"]]
@@ -29,6 +31,8 @@ class Discretization:
 
     Attributes:
         divisor: of the model's time step.
+        trapezoidal: whether damping follows the trapezoidal rule, whose error is of the second order of the step, or is
+            as MuJoCo takes it, of the first. A model's own step is simulated as the model has it.
         command: `held` from stamp to stamp, or `linear` or `smooth` between them.
         rigid: whether dry friction holds a joint as if it were rigid, or as softly as the model's constraint solver
             has it, which lets it creep.
@@ -37,6 +41,12 @@ class Discretization:
     divisor: int = 1
     command: CommandTiming = "held"
     rigid: bool = True
+    trapezoidal: bool = False
+
+    @property
+    def plain(self) -> Discretization:
+        """As a fitted model is simulated outside of the fit: with a step at which MuJoCo's own damping is near."""
+        return replace(self, divisor=_PLAIN * self.divisor, trapezoidal=False) if self.trapezoidal else self
 
     @property
     def retimed(self) -> Discretization:
@@ -71,30 +81,27 @@ class Alternative:
     candidate_s: float = 0.0
 
     def matters(self, now: Discretization, std: Float64[np.ndarray, "P"]) -> bool:
-        """Whether a finer step is worth its time: it moves a number, and data do not object.
+        """Whether what is of higher order, or finer, is worth its time: it moves a number, and data do not object.
 
-        At the model's own step, by more than half of its standard deviation. Once the step is a quarter, what is left
-        to a step of zero is known, and in the intervals: by more than makes them twice as wide, and data have to ask
-        for it.
+        By more than half of its standard deviation where a model is simulated as it came. Then, what is left to a step
+        of zero is in the intervals: by more than one, and data have to ask for it.
 
         Args:
             now: the present way.
             std: standard deviations of the parameters, (P,), in z.
         """
         moved = np.max(np.abs(self.shift) / np.maximum(std, 1e-12), initial=0.0)
-        if now.divisor == 1:
+        if not now.trapezoidal:
             return bool(self._possible and moved > _MATTERS)
-        return bool(self.gain > DECIDED and moved > _WIDENS and self.way.divisor < _LAST)
+        return bool(self.gain > DECIDED and moved > _WIDENS and self.way.divisor <= _LAST)
 
     def unknown(self, now: Discretization) -> Float64[np.ndarray, "P"] | float:
         """One standard deviation of what is not known of the change by the time step, in z.
 
-        The error of a step h is proportional to h: from h to h / k, a number changes by (1 - 1 / k) of what is left to
-        a step of zero. So where the finer step halves the present one, as much again is left. A finer step is nearer to
-        a robot, which has none, even where it explains the logs a little worse: what else the model lacks decides that.
-        At the model's own step, the logs may be those of a simulation with that step, if they ask for it.
+        That is all of it: a robot has none, even where a finer step explains the logs a little worse, since what else
+        the model lacks decides that. As the model came, the logs may be those of its simulation, if they ask for it.
         """
-        return self.shift if now.divisor > 1 or self._possible else 0.0
+        return self.shift if now.trapezoidal or self._possible else 0.0
 
     @property
     def _possible(self) -> bool:
@@ -143,12 +150,12 @@ def extrapolated(
     there: Minimum,
     way: Discretization,
 ) -> Alternative:
-    """What half of the present time step would find, told from a larger one, which takes a fraction of the time.
+    """What a step of zero would find, told from a larger one, which takes a fraction of the time.
 
-    The error of a step h is proportional to h, in numbers z as in residuals r: what they change by from a step H to h
-    they change by (h / 2) / (H - h) times as much from h to h / 2. Numbers follow this well. A part of the residual
-    jumps from step to step, and its square would count as if it grew: so the gain is that of the first order, with the
-    noise of one observation w, -2 r . dr / w.
+    The error of a step h is proportional to h^2 (`damp_by_trapezoid`), in numbers z as in residuals r: what they change
+    by from a step H to h they change by h^2 / (H^2 - h^2) times as much from h to zero. Numbers follow this well. A
+    part of the residual jumps from step to step, and its square would count as if it grew: so the gain is that of the
+    first order, with the noise of one observation w, -2 r . dr / w.
 
     Args:
         now: the fit as it is simulated now.
@@ -158,7 +165,7 @@ def extrapolated(
         way: the present way.
     """
     larger, half = coarser(way), finer(way)
-    share = 0.5 / (way.divisor / larger.divisor - 1.0)
+    share = 1.0 / ((way.divisor / larger.divisor) ** 2 - 1.0)
     shift, change = (share * (own - other) for own, other in zip(here, there, strict=True))
     less = -2.0 * float(here[1] @ change)
     candidate_s = coarse.seconds / max(1, coarse.evaluations) * half.divisor / larger.divisor
@@ -172,22 +179,22 @@ def extrapolated(
 
 
 def finer(now: Discretization) -> Discretization:
-    """The next smaller time step."""
-    return replace(now, divisor=_QUARTER if now.divisor == 1 else 2 * now.divisor)
+    """The next one with less error: half of the step, with damping by the trapezoidal rule."""
+    return replace(now, divisor=2 * now.divisor, trapezoidal=True)
 
 
 def coarser(now: Discretization) -> Discretization:
     """The next larger time step."""
-    return replace(now, divisor=1 if now.divisor == _QUARTER else now.divisor // 2)
+    return replace(now, divisor=now.divisor // 2)
 
 
 def in_words(way: Discretization, before: Discretization, timestep_s: float) -> tuple[str, ...]:
     """What was changed, for people; `timestep_s` is that of the model as it came [s]."""
     said = []
-    if way.divisor != before.divisor:
+    if way.plain.divisor != before.divisor:
         said.append(
-            f"fitted with a time step of {1e3 * timestep_s / way.divisor:.3g} ms instead of {1e3 * timestep_s:.3g} ms, "
-            "at which numbers would change by more than their intervals; robot.fitted.yaml says so"
+            f"robot.fitted.yaml has a time step of {1e3 * timestep_s / way.plain.divisor:.3g} ms instead of "
+            f"{1e3 * timestep_s:.3g} ms, at which numbers would be others by more than their intervals"
         )
     if way.command != before.command:
         what = {"linear": "moves on", "smooth": "moves on smoothly", "held": "is held"}[way.command]

@@ -166,7 +166,7 @@ def identify(
             data_hash=data_hash,
         ),
     )
-    return Identification(result, search.logs.nominal, posterior.parameters, posterior)
+    return Identification(result, search.logs.exported, posterior.parameters, posterior)
 
 
 def refuse_one_start(config: IdentifyConfig | None) -> None:

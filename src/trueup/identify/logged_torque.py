@@ -34,7 +34,7 @@ def logged_torque(problem: Problem, found: Solution, config: IdentifyConfig) -> 
     delays = {item.target: found.values[item.name] for item in found.parameters if item.quantity == "delay_s"}
     late = {name: delays.get(name, delays.get("", 0.0)) for name in problem.nominal.robot.scored_joints}
     both = Weights({**config.weights, "torque": 1.0}, config.joints, torque_delay_s=late)
-    heard = Problem(problem.nominal, found.parameters, problem.segments, weights=both, jobs=problem.jobs)
+    heard = problem.with_weights(both)
     blocks = list(heard.by_segment(heard.residuals(found.z[None])[0] / heard.scale))
     rows = [
         (values, segment.plan.measured["torque"][segment.rows("torque", heard.columns)][:, heard.columns])

@@ -62,6 +62,7 @@ class _Sent:
     segments: tuple[Segment, ...]
     weights: Weights
     starts: Mapping[Segment, WindowStarts]
+    trapezoidal: bool
     coarse: _Sent | None
 
     @staticmethod
@@ -76,6 +77,7 @@ class _Sent:
             problem.segments,
             problem.weights,
             problem.starts,
+            problem.trapezoidal,
             None if problem.coarse is None else _Sent.of(problem.coarse),
         )
 
@@ -83,7 +85,15 @@ class _Sent:
         nominal = Nominal(self.robot, self.model, hard_friction=self.hard_friction)
         refuse_other_model(self.model, nominal.simulator.fingerprint, self.model_sha256)
         coarse = None if self.coarse is None else self.coarse.problem()
-        return Problem(nominal, self.parameters, self.segments, weights=self.weights, coarse=coarse, starts=self.starts)
+        return Problem(
+            nominal,
+            self.parameters,
+            self.segments,
+            weights=self.weights,
+            coarse=coarse,
+            starts=self.starts,
+            trapezoidal=self.trapezoidal,
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,7 +40,7 @@ from trueup.identify.quantities import quantity
 from trueup.identify.scoring import Scorer, Scores
 from trueup.identify.search import Search, Stopwatch
 from trueup.identify.segments import usable
-from trueup.identify.sensitivity import shape_shifts, split_shifts
+from trueup.identify.sensitivity import late_shifts, shape_shifts, split_shifts
 from trueup.identify.simulated_logs import SimulatedLogs
 from trueup.identify.solution import OnModel, Solution
 from trueup.identify.solve import solve
@@ -72,8 +72,6 @@ _FAR_FROM_NOISE, _WORTH_A_STEP = 5.0, 0.1
 _TO_FINISH = 12
 # A timing that leaves so many times more is not the better one with a smaller step either.
 _HOPELESS = 3.0
-# Of what is left with the numbers of another step, so many times as much is still the same fit.
-_ALIKE = 1.3
 # How often bounds that were hit are moved.
 _WIDENINGS = 2
 # A number that ended below this share of its usual start hardly moves from there.
@@ -202,22 +200,8 @@ class ModelSearch:
         certain = self._certain(self._weighed(heard, fit, limit=self._until(_BEST)))
         self.searched = certain.solution
         self._finer = self._compared(certain)
-        certain = self._of_finer_step(certain)
         tried[tried.index(best)] = certain
         return certain, tried
-
-    def _of_finer_step(self, item: TriedModel) -> TriedModel:
-        """The same with the numbers of the finer step, which are nearer to the robot's.
-
-        Not where the present step has nothing like the same residual with them: then the model lacks something that
-        its numbers make up for, one way at each step.
-        """
-        found, finer_step = item.solution, self._finer
-        if finer_step is None or finer_step.gain < -DECIDED or self.logs.way.divisor == 1:
-            return item
-        z, problem = self._minimum_of(finer_step, found), self.problem_of(item)
-        left = float(np.linalg.norm(problem.residuals(z[None])[0]))
-        return replace(item, solution=replace(found, z=z)) if left < _ALIKE * found.rms else item
 
     def encoder_zeros(self, item: TriedModel) -> dict[str, float]:
         """What single recordings were off by, where that was fitted: `MOTION:JOINT` -> [rad or m]."""
@@ -243,15 +227,16 @@ class ModelSearch:
         # The robot takes new commands at a rate of its own, and holds them: by half of that time they are later.
         unknown = np.zeros(found.z.size)
         if self.logs.way.command != "held":
-            late = 0.125 * self.logs.period_s
-            unknown = np.array([late / item.scale * (item.quantity == "delay_s") for item in found.parameters.free])
+            held_s = 0.125 * self.logs.period_s
+            unknown = np.array([held_s / item.scale * (item.quantity == "delay_s") for item in found.parameters.free])
         undecided = [np.array([own.get(item.name, 0.0) for item in found.parameters.free]) for own in self._undecided]
         step = 0.0 if self._finer is None else self._finer.unknown(self.logs.way)
         left = remaining_step(problem, found.z, found.residual, found.jacobian)
         weight = noise_of(problem, found.residual).weight
         split = split_shifts(problem, found.z, found.jacobian, weight)
         shapes = shape_shifts(problem, found.z, found.jacobian, weight)
-        return known.widened([left, *undecided, *split, *shapes, step * np.ones(found.z.size), unknown])
+        late = late_shifts(problem, found.z)
+        return known.widened([left, *undecided, *split, *shapes, *late, step * np.ones(found.z.size), unknown])
 
     def suspects(self, item: TriedModel) -> tuple[Suspect, ...] | None:
         """What the model may lack; None where no time is left to look for it."""
@@ -315,10 +300,10 @@ class ModelSearch:
     @property
     def _scorer(self) -> Scorer:
         """Of models as the logs are simulated now."""
-        if self.logs.way not in self._scorers:
-            own = Scorer(self.logs.nominal, self.usable, jobs=self._jobs, seed=self._seed)
-            self._scorers[self.logs.way] = own
-        return self._scorers[self.logs.way]
+        way = self.logs.way.plain
+        if way not in self._scorers:
+            self._scorers[way] = Scorer(self.logs.exported, self.usable, jobs=self._jobs, seed=self._seed)
+        return self._scorers[way]
 
     @property
     def _late(self) -> bool:
@@ -349,7 +334,7 @@ class ModelSearch:
         return {
             "episodes": sorted({segment.episode_id for segment in segments}),
             "seconds": round(sum(segment.seconds for segment in segments), 2),
-            "timestep_s": self.logs.nominal.simulator.timestep_s,
+            "timestep_s": self.logs.exported.simulator.timestep_s,
             "command": self.logs.way.command,
             "window_s": self.config.data.window_s,
             "replay_window_s": self.logs.nominal.robot.replay.window_s,
@@ -398,7 +383,7 @@ class ModelSearch:
         where far more is left, something else is missing.
         """
         heard = bool(self.logs.weights.signals.get("torque"))
-        doubtful = self.logs.way.divisor > 1 or heard or not self._explained(best)
+        doubtful = self.logs.way.trapezoidal or heard or not self._explained(best)
         if self._rival is None or _over(limit) or not doubtful or self._left(best) > _FAR_FROM_NOISE:
             return best
         rival, command = self._rival
@@ -657,7 +642,10 @@ class ModelSearch:
             return None
         if halved:
             return extrapolated(now, other, self._minimum[2], there, present)
-        return alternative(now, other, self._minimum[2], there, weight, way)
+        compared = alternative(now, other, self._minimum[2], there, weight, way)
+        # Half of a step leaves a quarter of its error.
+        left = 4.0 / 3.0 if way.divisor > present.divisor else 1.0
+        return replace(compared, shift=left * compared.shift)
 
     def _minimum_of(self, other: Alternative, found: Solution) -> Float64[np.ndarray, "P"]:
         """Where the way that a solution was compared with has its minimum."""

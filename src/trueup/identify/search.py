@@ -43,6 +43,8 @@ _CERTAIN_STEP, _TWO_STEPS = 0.004, (0.01, 0.002)
 # Descents to the minimum of verified derivatives, at most; after how many of them these are taken anew; and the promise
 # of a further one that is not worth it, in observations.
 _POLISHED, _FINISHED, _AGAIN, _SETTLED = 9, 3, 3, 0.3
+# Where given derivatives take away more than half of the squares, they are those of another place, and taken anew.
+_FAR_AWAY = 2.0
 # How often windows begin anew while another way to simulate is brought to its minimum.
 _RESTARTS = 3
 # A new look at the starts that lowers the cost by less than so many observations is the last one.
@@ -180,9 +182,12 @@ class Search:
             DataError: the model cannot be simulated at z, or has other samples.
         """
         newton = self._derivatives(GaussNewtonState(z))
-        if newton.begin().shape != jacobian.shape[1:]:
-            raise DataError("other samples", got=newton.begin().size, expected=jacobian.shape[1])
+        begun = newton.begin()
+        if begun.shape != jacobian.shape[1:]:
+            raise DataError("other samples", got=begun.size, expected=jacobian.shape[1])
         newton.polish(jacobian, weight)
+        if begun @ begun > _FAR_AWAY * newton.state.square:
+            newton.polish(newton.jacobian(self.settings.gauss_newton.steps[-1]), weight)
         for _ in range(_RESTARTS):
             before = newton.state.cost
             if not self.problem.restart(newton.state.z, coarse=False):
@@ -209,12 +214,15 @@ class Search:
             DataError: the model cannot be simulated there.
         """
         search = self
-        newton, jacobian = self._settled(z, _POLISHED)
+        near, jacobian = self._settled(z, _POLISHED)
+        newton = near
         if self.problem.coarse is not None:
             search = Search(self.problem.alone(), self.settings, self.clock, checkpoint=None, on_progress=None)
-            newton, _ = search._settled(newton.state.z, _FINISHED, jacobian)
+            newton, _ = search._settled(near.state.z, _FINISHED, jacobian)
             self.problem.starts = search.problem.starts
-        jacobian = agreed(*(newton.central_jacobian(step) for step in _TWO_STEPS))
+        # Errors of derivatives over two distances, and at two time steps, are others.
+        first, second = _TWO_STEPS
+        jacobian = agreed(newton.central_jacobian(first), near.central_jacobian(second))
         assert newton.residual is not None
         weight = self._weight(newton.residual)
         newton.polish(verified(search.problem, newton.state.z, jacobian, weight, quick=True))

@@ -7,6 +7,7 @@ from jaxtyping import Float64, Int64
 
 from trueup.core.parameters import ParameterSet
 from trueup.errors import DataError
+from trueup.identify.inertial import COMPONENTS
 from trueup.identify.problem import Problem
 from trueup.identify.quantities import quantity
 from trueup.identify.uncertainty import precision_of
@@ -25,6 +26,8 @@ _ALIKE = 0.01
 _MOST_FOLLOWED, _CURVED, _FOLLOWED = 6, 0.2, 4
 # A drive is at its limit from this share of it on, and saturates where that is so for this share of the time.
 _AT_LIMIT, _SATURATED = 0.99, 0.005
+# How late the feedback of a drive may be, one standard deviation [s].
+_LATE_S = 0.000125
 # How well the inertia of a body is known beside its mass, one standard deviation of its logarithm.
 _SHAPE = 0.1
 
@@ -264,6 +267,35 @@ def _apart(problem: Problem, z: Float64[np.ndarray, "P"]) -> frozenset[str]:
     return frozenset(found)
 
 
+def late_shifts(problem: Problem, z: Float64[np.ndarray, "P"]) -> list[Float64[np.ndarray, "P"]]:
+    """What the estimate changes by, in z, if a drive is a little late; one (P,) for each joint.
+
+    A drive reads commands and sensors some thousand times a second, and acts on what it has read until the next time.
+    Feedback that is late by less than what counts as that (`causes.late_feedback`) is seen by nobody, and acts like
+    other numbers: by a time t, like k_p t less damping and k_v t less inertia. Commands are later by it. One standard
+    deviation of t is 0.125 ms, half of the period of a loop of 4 kHz.
+
+    Args:
+        problem: of the fit.
+        z: best estimate, (P,).
+    """
+    free = problem.parameters.free
+    places = {(item.quantity, item.target): number for number, item in enumerate(free)}
+    candidate = problem.candidate(problem.parameters.values(z))
+    model, found = candidate.compile(), []
+    for joint in problem.nominal.robot.joint_names:
+        drive, shift = candidate.drive(joint, model), np.zeros(z.size)
+        braked = next((name for name in ("kv", "damping") if (name, joint) in places), "kv")
+        for name, rate in (("delay_s", -1.0), (braked, drive.kp), ("armature", drive.kv)):
+            place = places.get((name, joint))
+            if place is not None and rate:
+                value = free[place].from_z(float(z[place]))
+                less = rate * _LATE_S
+                shift[place] = free[place].to_z(value - min(less, 0.5 * abs(value))) - z[place]
+        found.append(shift)
+    return [shift for shift in found if shift.any()]
+
+
 def shape_shifts(
     problem: Problem,
     z: Float64[np.ndarray, "P"],
@@ -272,10 +304,11 @@ def shape_shifts(
 ) -> list[Float64[np.ndarray, "P"]]:
     """What the estimate changes by, in z, if a body whose mass was fitted has another shape than the model's.
 
-    A mass is fitted with the radii of gyration that the model has. Those of a real link are known no better than its
-    mass, by a tenth in its inertia, and what they are wrong by other numbers make up for, armatures most of all. With g
-    the derivative of the residual by the logarithm of the inertia, one standard deviation is
-    -(J J^T + w L)^-1 J g / 10, with L the precision of the prior.
+    A mass is fitted with the radii of gyration that the model has; where all inertia is scaled by one number, with its
+    principal axes and their proportions. Those of a real link are known no better than its mass, by a tenth in its
+    inertia, and what they are wrong by other numbers make up for, armatures most of all. With g the derivative of the
+    residual by the logarithm of the inertia, or by a component of its log-Cholesky parameters where it is scaled, one
+    standard deviation is -(J J^T + w L)^-1 J g / 10, with L the precision of the prior.
 
     Args:
         problem: of the fit.
@@ -284,15 +317,20 @@ def shape_shifts(
         weight: variance of one independent observation.
 
     Returns:
-        One (P,) for each such body; of none whose inertia is fitted, too.
+        One (P,) for each such body, or six; of none whose shape is fitted, too.
     """
-    names, shape = problem.parameters.names, quantity("inertia_scale")
-    bodies = [
-        item.target
-        for item in problem.parameters.free
-        if item.quantity == "mass" and item.target and f"inertia_scale[{item.target}]" not in names
+    fitted = {(item.quantity, item.target) for item in problem.parameters}
+    components = [f"inertia_{component}" for component in COMPONENTS]
+    bodies = {item.target for item in problem.parameters.free if item.quantity == "mass" and item.target}
+    bodies -= {body for name, body in fitted if name in components}
+    scaled = {body for body in bodies if ("inertia_scale", body) in fitted}
+    shapes = dict.fromkeys(components, scaled) | {"inertia_scale": bodies - scaled}
+    extra = [
+        quantity(name).parameter(problem.nominal, body)
+        for name, own in shapes.items()
+        for body in quantity(name).holders(problem.nominal)
+        if body in own
     ]
-    extra = [shape.parameter(problem.nominal, body) for body in shape.holders(problem.nominal) if body in bodies]
     if not extra:
         return []
     wider = problem.with_parameters(ParameterSet((*problem.parameters, *extra)))
@@ -301,6 +339,8 @@ def shape_shifts(
     seen = wider.slopes(np.concatenate([here + moves, here - moves])).reshape(2, len(extra), -1)
     slopes = np.nan_to_num((seen[0] - seen[1]) / (2.0 * _NEAR))
     curve = jacobian @ jacobian.T + weight * precision_of(problem.parameters)
+    # Components are logarithms of lengths, of which the inertia has the squares.
+    slopes *= np.array([[0.5 if item.quantity in components else 1.0] for item in extra])
     shifts = -_SHAPE * np.linalg.pinv(curve, rcond=1e-14, hermitian=True) @ jacobian @ slopes.T
     return list(shifts.T)
 

@@ -66,6 +66,11 @@ class SimulatedLogs:
         return self._simulated(self.way)[0]
 
     @property
+    def exported(self) -> Nominal:
+        """The model as it came, simulated as a fitted model is outside of the fit."""
+        return self._simulated(self.way.plain)[0]
+
+    @property
     def segments(self) -> list[Segment]:
         """The pieces of the motions that are fitted."""
         return self._simulated(self.way)[1]
@@ -100,7 +105,15 @@ class SimulatedLogs:
         nominal, segments = self._simulated(way)
         # The derivatives of the larger step serve as well, and take a fraction of the time.
         coarse = self.problem(parameters, replace(way, divisor=1)) if way.divisor > 1 else None
-        problem = Problem(nominal, parameters, segments, weights=self.weights, jobs=self._jobs, coarse=coarse)
+        problem = Problem(
+            nominal,
+            parameters,
+            segments,
+            weights=self.weights,
+            jobs=self._jobs,
+            coarse=coarse,
+            trapezoidal=way.trapezoidal,
+        )
         if self._config.data.window_s is not None:
             if way not in self._starts:
                 self._starts[way] = window_starts(problem, parameters.at(self._place).start, self._near(segments))
@@ -119,7 +132,15 @@ class SimulatedLogs:
         except DataError:
             return None
         coarse = self.held_out(parameters, replace(way, divisor=1)) if way.divisor > 1 else None
-        problem = Problem(nominal, parameters, segments, weights=self.weights, jobs=self._jobs, coarse=coarse)
+        problem = Problem(
+            nominal,
+            parameters,
+            segments,
+            weights=self.weights,
+            jobs=self._jobs,
+            coarse=coarse,
+            trapezoidal=way.trapezoidal,
+        )
         if self._config.data.window_s is not None:
             problem.starts = window_starts(problem, parameters.at(self._place).start)
         return problem

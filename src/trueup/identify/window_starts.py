@@ -18,9 +18,9 @@ _POSITION, _VELOCITY = 1e-4, 1e-3
 # A direction of a start that changes the motion by less than this share of the others (the speed of a joint that
 # sticks, say) is left.
 _LEAST = 1e-3
-# Steps to the best starts, the shares of each that are tried, and how many standard deviations of its measurement a
-# start may easily be away from it.
-_ROUNDS, _SHARES, _EASILY = 3, (1.0, 0.3), 3.0
+# Steps to the best starts, at most; a share of the squares: after one that takes less away, there is no other;
+# the shares of each that are tried, and how many standard deviations of its measurement a start may easily be away.
+_ROUNDS, _GAINED, _SHARES, _EASILY = 6, 0.02, (1.0, 0.3), 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,11 +86,15 @@ def window_starts(
         for segment in problem.segments
     }
     known = {segment: _known(segment) for segment in problem.segments}
+    last = np.inf
     for _ in range(1 if begun else _ROUNDS):
         base, sensitivity = _residuals(problem, z, shifts), _slopes(problem, z, shifts)
         if not np.isfinite(base).all() or not np.isfinite(sensitivity).all():
             return {}
         variance = float(np.mean(base**2))
+        if variance > (1.0 - _GAINED) * last:
+            break
+        last = variance
         moves = {}
         for segment, rows, window in _placed(windows):
             moves[segment] = np.zeros_like(shifts[segment])
@@ -109,8 +113,9 @@ def window_starts(
                 better = np.flatnonzero(after < before)
                 shifts[segment][:, better] = tried[segment][:, better]
                 moves[segment][:, better] = 0.0
-    if not begun:
-        sensitivity = _slopes(problem, z, shifts)
+    else:
+        if not begun:
+            sensitivity = _slopes(problem, z, shifts)
     if not np.isfinite(sensitivity).all():
         return {}
     starts = {}

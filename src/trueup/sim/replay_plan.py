@@ -87,6 +87,11 @@ class ReplayPlan:
         return self._steps
 
     @property
+    def holds(self) -> bool:
+        """Whether each command is held until the next stamp."""
+        return self._timing == "held"
+
+    @property
     def grid_s(self) -> Float64[np.ndarray, "W N"]:
         """When each simulation step of each window begins, on the measured clock [s]."""
         return np.asarray(self.measured.time_s[self.starts][:, None] + self._ticks() * self._step_s)
