@@ -1,15 +1,12 @@
 """A known truth, a noisy log, a wrong start: the fit must come back, and its interval must hold what it says."""
 
-from dataclasses import replace
-
 import mujoco
 import numpy as np
 import pytest
 
 from identify.recovery_cases import JOINTS, SERVO, TORQUE, Truth, fit, nominal_of
-from trueup.identify import IdentifyConfig, Problem, SegmentRule, make_segments
-from trueup.identify.config import DataChoice, make_parameters
-from trueup.identify.model_search import ModelSearch
+from trueup.identify import Problem, SegmentRule, make_segments
+from trueup.identify.config import make_parameters
 from trueup.identify.start import off_bounds
 
 # What is true of the shoulder (the elbow has 0.8 of it), by what is fitted; the fit starts from the model's values.
@@ -167,23 +164,3 @@ def test_intervals_cover_the_truth_at_about_their_level(memory, tmp_path):
     assert covered.min() >= 0.8, message
     # Intervals that are much too wide would cover as well.
     assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 1.5
-
-
-def test_masses_are_searched_again_from_those_of_the_model(tmp_path):
-    """A search that stands at a bad division of masses is led out of it; a better one stays where it is."""
-    robot, nominal = nominal_of(tmp_path, TORQUE)
-    truth = Truth(robot, nominal, BODY_CASES["centre of mass"])
-    logs = [truth.log(seed, name=f"log{seed}", size=6.0, noise=2e-4, seconds=6.0) for seed in (1, 2)]
-    chosen = {name: ["upper", "lower"] for name in ("mass", "com_x")} | {"com_z": ["lower"]}
-    config = IdentifyConfig(fit=chosen, data=DataChoice(window_s=0.3), models={})
-    search = ModelSearch(nominal, {"train": logs}, config, jobs=1, seed=0, checkpoints=None, on_progress=None)
-    found = search._try("base", search.config.fit)
-    problem, away = search.problem_of(found), found.solution.z.copy()
-    away[[item.quantity == "mass" for item in problem.parameters.free]] += 1.0
-    residual = problem.residuals(away[None])[0]
-    bad = replace(found.solution, z=away, residual=residual, rms=float(np.linalg.norm(residual)))
-    assert bad.rms > 2.0 * found.solution.rms
-    led = search._weighed(replace(found, solution=bad), search.config.fit, limit=None)
-    assert led.solution.rms < 1.01 * found.solution.rms
-    again = search._weighed(found, search.config.fit, limit=None)
-    assert again.solution.rms < 1.001 * found.solution.rms

@@ -40,7 +40,8 @@ from trueup.identify.quantities import quantity
 from trueup.identify.scoring import Scorer, Scores
 from trueup.identify.search import Search, Stopwatch
 from trueup.identify.segments import usable
-from trueup.identify.sensitivity import late_shifts, shape_shifts, split_shifts
+from trueup.identify.sensitivity import late_shifts, split_shifts
+from trueup.identify.shapes import shape_shifts
 from trueup.identify.simulated_logs import SimulatedLogs
 from trueup.identify.solution import OnModel, Solution
 from trueup.identify.solve import solve
@@ -197,7 +198,7 @@ class ModelSearch:
             tried[tried.index(best)] = best = finished
         settled = self._settled(best, fit, left_out=self._frozen(best), limit=self._until(_BEST))
         heard = self._heard(settled, fit, left_out=self._frozen(settled), limit=self._until(_BEST))
-        certain = self._certain(self._weighed(heard, fit, limit=self._until(_BEST)))
+        certain = self._certain(heard)
         self.searched = certain.solution
         self._finer = self._compared(certain)
         tried[tried.index(best)] = certain
@@ -571,28 +572,6 @@ class ModelSearch:
         self.logs.way = way
         moved = replace(best, solution=replace(best.solution, z=self._minimum_of(other, best.solution)))
         return self._further(moved, fit, "another way", (), rough=rough, limit=limit)
-
-    def _weighed(self, best: TriedModel, fit: Mapping[str, Any], *, limit: TimeLimit | None) -> TriedModel:
-        """The same model with masses searched from those of the robot's description, if that ends at a better place.
-
-        Gravity shows products of masses and their places, and motion squares of places: two divisions of them among
-        links may explain motions equally well, with worse ones between. Intervals know of the one where they are.
-        """
-        found = best.solution
-        mean, std = found.parameters.prior
-        known = [quantity(item.quantity).of == "body" for item in found.parameters.free] & np.isfinite(std)
-        if not any(item.quantity.startswith("com_") for item in found.parameters.free) or _over(limit):
-            return best
-        begun = replace(best, solution=replace(found, z=np.where(known, mean, found.z)))
-        other = self._further(begun, fit, "from given masses", self._frozen(best), limit=limit)
-        problem, last = self.problem_of(best), other.solution
-        weight = noise_of(problem, found.residual).weight
-        here, there = (found.z, found.residual), (last.z, last.residual)
-        compared = alternative(problem, problem, here, there, weight, self.logs.way)
-        if self._better(compared, best) or compared.gain > 0.0:
-            return other
-        self.logs.begin_at(found.values)
-        return best
 
     def _better(self, other: Alternative, best: TriedModel) -> bool:
         """Whether data prefer another fit; if they do not decide, what it would change by is kept for the intervals."""

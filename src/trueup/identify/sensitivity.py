@@ -7,7 +7,6 @@ from jaxtyping import Float64, Int64
 
 from trueup.core.parameters import ParameterSet
 from trueup.errors import DataError
-from trueup.identify.inertial import COMPONENTS
 from trueup.identify.problem import Problem
 from trueup.identify.quantities import quantity
 from trueup.identify.uncertainty import precision_of
@@ -28,8 +27,6 @@ _MOST_FOLLOWED, _CURVED, _FOLLOWED = 6, 0.2, 4
 _AT_LIMIT, _SATURATED = 0.99, 0.005
 # How late the feedback of a drive may be, one standard deviation [s].
 _LATE_S = 0.000125
-# How well the inertia of a body is known beside its mass, one standard deviation of its logarithm.
-_SHAPE = 0.1
 
 
 def verified(
@@ -294,55 +291,6 @@ def late_shifts(problem: Problem, z: Float64[np.ndarray, "P"]) -> list[Float64[n
                 shift[place] = free[place].to_z(value - min(less, 0.5 * abs(value))) - z[place]
         found.append(shift)
     return [shift for shift in found if shift.any()]
-
-
-def shape_shifts(
-    problem: Problem,
-    z: Float64[np.ndarray, "P"],
-    jacobian: Float64[np.ndarray, "P N"],
-    weight: float,
-) -> list[Float64[np.ndarray, "P"]]:
-    """What the estimate changes by, in z, if a body whose mass was fitted has another shape than the model's.
-
-    A mass is fitted with the radii of gyration that the model has; where all inertia is scaled by one number, with its
-    principal axes and their proportions. Those of a real link are known no better than its mass, by a tenth in its
-    inertia, and what they are wrong by other numbers make up for, armatures most of all. With g the derivative of the
-    residual by the logarithm of the inertia, or by a component of its log-Cholesky parameters where it is scaled, one
-    standard deviation is -(J J^T + w L)^-1 J g / 10, with L the precision of the prior.
-
-    Args:
-        problem: of the fit.
-        z: best estimate, (P,).
-        jacobian: verified, at z, (P, N).
-        weight: variance of one independent observation.
-
-    Returns:
-        One (P,) for each such body, or six; of none whose shape is fitted, too.
-    """
-    fitted = {(item.quantity, item.target) for item in problem.parameters}
-    components = [f"inertia_{component}" for component in COMPONENTS]
-    bodies = {item.target for item in problem.parameters.free if item.quantity == "mass" and item.target}
-    bodies -= {body for name, body in fitted if name in components}
-    scaled = {body for body in bodies if ("inertia_scale", body) in fitted}
-    shapes = dict.fromkeys(components, scaled) | {"inertia_scale": bodies - scaled}
-    extra = [
-        quantity(name).parameter(problem.nominal, body)
-        for name, own in shapes.items()
-        for body in quantity(name).holders(problem.nominal)
-        if body in own
-    ]
-    if not extra:
-        return []
-    wider = problem.with_parameters(ParameterSet((*problem.parameters, *extra)))
-    moves = _NEAR * np.eye(len(extra), z.size + len(extra), z.size)
-    here = np.concatenate([z, np.zeros(len(extra))])
-    seen = wider.slopes(np.concatenate([here + moves, here - moves])).reshape(2, len(extra), -1)
-    slopes = np.nan_to_num((seen[0] - seen[1]) / (2.0 * _NEAR))
-    curve = jacobian @ jacobian.T + weight * precision_of(problem.parameters)
-    # Components are logarithms of lengths, of which the inertia has the squares.
-    slopes *= np.array([[0.5 if item.quantity in components else 1.0] for item in extra])
-    shifts = -_SHAPE * np.linalg.pinv(curve, rcond=1e-14, hermitian=True) @ jacobian @ slopes.T
-    return list(shifts.T)
 
 
 def invariant(parameters: ParameterSet, z: Float64[np.ndarray, "P"]) -> Float64[np.ndarray, "K P"]:
