@@ -14,7 +14,7 @@ from trueup.robots import CommandTiming, RobotSpec
 # A time step is halved down to this part of the model's.
 _LAST = 8
 # MuJoCo's own damping comes near the trapezoidal rule in this part of the step.
-_PLAIN = 2
+_PLAIN = 4
 # Twice the difference of logarithmic likelihoods above which data have decided between two ways.
 DECIDED = 10.0
 # A number that another damping moves by more than so many of its standard deviations is worth it; a step of zero, by so
@@ -179,8 +179,8 @@ def extrapolated(
 
 
 def finer(now: Discretization) -> Discretization:
-    """The next one with less error: half of the step, with damping by the trapezoidal rule."""
-    return replace(now, divisor=2 * now.divisor, trapezoidal=True)
+    """The next one with less error: damping by the trapezoidal rule, then half of the step."""
+    return replace(now, divisor=2 * now.divisor) if now.trapezoidal else replace(now, trapezoidal=True)
 
 
 def coarser(now: Discretization) -> Discretization:

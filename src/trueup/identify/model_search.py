@@ -200,7 +200,7 @@ class ModelSearch:
         heard = self._heard(settled, fit, left_out=self._frozen(settled), limit=self._until(_BEST))
         certain = self._certain(heard)
         self.searched = certain.solution
-        self._finer = self._compared(certain)
+        self._finer = self._nearer_to_no_step(certain)
         tried[tried.index(best)] = certain
         return certain, tried
 
@@ -523,7 +523,7 @@ class ModelSearch:
     ) -> TriedModel:
         """The same model, fitted with a finer time step while numbers depend on it and the data do not object."""
         while not _over(limit):
-            self._finer = self._compared(best)
+            self._finer = self._nearer_to_no_step(best)
             if self._finer is None or not self._finer.matters(self.logs.way, self.posterior_of(best).std):
                 break
             if self._finer.lowers < _WORTH_A_STEP and self._left(best) > _FAR_FROM_NOISE:
@@ -605,6 +605,17 @@ class ModelSearch:
             return best
         return self._further(best, fit, "with torque", left_out, rough=rough, limit=limit)
 
+    def _nearer_to_no_step(self, item: TriedModel) -> Alternative | None:
+        """What a way with less error of the step would find.
+
+        A large step may have much error even so: a model that came is not taken for that of the logs before half of its
+        step was looked at.
+        """
+        found = self._compared(item)
+        if found is None or self.logs.way.trapezoidal or found.gain > -DECIDED:
+            return found
+        return self._compared(item, finer(found.way)) or found
+
     def _compared(self, item: TriedModel, way: Discretization | None = None) -> Alternative | None:
         """What another way, or a finer time step, would find; None where it cannot be simulated, or no time is left."""
         found, present = item.solution, self.logs.way
@@ -623,7 +634,7 @@ class ModelSearch:
             return extrapolated(now, other, self._minimum[2], there, present)
         compared = alternative(now, other, self._minimum[2], there, weight, way)
         # Half of a step leaves a quarter of its error.
-        left = 4.0 / 3.0 if way.divisor > present.divisor else 1.0
+        left = 4.0 / 3.0 if present.trapezoidal and way.divisor > present.divisor else 1.0
         return replace(compared, shift=left * compared.shift)
 
     def _minimum_of(self, other: Alternative, found: Solution) -> Float64[np.ndarray, "P"]:
