@@ -194,16 +194,7 @@ class Problem:
     def with_parameters(self, parameters: ParameterSet) -> Problem:
         """The same logs and weights for other parameters; the count of evaluations goes on."""
         coarse = None if self.coarse is None else self.coarse.with_parameters(parameters)
-        other = Problem(
-            self.nominal,
-            parameters,
-            self.segments,
-            weights=self.weights,
-            jobs=self.jobs,
-            coarse=coarse,
-            starts=self.starts,
-            trapezoidal=self.trapezoidal,
-        )
+        other = self._like(parameters=parameters, coarse=coarse, starts=self.starts)
         other.evaluations, other.seconds = self.evaluations, self.seconds
         return other
 
@@ -226,24 +217,29 @@ class Problem:
 
     def with_starts(self, starts: Mapping[Segment, WindowStarts]) -> Problem:
         """The same with other starts of the windows, simulated at its own time step alone."""
-        return Problem(
-            self.nominal,
-            self.parameters,
-            self.segments,
-            weights=self.weights,
-            jobs=self.jobs,
-            starts=starts,
-            trapezoidal=self.trapezoidal,
-        )
+        return self._like(starts=starts)
 
     def with_weights(self, weights: Weights) -> Problem:
         """The same with other weights, and windows that begin as they were measured, at its own time step alone."""
+        return self._like(weights=weights)
+
+    def _like(
+        self,
+        *,
+        parameters: ParameterSet | None = None,
+        weights: Weights | None = None,
+        coarse: Problem | None = None,
+        starts: Mapping[Segment, WindowStarts] | None = None,
+    ) -> Problem:
+        """The same model, logs and way to simulate them."""
         return Problem(
             self.nominal,
-            self.parameters,
+            self.parameters if parameters is None else parameters,
             self.segments,
-            weights=weights,
+            weights=self.weights if weights is None else weights,
             jobs=self.jobs,
+            coarse=coarse,
+            starts=starts,
             trapezoidal=self.trapezoidal,
         )
 
@@ -305,9 +301,7 @@ class Problem:
                 zeros = self._zeros(candidate, segment.episode_id)
                 asked = segment.plan.request(self._late(candidate, segment))
                 request = _shifted(asked, zeros, self.starts.get(segment))
-                model = candidate.compile(segment.setup)
-                if self.trapezoidal:
-                    damp_by_trapezoid(model)
+                model = self._finished(candidate.compile(segment.setup))
                 models = [model] * segment.plan.starts.size
                 result = simulator.rollout_candidates(request, models)
             finally:
@@ -398,9 +392,12 @@ class Problem:
 
     def _compile(self, candidate: Candidate, setup: Setup) -> mujoco.MjModel | None:
         try:
-            model = candidate.compile(setup)
+            return self._finished(candidate.compile(setup))
         except ConfigError:
             return None
+
+    def _finished(self, model: mujoco.MjModel) -> mujoco.MjModel:
+        """A compiled model, made ready to be simulated."""
         # The same motion without looking for islands of constraints: a tenth faster for a robot, which is a few trees.
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
         if self.trapezoidal:
