@@ -29,6 +29,7 @@ from trueup.robots import CommandTiming, RobotSpec, Setup, setup_of
 from trueup.sim import MujocoSimulator, ReplayPlan, ReplaySettings
 from trueup.sim.compiled_robot import ABSURD
 from trueup.sim.replay_plan import smooth_commands
+from trueup.sim.trapezoid import damp_by_trapezoid
 
 # Drawn numbers: standard deviation of the logarithm, or share of what counts as a large change; masses were weighed.
 _SPREAD, _MASS_SPREAD = 0.3, 0.1
@@ -193,6 +194,7 @@ class DrawnSimulator:
         nominal = self._nominal
         for setup in {setup_of(nominal.robot, meta) for meta in metas}:
             model = self._candidate.compile(setup)
+            damp_by_trapezoid(model)  # a robot has no step
             self._simulators[setup] = MujocoSimulator(model, nominal.robot, nominal.simulator.channels)
 
     def log(self, episode: Episode, sensors: Sensors, rng: np.random.Generator) -> Episode:
@@ -244,11 +246,13 @@ class DrawnSimulator:
         clock = _from_command_on(episode, told)
         step_s, count = simulator.timestep_s, _steps(clock, simulator.timestep_s)
         edges = clock[0] + step_s * np.arange(count + 1)
+        # What acts from the middle of one step to that of the next (`damp_by_trapezoid`).
+        middles = edges - 0.5 * step_s
         signals = {}
         for name in (name for name in simulator.command_signals if name in told):
             values = told[name].astype(np.float64) + (zeros if name == "position" else 0.0)
             columns = [
-                _acting(told.time_s, values[:, column], edges - delay, replay.command)
+                _acting(told.time_s, values[:, column], middles - delay, replay.command)
                 for column, delay in enumerate(self._candidate.delays)
             ]
             signals[name] = np.stack(columns, axis=1)
