@@ -1,15 +1,19 @@
 """What the shapes of links take from the certainty of masses, and what no joint shows."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 
 from identify.recovery_cases import JOINTS, TORQUE, Truth, nominal_of
+from trueup.core.parameters import ParameterSet
 from trueup.identify import Problem, SegmentRule, SolveSettings, make_segments, solve
 from trueup.identify.config import make_parameters
 from trueup.identify.inertial import COMPONENTS
 from trueup.identify.regression.equation import mechanism_structure
 from trueup.identify.regression.linkage import Linkage
 from trueup.identify.shapes import shape_shifts, unseen
+from trueup.identify.solution import fingerprint_of
 from trueup.identify.uncertainty import noise_of, posterior_of
 
 INERTIAL = ("mass", "com_x", "com_y", "com_z", *(f"inertia_{name}" for name in COMPONENTS))
@@ -68,3 +72,21 @@ def test_single_masses_are_no_more_certain_than_shapes_are_known(tmp_path):
     moment = np.zeros(len(names))
     moment[lower], moment[place] = 1.0, problem.parameters.free[place].scale / values["com_x[lower]"]
     assert float(np.sqrt(moment @ wide.covariance @ moment)) < 0.01 * wide.std[lower]
+
+
+def test_a_number_at_its_bound_is_unseen_as_it_is_inside(tmp_path):
+    _, nominal = nominal_of(tmp_path, TORQUE)
+    inside = make_parameters(dict.fromkeys((*INERTIAL, "armature"), "all"), nominal)
+    ends = ParameterSet(
+        tuple(replace(item, high=item.value) if item.quantity == "armature" else item for item in inside)
+    )
+    one, other = (unseen(Problem(nominal, own, ()), own.start) for own in (inside, ends))
+    np.testing.assert_allclose(one.T @ one, other.T @ other, atol=1e-3)
+
+
+def test_a_search_does_not_go_on_from_one_with_other_damping(tmp_path):
+    robot, nominal = nominal_of(tmp_path, TORQUE)
+    segments, _ = make_segments([Truth(robot, nominal, {}).log(1, seconds=2.0)], nominal.simulator, SegmentRule())
+    parameters = make_parameters({"mass": "all"}, nominal)
+    plain, other = (Problem(nominal, parameters, segments, trapezoidal=own) for own in (False, True))
+    assert fingerprint_of(plain, SolveSettings()) != fingerprint_of(other, SolveSettings())

@@ -111,10 +111,12 @@ def unseen(problem: Problem, z: Float64[np.ndarray, "P"]) -> Float64[np.ndarray,
     ]
     if not rigid:
         return np.zeros((0, z.size))
-    rows = []
+    rows, bounds = [], problem.parameters.bounds
     for number in rigid:
-        one, other = (_torques(problem, z + sign * _NEARER * np.eye(1, z.size, number)[0]) for sign in (1.0, -1.0))
-        rows.append((one - other) / (2.0 * _NEARER))
+        move = _NEARER * np.eye(1, z.size, number)[0]
+        one, other = (np.clip(z + sign * move, *bounds) for sign in (1.0, -1.0))
+        away = max(float((one - other)[number]), 1e-300)
+        rows.append((_torques(problem, one) - _torques(problem, other)) / away)
     slopes = np.array(rows)
     size = np.linalg.norm(slopes, axis=1)
     size = np.maximum(size, _NOTHING * max(float(size.max(initial=0.0)), 1e-300))

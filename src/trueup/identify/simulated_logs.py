@@ -105,15 +105,7 @@ class SimulatedLogs:
         nominal, segments = self._simulated(way)
         # The derivatives of the larger step serve as well, and take a fraction of the time.
         coarse = self.problem(parameters, replace(way, divisor=1)) if way.divisor > 1 else None
-        problem = Problem(
-            nominal,
-            parameters,
-            segments,
-            weights=self.weights,
-            jobs=self._jobs,
-            coarse=coarse,
-            trapezoidal=way.trapezoidal,
-        )
+        problem = self._problem(nominal, parameters, segments, way, coarse)
         if self._config.data.window_s is not None:
             if way not in self._starts:
                 self._starts[way] = window_starts(problem, parameters.at(self._place).start, self._near(segments))
@@ -132,7 +124,20 @@ class SimulatedLogs:
         except DataError:
             return None
         coarse = self.held_out(parameters, replace(way, divisor=1)) if way.divisor > 1 else None
-        problem = Problem(
+        problem = self._problem(nominal, parameters, segments, way, coarse)
+        if self._config.data.window_s is not None:
+            problem.starts = window_starts(problem, parameters.at(self._place).start)
+        return problem
+
+    def _problem(
+        self,
+        nominal: Nominal,
+        parameters: ParameterSet,
+        segments: Sequence[Segment],
+        way: Discretization,
+        coarse: Problem | None,
+    ) -> Problem:
+        return Problem(
             nominal,
             parameters,
             segments,
@@ -141,9 +146,6 @@ class SimulatedLogs:
             coarse=coarse,
             trapezoidal=way.trapezoidal,
         )
-        if self._config.data.window_s is not None:
-            problem.starts = window_starts(problem, parameters.at(self._place).start)
-        return problem
 
     def begin_at(self, values: Mapping[str, float], starts: Mapping[Segment, WindowStarts] | None = None) -> None:
         """Look again where windows begin, with these parameters; `starts` are known for the present way."""

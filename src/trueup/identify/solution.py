@@ -186,6 +186,7 @@ def fingerprint_of(problem: Problem, settings: SolveSettings) -> str:
         "motions": [segment.episode_id for segment in problem.segments],
         "weights": asdict(problem.weights),
         "settings": asdict(settings),
+        "trapezoidal": problem.trapezoidal,
     }
     digest.update(json.dumps(plain, sort_keys=True).encode())
     return digest.hexdigest()
