@@ -133,6 +133,8 @@ class ModelSearch:
         # For each way to simulate the logs.
         self._scorers = {self.logs.way: Scorer(nominal, self.usable, jobs=jobs, seed=seed)}
         self._finer: Alternative | None = None
+        # Whether the logs are those of a simulation with the model's own step.
+        self._of_this_step = False
         self._undecided: list[dict[str, float]] = []
         # Wider bounds than those of the catalogue, for what ended on these.
         self._room: dict[str, tuple[float, float]] = {}
@@ -355,6 +357,8 @@ class ModelSearch:
     def ways_in_words(self) -> tuple[str, ...]:
         """How the fit simulates otherwise than the robot's description says."""
         said = self.logs.in_words
+        if self._of_this_step:
+            said += ("the logs look like those of a simulation with the model's own time step, and are fitted as such",)
         return (*said, self._torque_said) if self._torque_said else said
 
     def _timed(self, fit: Mapping[str, Any], *, rough: bool) -> TriedModel:
@@ -534,7 +538,30 @@ class ModelSearch:
             moved = replace(best, solution=replace(best.solution, z=self._minimum_of(self._finer, best.solution)))
             self.logs.way = self._finer.way
             best = self._further(moved, fit, "finer", left_out, rough=rough, limit=limit)
+        if self._finer is not None and self._finer.way.divisor == 2 and self._finer.gain < -DECIDED:
+            return self._as_simulated(best, fit, left_out, rough=rough, limit=limit)
         return best
+
+    def _as_simulated(
+        self, best: TriedModel, fit: Mapping[str, Any], left_out: Sequence[str], *, rough: bool, limit: TimeLimit | None
+    ) -> TriedModel:
+        """The same model with the step and damping that it came with, if the logs are a simulation's with these.
+
+        A robot has no step. Logs that are explained to their noise, and decidedly worse with half of the model's step,
+        have the error of that step in them: a simulation has made them, and with it comes MuJoCo's own damping.
+        """
+        if not self._explained(best):
+            return best
+        if not self.logs.way.trapezoidal:
+            self._of_this_step, self._finer = True, None
+            return best
+        way = replace(self.logs.way, trapezoidal=False)
+        other = self._compared(best, way)
+        if other is None or other.gain < -DECIDED:
+            return best
+        self._of_this_step, self._finer, self.logs.way = True, None, way
+        moved = replace(best, solution=replace(best.solution, z=self._minimum_of(other, best.solution)))
+        return self._further(moved, fit, "as simulated", left_out, rough=rough, limit=limit)
 
     def _smoothed(
         self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None
@@ -609,8 +636,10 @@ class ModelSearch:
         """What a way with less error of the step would find.
 
         A large step may have much error even so: a model that came is not taken for that of the logs before half of its
-        step was looked at.
+        step was looked at. None where the logs are those of a simulation with the model's step.
         """
+        if self._of_this_step:
+            return None
         found = self._compared(item)
         if found is None or self.logs.way.trapezoidal or found.gain > -DECIDED:
             return found
