@@ -156,6 +156,33 @@ def test_a_candidate_is_simulated_the_same_alone_and_among_others(tmp_path, jobs
     np.testing.assert_array_equal(problem.residuals(places), alone)
 
 
+@pytest.mark.parametrize("slack", [0.0, 0.3, 40.0, np.inf])
+def test_the_moment_of_a_torque_is_known_as_well_as_is_said(tmp_path, slack):
+    """The sum of squares is r' C^-1 r, with the covariance C of white noise and of one unknown moment."""
+    robot, nominal = nominal_of(tmp_path, SERVO)
+    log = Truth(robot, nominal, {"damping[shoulder]": 0.8}).log(1, seconds=3.0)
+    segments, _ = make_segments([log], nominal.simulator, SegmentRule())
+    parameters = make_parameters({"kp": "all"}, nominal)
+    plain = Weights({"torque": 1.0}, {})
+    known = replace(
+        plain,
+        torque_delay_s=dict.fromkeys(robot.joint_names, 0.0),
+        torque_slack={} if np.isinf(slack) else dict.fromkeys(robot.joint_names, slack),
+    )
+    rows, compared = (
+        Problem(nominal, parameters, segments, weights=own).residuals(parameters.start[None]).reshape(-1, 2)
+        for own in (plain, known)
+    )
+    told = segments[0].plan
+    sooner, later = (told.told("position", np.full(2, late)) for late in (-0.002, 0.002))
+    for joint in range(2):
+        change = ((sooner - later) / 0.004)[-len(rows) :, joint]
+        size = 1e3 if np.isinf(slack) else slack
+        spread = np.eye(len(rows)) + size**2 * np.outer(change, change)
+        expected = rows[:, joint] @ np.linalg.solve(spread, rows[:, joint])
+        assert compared[:, joint] @ compared[:, joint] == pytest.approx(expected, rel=1e-5)
+
+
 @pytest.mark.parametrize("solver", ["cma-es", "evolution"])
 def test_derivative_free_searches_resume_to_the_same_result(small, tmp_path, solver):
     settings = SolveSettings(solver=solver, max_evaluations=40)

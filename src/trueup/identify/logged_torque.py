@@ -13,11 +13,15 @@ from trueup.identify.solution import Solution
 # A logged torque is that of the motors, in Nm, where the simulated one explains this share of it, times a factor within
 # these bounds: with a position fit, the scale of all torques is only as good as the model's masses.
 _HEARD, _SAME_UNIT = 0.5, (0.5, 2.0)
+# Standard deviation of a moment that is anywhere between two commands, as a share of their distance.
+_ANYWHERE = 12.0**-0.5
 # No torque is simulated better than to this share of its size.
 _SURE = 1e-3
 
 
-def logged_torque(problem: Problem, found: Solution, config: IdentifyConfig) -> tuple[Weights, str] | None:
+def logged_torque(
+    problem: Problem, found: Solution, config: IdentifyConfig, period_s: float
+) -> tuple[Weights, str] | None:
     """Weights of the residual with the logged torque of each joint by what a fit leaves of it, and a sentence on it.
 
     Without torques in them where the logged one is not that of the simulation; None if none was logged.
@@ -26,6 +30,7 @@ def logged_torque(problem: Problem, found: Solution, config: IdentifyConfig) -> 
         problem: the fit.
         found: where it ended.
         config: with the weights of positions and of joints.
+        period_s: usual time between two logged commands [s]; the torque is that of a moment between two of them.
 
     Raises:
         DataError: the fitted model cannot be simulated.
@@ -62,4 +67,12 @@ def logged_torque(problem: Problem, found: Solution, config: IdentifyConfig) -> 
     usual = float(np.sqrt(np.mean(positions**2)))
     own = {name: usual / float(std) for name, std in zip(names, away, strict=True)}
     said = "the logged torque is weighed, each joint's by what the fit leaves of it"
-    return replace(both, own={"torque": own}), said
+    candidate = problem.candidate(found.values)
+    model = candidate.compile()
+    drives = [candidate.drive(name, model) for name in names]
+    follows = [drive.kv if problem.nominal.robot.controller.signal == "velocity" else drive.kp for drive in drives]
+    slack = {
+        name: _ANYWHERE * period_s * (gain or 0.0) / float(std)
+        for name, gain, std in zip(names, follows, away, strict=True)
+    }
+    return replace(both, own={"torque": own}, torque_slack=slack), said

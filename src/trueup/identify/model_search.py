@@ -287,9 +287,17 @@ class ModelSearch:
             chosen=chosen,
         )
 
-    def signals(self, item: TriedModel, split: str) -> dict[str, dict[str, float]]:
-        """Logged signal -> joint -> error of one model on one split."""
-        return self._scorer.signals(item.solution.parameters, item.solution.values, split)
+    def signals(self, item: TriedModel, before: Scorer, split: str) -> dict[str, dict[str, tuple[float, float]]]:
+        """Logged signal -> joint -> its error on one split with the nominal model, as `before` has it, and one fit.
+
+        A torque that is weighed is compared as the fit does it.
+        """
+        late = self.logs.weights.torque_delay_s
+        now = self._scorer.signals(item.solution.parameters, item.solution.values, split, late)
+        return {
+            signal: {joint: (error, now[signal][joint]) for joint, error in own.items()}
+            for signal, own in before.signals(ParameterSet(()), {}, split, late).items()
+        }
 
     @cached_property
     def judged(self) -> tuple[str, ...]:
@@ -624,7 +632,7 @@ class ModelSearch:
         """
         if self._signal == "torque" or self.config.signals.get("torque") != AUTO or _over(limit):
             return best
-        heard = logged_torque(self.problem_of(best), best.solution, self.config)
+        heard = logged_torque(self.problem_of(best), best.solution, self.config, self.logs.period_s)
         if heard is None:
             return best
         self.logs.weights, self._torque_said = heard

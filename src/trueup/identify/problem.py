@@ -42,12 +42,16 @@ class Weights:
         torque_delay_s: joint name -> how late commands act [s]; a torque of these joints is compared without what
             another moment of its measurement would explain. A drive takes commands faster than they are logged, so a
             logged torque, read at a moment between two of them, is off by the stiffness times the step of the command.
+        torque_slack: joint name -> one standard deviation of what that moment adds, in standard deviations of the
+            torque's noise for one unit of the command's rate [s/rad or s/m]; any moment is as likely where none is
+            named.
     """
 
     signals: Mapping[str, float]
     joints: Mapping[str, float]
     own: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     torque_delay_s: Mapping[str, float] = field(default_factory=dict)
+    torque_slack: Mapping[str, float] = field(default_factory=dict)
 
     def of(self, signal: str, joints: Sequence[str]) -> Float64[np.ndarray, "J"]:
         """The weights of one signal of these joints."""
@@ -179,7 +183,12 @@ class Problem:
         return {name: own for name, own in rows.items() if own.any()}
 
     def _moment(self, segment: Segment) -> Float64[np.ndarray, "R K"]:
-        """How the torques of a segment change with the moment of their measurement, each of length one or zero."""
+        """How torques change with the moment of their measurement: each of length one, less what that says of it.
+
+        With noise of variance v and a moment whose part g of the residual has variance s^2, the residual r has the
+        covariance v I + s^2 g g', and its square is that of r - a (1 - c) (a'r) with a = g / |g| and
+        c^2 = v / (v + s^2 |g|^2). The moment is one for all segments. Here are the columns a sqrt(1 - c).
+        """
         rows = self._rows[segment].get("torque")
         if rows is None:
             return np.zeros((0, self.columns.size))
@@ -189,7 +198,10 @@ class Problem:
         later, sooner = (segment.plan.told(signal, delays + own) for own in (-_LATER_S, _LATER_S))
         shape = (later - sooner)[rows][:, self.columns]
         known = np.array([name in self.weights.torque_delay_s for name in names])[self.columns]
-        return np.asarray(shape * known / np.maximum(np.linalg.norm(shape, axis=0), 1e-12))
+        slack = np.array([self.weights.torque_slack.get(name, np.inf) for name in names])[self.columns]
+        length = np.maximum(np.linalg.norm(shape, axis=0), 1e-12)
+        kept = 1.0 / np.sqrt(1.0 + len(self.segments) * (slack * length / (2.0 * _LATER_S)) ** 2)
+        return np.asarray(shape * known * np.sqrt(1.0 - kept) / length)
 
     def with_parameters(self, parameters: ParameterSet) -> Problem:
         """The same logs and weights for other parameters; the count of evaluations goes on."""

@@ -143,11 +143,21 @@ class Scorer:
                 found[name] = {joint: float(spread[robot.joint_names.index(joint)]) for joint in robot.scored_joints}
         return found
 
-    def signals(self, parameters: ParameterSet, values: Mapping[str, float], split: str) -> dict[str, dict[str, float]]:
-        """Logged signal -> scored joint -> root mean square error of one model on one split [unit of the signal]."""
+    def signals(
+        self,
+        parameters: ParameterSet,
+        values: Mapping[str, float],
+        split: str,
+        torque_delay_s: Mapping[str, float] | None = None,
+    ) -> dict[str, dict[str, float]]:
+        """Logged signal -> scored joint -> root mean square error of one model on one split [unit of the signal].
+
+        With `torque_delay_s`, that of `Weights`, without what another moment of the torque's measurement explains.
+        """
         logged = {name for segment in self._segments[split] for name in segment.plan.measured.signals}
         own = dict.fromkeys(("position", *(name for name in ("velocity", "torque") if name in logged)), 1.0)
-        problem = self._problem(parameters, values, split, Weights(own, {}))
+        weights = Weights(own, {}, torque_delay_s=torque_delay_s or {})
+        problem = self._problem(parameters, values, split, weights)
         residual = problem.residuals(problem.parameters.start[None])[0]
         pieces: dict[str, list[np.ndarray]] = {}
         for _, signal, rows in problem.by_segment(residual):
