@@ -175,6 +175,26 @@ def test_pace13_a_servo_that_saturates_is_fitted(fits):
     assert abs(found["armature[j]"].value / truth["armature[j]"] - 1.0) < 0.002
 
 
+VELOCITY_SERVO = """<mujoco><option timestep="0.0005" integrator="implicitfast"/><worldbody>
+<body name="l"><joint name="j" axis="0 1 0" armature="0.03" damping="0.2" frictionloss="0.1"/>
+<inertial pos="0 0 -0.2" mass="0.5" diaginertia="0.004 0.004 0.0005"/></body></worldbody>
+<actuator><velocity name="s" joint="j" kv="{kv}"/></actuator></mujoco>"""
+
+
+def test_a_velocity_servo_is_explained_wherever_its_first_reading_says_that_it_began(tmp_path):
+    """It keeps all its way what the first reading was off by: 1.4 times the noise would be left."""
+    (tmp_path / "model.xml").write_text(VELOCITY_SERVO.format(kv=3.0))
+    lines = ["schema: trueup.robot/1", "name: one", "model: model.xml", "joints: [{name: j}]"]
+    (tmp_path / "robot.yaml").write_text("\n".join([*lines, "controller: {kind: model, command: velocity}"]))
+    robot = load_robot(tmp_path / "robot.yaml")
+    plain = mujoco.MjModel.from_xml_string(VELOCITY_SERVO.format(kv=2.0))
+    logs = simulated(plain, "velocity", sines(1, 800, 0.005, size=2.0, fastest=2.0), every=10, hold=10)
+    found = identify(logs, robot, tmp_path / "model.xml").result
+    assert found.status == "ok", found.statements
+    assert all(own.rms < 1.05 * own.noise for own in found.whiteness.values())
+    assert not false_claims(found, {"kv[j]": 2.0, "damping[j]": 0.2, "frictionloss[j]": 0.1, "armature[j]": 0.03})
+
+
 def test_il1077_an_integral_term_is_named(fits):
     robot, *_ = case(fits, "pace13")
     folder = fits / "threads" / "il1077"

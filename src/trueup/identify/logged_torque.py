@@ -1,27 +1,114 @@
-"""Weights of a logged torque beside the position, from what a fit leaves of it."""
+"""A logged torque beside the position: how it is compared, and what it weighs, from what a fit leaves of it."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Bool, Float64, Int
 
-from trueup.identify.config import IdentifyConfig
-from trueup.identify.problem import Problem, Weights
-from trueup.identify.solution import Solution
+from trueup.identify.segments import Segment
+
+if TYPE_CHECKING:
+    from trueup.identify.config import IdentifyConfig
+    from trueup.identify.problem import Problem, Weights
+    from trueup.identify.solution import Solution
 
 # A logged torque is that of the motors, in Nm, where the simulated one explains this share of it, times a factor within
 # these bounds: with a position fit, the scale of all torques is only as good as the model's masses.
 _HEARD, _SAME_UNIT = 0.5, (0.5, 2.0)
-# Standard deviation of a moment that is anywhere between two commands, as a share of their distance.
-_ANYWHERE = 12.0**-0.5
 # No torque is simulated better than to this share of its size.
 _SURE = 1e-3
+# Of a difference that shows how a command changes [s].
+_LATER_S = 0.002
+# Standard deviation of the moment of a command, as a share of the time between two that are logged: it is anywhere
+# between them.
+_ANYWHERE = 12.0**-0.5
+# How late the feedback of a drive may be, one standard deviation [s]: half of the period of a loop of 4 kHz.
+LATE_S = 0.000125
 
 
-def logged_torque(
-    problem: Problem, found: Solution, config: IdentifyConfig, period_s: float
-) -> tuple[Weights, str] | None:
+@dataclass(frozen=True)
+class LoggedTorque:
+    """What is known of the logged torque of one joint.
+
+    Attributes:
+        delay_s: how late commands act [s].
+        kp: torque per position error.
+        kv: torque per velocity.
+        noise: standard deviation of its noise [Nm or N]; where it is not known, 0, commands may be of any moment, and
+            sensors are read at the stamps.
+    """
+
+    delay_s: float = 0.0
+    kp: float = 0.0
+    kv: float = 0.0
+    noise: float = 0.0
+
+
+class Moments:
+    """The moments at which the drives read what makes the logged torques of a segment.
+
+    A drive's torque at a stamp, kp (c - q) - kv v, is that of a command, a position and a velocity which it has read
+    before. It takes more commands than are logged, and reads its sensors in a loop of its own. If one of them is of a
+    time t earlier, the torque is off by kp c' t, kp q' t or kv v' t, which may be more than its noise. So with white
+    noise of variance w, and the effects G (R, 3) of these times with the variance w each, the torque's residual r has
+    the covariance C = w (I + G G'). With G = U D W', w r' C^-1 r is the square of r - U (1 - (1 + D^2)^(-1/2)) U' r. A
+    time is the same in all of some segments, so that its variance counts once for each of them.
+
+    Args:
+        segment: a part of the logs.
+        rows: its stamps that count, (T,).
+        columns: numbers of the K joints, among those of the robot.
+        names: of these.
+        signal: that the robot follows.
+        torque: joint name -> what is known of its torque; the moments of others are those of the stamps.
+        segments: how many have the same moments.
+    """
+
+    def __init__(
+        self,
+        segment: Segment,
+        rows: Bool[np.ndarray, "T"],
+        columns: Int[np.ndarray, "K"],
+        names: Sequence[str],
+        signal: str,
+        torque: Mapping[str, LoggedTorque],
+        segments: int,
+    ) -> None:
+        self._known = [torque.get(name) for name in names]
+        plan, own = segment.plan, [known or LoggedTorque() for known in self._known]
+        stiff, damped = segment.setup.kp_factor * np.array([one.kp for one in own]), np.array([one.kv for one in own])
+        delays = np.zeros(len(plan.measured.joints))
+        delays[columns] = [one.delay_s for one in own]
+        later, sooner = (plan.told(signal, delays + shift)[rows][:, columns] for shift in (-_LATER_S, _LATER_S))
+        told_s, read_s = _ANYWHERE * plan.command_period_s, LATE_S
+        noise = np.array([one.noise for one in own])
+        certain = np.sqrt(segments) / np.maximum(noise, 1e-9)
+        follows = stiff if signal == "position" else damped
+        self._told = told_s * certain * follows * (later - sooner) / (2.0 * _LATER_S)
+        self._of_position, self._of_velocity = (read_s * certain * (noise > 0) * gain for gain in (stiff, damped))
+
+    def without(
+        self,
+        residual: Float64[np.ndarray, "R K"],
+        velocity: Float64[np.ndarray, "R K"],
+        acceleration: Float64[np.ndarray, "R K"],
+    ) -> Float64[np.ndarray, "R K"]:
+        """The residual of the torques without what other moments would explain of it."""
+        left = residual.copy()
+        effects = self._told, self._of_position * velocity, self._of_velocity * acceleration
+        for column, known in enumerate(self._known):
+            if known is None:
+                continue
+            axes, sizes, _ = np.linalg.svd(np.stack([own[:, column] for own in effects], axis=1), full_matrices=False)
+            left[:, column] -= axes @ ((1.0 - 1.0 / np.sqrt(1.0 + sizes**2)) * (axes.T @ residual[:, column]))
+        return left
+
+
+def logged_torque(problem: Problem, found: Solution, config: IdentifyConfig) -> tuple[Weights, str] | None:
     """Weights of the residual with the logged torque of each joint by what a fit leaves of it, and a sentence on it.
 
     Without torques in them where the logged one is not that of the simulation; None if none was logged.
@@ -30,15 +117,21 @@ def logged_torque(
         problem: the fit.
         found: where it ended.
         config: with the weights of positions and of joints.
-        period_s: usual time between two logged commands [s]; the torque is that of a moment between two of them.
 
     Raises:
         DataError: the fitted model cannot be simulated.
     """
     joints = problem.nominal.robot.joint_names
-    delays = {item.target: found.values[item.name] for item in found.parameters if item.quantity == "delay_s"}
-    late = {name: delays.get(name, delays.get("", 0.0)) for name in problem.nominal.robot.scored_joints}
-    both = Weights({**config.weights, "torque": 1.0}, config.joints, torque_delay_s=late)
+    plain = replace(problem.weights, signals=config.weights, own={}, torque={})
+    candidate = problem.candidate(found.values)
+    model = candidate.compile()
+    known = {
+        name: LoggedTorque(late, drive.kp or 0.0, drive.kv or 0.0)
+        for name, late in zip(joints, candidate.delays.tolist(), strict=True)
+        if name in problem.nominal.robot.scored_joints
+        for drive in [candidate.drive(name, model)]
+    }
+    both = replace(plain, signals={**config.weights, "torque": 1.0}, torque=known)
     heard = problem.with_weights(both)
     blocks = list(heard.by_segment(heard.residuals(found.z[None])[0] / heard.scale))
     rows = [
@@ -61,18 +154,11 @@ def logged_torque(
             f"({factor:.3g} times) explains {max(0.0, 100 * explained):.0f} % of it; has it another sign, unit or "
             "place? (signals: {torque: …} weighs it nevertheless)"
         )
-        return Weights(config.weights, config.joints), said
+        return plain, said
     away = np.maximum(np.sqrt(np.mean(left**2, axis=0)), _SURE * size)
     positions = np.concatenate([values for _, signal, values in blocks if signal == "position"])
     usual = float(np.sqrt(np.mean(positions**2)))
     own = {name: usual / float(std) for name, std in zip(names, away, strict=True)}
     said = "the logged torque is weighed, each joint's by what the fit leaves of it"
-    candidate = problem.candidate(found.values)
-    model = candidate.compile()
-    drives = [candidate.drive(name, model) for name in names]
-    follows = [drive.kv if problem.nominal.robot.controller.signal == "velocity" else drive.kp for drive in drives]
-    slack = {
-        name: _ANYWHERE * period_s * (gain or 0.0) / float(std)
-        for name, gain, std in zip(names, follows, away, strict=True)
-    }
-    return replace(both, own={"torque": own}, torque_slack=slack), said
+    known |= {name: replace(known[name], noise=float(std)) for name, std in zip(names, away, strict=True)}
+    return replace(both, own={"torque": own}, torque=known), said

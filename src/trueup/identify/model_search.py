@@ -128,7 +128,7 @@ class ModelSearch:
         self.seen = excitation_of(self._train, nominal.robot.scored_joints, self._signal, nominal.commanded_limits)
         self._torque_said = ""
         self._settings = self.config.solver.settings(seed)
-        self.logs = SimulatedLogs(nominal, self.usable, self.config, jobs=jobs, seed=seed)
+        self.logs = SimulatedLogs(nominal, self.usable, self.config, jobs=jobs, seed=seed, limit=limit)
         self.motions = [segment.episode_id for segment in self.logs.segments]
         # For each way to simulate the logs.
         self._scorers = {self.logs.way: Scorer(nominal, self.usable, jobs=jobs, seed=seed)}
@@ -292,11 +292,11 @@ class ModelSearch:
 
         A torque that is weighed is compared as the fit does it.
         """
-        late = self.logs.weights.torque_delay_s
-        now = self._scorer.signals(item.solution.parameters, item.solution.values, split, late)
+        heard = {name: replace(own, noise=0.0) for name, own in self.logs.weights.torque.items()}
+        now = self._scorer.signals(item.solution.parameters, item.solution.values, split, heard)
         return {
             signal: {joint: (error, now[signal][joint]) for joint, error in own.items()}
-            for signal, own in before.signals(ParameterSet(()), {}, split, late).items()
+            for signal, own in before.signals(ParameterSet(()), {}, split, heard).items()
         }
 
     @cached_property
@@ -632,7 +632,7 @@ class ModelSearch:
         """
         if self._signal == "torque" or self.config.signals.get("torque") != AUTO or _over(limit):
             return best
-        heard = logged_torque(self.problem_of(best), best.solution, self.config, self.logs.period_s)
+        heard = logged_torque(self.problem_of(best), best.solution, self.config)
         if heard is None:
             return best
         self.logs.weights, self._torque_said = heard

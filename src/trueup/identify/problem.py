@@ -18,6 +18,7 @@ from trueup.core.protocols import RolloutRequest
 from trueup.core.time_limit import OutOfTime, TimeLimit
 from trueup.errors import ConfigError, DataError
 from trueup.identify.candidate import Candidate, Nominal
+from trueup.identify.logged_torque import LoggedTorque, Moments
 from trueup.identify.quantities import motion_target, quantity, split_motion_target
 from trueup.identify.segments import Segment
 from trueup.identify.window_starts import WindowStarts, window_starts
@@ -27,8 +28,6 @@ from trueup.sim.trapezoid import Drives, at_step_ends, damp_by_trapezoid
 
 # Simulated states that one task holds at a time: some 100 MB.
 _STATES_PER_TASK = 4_000_000
-# Of a difference that shows how a command changes [s].
-_LATER_S = 0.002
 
 
 @dataclass(frozen=True)
@@ -39,19 +38,14 @@ class Weights:
         signals: signal -> weight of one standard unit [1/rad, s/rad or 1/Nm]; position alone by default.
         joints: joint name -> weight; joints that are not named have 1, unscored joints 0.
         own: signal -> joint name -> further weight of this signal, 1 where it is not named.
-        torque_delay_s: joint name -> how late commands act [s]; a torque of these joints is compared without what
-            another moment of its measurement would explain. A drive takes commands faster than they are logged, so a
-            logged torque, read at a moment between two of them, is off by the stiffness times the step of the command.
-        torque_slack: joint name -> one standard deviation of what that moment adds, in standard deviations of the
-            torque's noise for one unit of the command's rate [s/rad or s/m]; any moment is as likely where none is
-            named.
+        torque: joint name -> what is known of its logged torque, which is compared without what other moments of its
+            measurement would explain.
     """
 
     signals: Mapping[str, float]
     joints: Mapping[str, float]
     own: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    torque_delay_s: Mapping[str, float] = field(default_factory=dict)
-    torque_slack: Mapping[str, float] = field(default_factory=dict)
+    torque: Mapping[str, LoggedTorque] = field(default_factory=dict)
 
     def of(self, signal: str, joints: Sequence[str]) -> Float64[np.ndarray, "J"]:
         """The weights of one signal of these joints."""
@@ -145,7 +139,12 @@ class Problem:
             for place in quantity(parameter.quantity).places(nominal, parameter.target)
         ]
         self._rows = {segment: self._counted(segment) for segment in self.segments}
-        self._moments = {segment: self._moment(segment) for segment in self.segments if self.weights.torque_delay_s}
+        names, signal = [robot.joint_names[column] for column in self.columns], robot.controller.signal
+        self._moments = {
+            segment: Moments(segment, rows["torque"], self.columns, names, signal, self.weights.torque, len(segments))
+            for segment, rows in self._rows.items()
+            if self.weights.torque and "torque" in rows
+        }
         counts = [(signal, np.count_nonzero(own)) for rows in self._rows.values() for signal, own in rows.items()]
         self.size = int(sum(count for _, count in counts)) * self.columns.size
         positions = sum(count for signal, count in counts if signal == "position")
@@ -182,27 +181,6 @@ class Problem:
         rows = {name: segment.rows(name, self.columns) for name in known}
         return {name: own for name, own in rows.items() if own.any()}
 
-    def _moment(self, segment: Segment) -> Float64[np.ndarray, "R K"]:
-        """How torques change with the moment of their measurement: each of length one, less what that says of it.
-
-        With noise of variance v and a moment whose part g of the residual has variance s^2, the residual r has the
-        covariance v I + s^2 g g', and its square is that of r - a (1 - c) (a'r) with a = g / |g| and
-        c^2 = v / (v + s^2 |g|^2). The moment is one for all segments. Here are the columns a sqrt(1 - c).
-        """
-        rows = self._rows[segment].get("torque")
-        if rows is None:
-            return np.zeros((0, self.columns.size))
-        names = self.nominal.robot.joint_names
-        delays = np.array([self.weights.torque_delay_s.get(name, 0.0) for name in names])
-        signal = self.nominal.robot.controller.signal
-        later, sooner = (segment.plan.told(signal, delays + own) for own in (-_LATER_S, _LATER_S))
-        shape = (later - sooner)[rows][:, self.columns]
-        known = np.array([name in self.weights.torque_delay_s for name in names])[self.columns]
-        slack = np.array([self.weights.torque_slack.get(name, np.inf) for name in names])[self.columns]
-        length = np.maximum(np.linalg.norm(shape, axis=0), 1e-12)
-        kept = 1.0 / np.sqrt(1.0 + len(self.segments) * (slack * length / (2.0 * _LATER_S)) ** 2)
-        return np.asarray(shape * known * np.sqrt(1.0 - kept) / length)
-
     def with_parameters(self, parameters: ParameterSet) -> Problem:
         """The same logs and weights for other parameters; the count of evaluations goes on."""
         coarse = None if self.coarse is None else self.coarse.with_parameters(parameters)
@@ -215,17 +193,16 @@ class Problem:
 
         With `coarse`, also where those begin whose derivatives are taken.
         """
-        if self.starts:
-            self.starts = window_starts(self, z, self.starts)
+        if not any(not own.lasting for own in self.starts.values()):
+            return False
+        self.starts = window_starts(self, z, self.starts)
         if coarse and self.coarse is not None:
             self.coarse.restart(z)
-        return bool(self.starts)
+        return True
 
     def alone(self) -> Problem:
         """The same with derivatives at its own time step, and its limit of time."""
-        other = self.with_starts(self.starts)
-        other._limit, other._kept_for = self._limit, self._kept_for  # noqa: SLF001 - it is of the same class
-        return other
+        return self.with_starts(self.starts)
 
     def with_starts(self, starts: Mapping[Segment, WindowStarts]) -> Problem:
         """The same with other starts of the windows, simulated at its own time step alone."""
@@ -243,8 +220,8 @@ class Problem:
         coarse: Problem | None = None,
         starts: Mapping[Segment, WindowStarts] | None = None,
     ) -> Problem:
-        """The same model, logs and way to simulate them."""
-        return Problem(
+        """The same model, logs, way to simulate them, and limit of time."""
+        other = Problem(
             self.nominal,
             self.parameters if parameters is None else parameters,
             self.segments,
@@ -254,6 +231,8 @@ class Problem:
             starts=starts,
             trapezoidal=self.trapezoidal,
         )
+        other._limit, other._kept_for = self._limit, self._kept_for
+        return other
 
     def candidate(self, values: Mapping[str, float]) -> Candidate:
         """A model with these values written into it; parameters that are not named keep their start."""
@@ -507,9 +486,15 @@ class Problem:
             residual = (simulated - plan.measured[signal])[:, counted][:, :, self.columns]
             residual = np.ascontiguousarray(residual) * self._factor(signal)
             if signal == "torque" and task.segment in self._moments:
-                shape = self._moments[task.segment]
-                for own in residual:  # one by one: how a sum is rounded depends on the size of its batch
-                    own -= np.einsum("rj,rj->j", own, shape) * shape
+                moments, step_s = self._moments[task.segment], self.nominal.simulator.timestep_s
+                speed = grids["velocity"]
+                slopes = np.diff(speed, axis=1, prepend=speed[:, :1]) / step_s
+                moving = [
+                    plan.at_stamps(own.reshape(task.rows.size, windows, *own.shape[1:]))[:, counted][:, :, self.columns]
+                    for own in (speed, slopes)
+                ]
+                for own, velocity, acceleration in zip(residual, *moving, strict=True):  # a sum depends on its batch
+                    own[:] = moments.without(own, velocity, acceleration)
             blocks.append(residual.reshape(task.rows.size, -1))
         residuals = np.concatenate(blocks, axis=1)
         return residuals if starts is None else starts.without(residuals)

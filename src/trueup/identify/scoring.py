@@ -14,6 +14,7 @@ from trueup.core.results import Estimate
 from trueup.errors import DataError
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import IdentifyConfig
+from trueup.identify.logged_torque import LoggedTorque
 from trueup.identify.problem import Problem, Weights
 from trueup.identify.quantities import quantity
 from trueup.identify.segments import Segment, SegmentRule, make_segments
@@ -148,15 +149,15 @@ class Scorer:
         parameters: ParameterSet,
         values: Mapping[str, float],
         split: str,
-        torque_delay_s: Mapping[str, float] | None = None,
+        torque: Mapping[str, LoggedTorque] | None = None,
     ) -> dict[str, dict[str, float]]:
         """Logged signal -> scored joint -> root mean square error of one model on one split [unit of the signal].
 
-        With `torque_delay_s`, that of `Weights`, without what another moment of the torque's measurement explains.
+        With `torque`, that of `Weights`, without what other moments of the torque's measurement explain.
         """
         logged = {name for segment in self._segments[split] for name in segment.plan.measured.signals}
         own = dict.fromkeys(("position", *(name for name in ("velocity", "torque") if name in logged)), 1.0)
-        weights = Weights(own, {}, torque_delay_s=torque_delay_s or {})
+        weights = Weights(own, {}, torque=torque or {})
         problem = self._problem(parameters, values, split, weights)
         residual = problem.residuals(problem.parameters.start[None])[0]
         pieces: dict[str, list[np.ndarray]] = {}

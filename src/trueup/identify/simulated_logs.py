@@ -10,6 +10,7 @@ import numpy as np
 
 from trueup.core.episode import Episode
 from trueup.core.parameters import ParameterSet
+from trueup.core.time_limit import OutOfTime, TimeLimit
 from trueup.errors import DataError, TrueupError
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import IdentifyConfig
@@ -28,6 +29,7 @@ class SimulatedLogs:
         config: resolved.
         jobs: threads.
         seed: where in the motions the pieces lie.
+        limit: of time; after it, motions begin at their first reading.
 
     Attributes:
         way: in which they are simulated now.
@@ -46,7 +48,9 @@ class SimulatedLogs:
         *,
         jobs: int,
         seed: int,
+        limit: TimeLimit | None = None,
     ) -> None:
+        self._limit = limit
         self._logs, self._config, self._jobs, self._seed = logs, config, jobs, seed
         self._timestep_s = nominal.simulator.timestep_s
         self._own = self.way = Discretization(command=nominal.robot.replay.command)
@@ -106,11 +110,10 @@ class SimulatedLogs:
         # The derivatives of the larger step serve as well, and take a fraction of the time.
         coarse = self.problem(parameters, replace(way, divisor=1)) if way.divisor > 1 else None
         problem = self._problem(nominal, parameters, segments, way, coarse)
-        if self._config.data.window_s is not None:
-            if way not in self._starts:
-                self._starts[way] = window_starts(problem, parameters.at(self._place).start, self._near(segments))
-                self._first = self._first or [self._starts[way][own] for own in segments if own in self._starts[way]]
-            problem.starts = self._starts[way]
+        if way not in self._starts:
+            self._starts[way] = self._begun(problem, self._near(segments))
+            self._first = self._first or [self._starts[way][own] for own in segments if own in self._starts[way]]
+        problem.starts = self._starts[way]
         return problem
 
     def held_out(self, parameters: ParameterSet, way: Discretization | None = None) -> Problem | None:
@@ -125,9 +128,19 @@ class SimulatedLogs:
             return None
         coarse = self.held_out(parameters, replace(way, divisor=1)) if way.divisor > 1 else None
         problem = self._problem(nominal, parameters, segments, way, coarse)
-        if self._config.data.window_s is not None:
-            problem.starts = window_starts(problem, parameters.at(self._place).start)
+        problem.starts = self._begun(problem)
         return problem
+
+    def _begun(
+        self, problem: Problem, near: Mapping[Segment, WindowStarts] | None = None
+    ) -> Mapping[Segment, WindowStarts]:
+        """Where the windows of a problem begin, with parameters of the present place."""
+        z = problem.parameters.at(self._place).start
+        try:
+            with problem.ending(self._limit):
+                return window_starts(problem, z, near, whole=self._config.data.window_s is None)
+        except OutOfTime:
+            return {}
 
     def _problem(
         self,

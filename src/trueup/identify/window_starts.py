@@ -32,11 +32,13 @@ class WindowStarts:
         velocity: likewise, (W, J) [rad/s or m/s].
         pieces: for each window, which residuals are its own, (M,), and an orthonormal basis of what a change of its
             start does to them, (M, K).
+        lasting: whether they are good enough wherever a search goes from here.
     """
 
     position: Float64[np.ndarray, "W J"]
     velocity: Float64[np.ndarray, "W J"]
     pieces: tuple[tuple[Int[np.ndarray, "_"], Float64[np.ndarray, "_ _"]], ...] = ()
+    lasting: bool = False
 
     def without(self, residuals: Float64[np.ndarray, "C N"]) -> Float64[np.ndarray, "C N"]:
         """Residuals of the segment without what a change of the starts explains of them.
@@ -51,7 +53,11 @@ class WindowStarts:
 
 
 def window_starts(
-    problem: Problem, z: Float64[np.ndarray, "P"], begun: Mapping[Segment, WindowStarts] | None = None
+    problem: Problem,
+    z: Float64[np.ndarray, "P"],
+    begun: Mapping[Segment, WindowStarts] | None = None,
+    *,
+    whole: bool = False,
 ) -> dict[Segment, WindowStarts]:
     """The starts of all windows that explain the logs best, with the parameters z.
 
@@ -64,6 +70,9 @@ def window_starts(
     window's taken where it explains the window better. Where the problem has a larger time step for its derivatives, S
     is taken with that.
 
+    A servo forgets where a whole motion began, and rests there: S is that of the measured start, and is kept. The first
+    reading would be off by its noise, for good where a velocity is followed.
+
     Source: Golub, Pereyra 1973, "The differentiation of pseudo-inverses and nonlinear least squares problems whose
     variables separate"; multiple shooting with free states as by Bock 1983, "Recent advances in parameter
     identification techniques for ODE".
@@ -73,6 +82,7 @@ def window_starts(
         z: of the free parameters, (P,).
         begun: starts that were the best of parameters nearby, from which one step is enough, with S as it is there;
             None begins where it was measured.
+        whole: whether windows are whole motions of a servo.
 
     Returns:
         Starts by segment; of none whose motion cannot be simulated.
@@ -87,7 +97,7 @@ def window_starts(
     }
     known = {segment: _known(segment) for segment in problem.segments}
     last = np.inf
-    for _ in range(1 if begun else _ROUNDS):
+    for _ in range(0 if whole else 1 if begun else _ROUNDS):
         base, sensitivity = _residuals(problem, z, shifts), _slopes(problem, z, shifts)
         if not np.isfinite(base).all() or not np.isfinite(sensitivity).all():
             return {}
@@ -114,7 +124,7 @@ def window_starts(
                 shifts[segment][:, better] = tried[segment][:, better]
                 moves[segment][:, better] = 0.0
     else:
-        if not begun:
+        if whole or not begun:
             sensitivity = _slopes(problem, z, shifts)
     if not np.isfinite(sensitivity).all():
         return {}
@@ -127,7 +137,7 @@ def window_starts(
             kept = sizes > _LEAST * sizes.max(initial=0.0)
             if kept.any():
                 pieces.append((mine, left[:, kept]))
-        starts[segment] = WindowStarts(shifts[segment][0], shifts[segment][1], tuple(pieces))
+        starts[segment] = WindowStarts(shifts[segment][0], shifts[segment][1], tuple(pieces), whole)
     return starts
 
 

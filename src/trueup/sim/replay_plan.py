@@ -105,6 +105,12 @@ class ReplayPlan:
         }
         return RolloutRequest(self._position, self._velocity, command, self._gravity)
 
+    @property
+    def command_period_s(self) -> float:
+        """Usual time between two commands [s]; 0 of a single one."""
+        steps = np.diff(self._command.time_s)
+        return float(np.median(steps)) if steps.size else 0.0
+
     def at_stamps(self, grid: Float[np.ndarray, "*C W N1 J"]) -> Float[np.ndarray, "*C T J"]:
         """Read simulated values on the grids of the W windows at the measured stamps, by linear interpolation."""
         share = self._share[:, None]
