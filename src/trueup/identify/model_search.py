@@ -287,17 +287,9 @@ class ModelSearch:
             chosen=chosen,
         )
 
-    def signals(self, item: TriedModel, before: Scorer, split: str) -> dict[str, dict[str, tuple[float, float]]]:
-        """Logged signal -> joint -> its error on one split with the nominal model, as `before` has it, and one fit.
-
-        A torque that is weighed is compared as the fit does it.
-        """
-        heard = {name: replace(own, noise=0.0) for name, own in self.logs.weights.torque.items()}
-        now = self._scorer.signals(item.solution.parameters, item.solution.values, split, heard)
-        return {
-            signal: {joint: (error, now[signal][joint]) for joint, error in own.items()}
-            for signal, own in before.signals(ParameterSet(()), {}, split, heard).items()
-        }
+    def signals(self, item: TriedModel, split: str) -> dict[str, dict[str, float]]:
+        """Logged signal -> joint -> error of one model on one split."""
+        return self._scorer.signals(item.solution.parameters, item.solution.values, split)
 
     @cached_property
     def judged(self) -> tuple[str, ...]:
