@@ -189,11 +189,11 @@ class Problem:
         return other
 
     def restart(self, z: Float64[np.ndarray, "P"], *, coarse: bool = True) -> bool:
-        """Look again where windows begin, near where they do, with these parameters; whether there are any.
+        """Look again where windows begin, near where they do, with these parameters; whether any begins elsewhere.
 
         With `coarse`, also where those begin whose derivatives are taken.
         """
-        if not any(not own.lasting for own in self.starts.values()):
+        if all(own.lasting for own in self.starts.values()):
             return False
         self.starts = window_starts(self, z, self.starts)
         if coarse and self.coarse is not None:
