@@ -109,7 +109,7 @@ def test_motions_that_no_arm_makes_determine_nothing(servo, tmp_path):
 
     logs = {split: [changed(log, measured=walk) for log in own] for split, own in logs_of(servo).items()}
     found = identify(logs, servo.robot, tmp_path / "arm.xml", config=config())
-    # The command itself is nearer to such motions than any arm; which error grows most is chance.
+    # The nearest arm is one that sticks: nearer than the command or not by chance, and it has other velocities.
     assert found.result.status in ("no-better", "signal-worse"), found.result.statements
     assert {item.identified for item in found.result.parameters} == {"no"}
     assert any("4 of 4 parameters are not determined" in line for line in found.result.statements)

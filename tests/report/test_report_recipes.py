@@ -50,7 +50,7 @@ TITLES = (
 QUICK = IdentifyConfig(
     fit={"delay_s": "all", "kp": "all", "damping": "all", "armature": "all"},
     data=DataChoice(budget_s=12.0),
-    solver=SolverChoice(max_iterations=3),
+    solver=SolverChoice(max_iterations=20),
 )
 
 
