@@ -25,7 +25,8 @@ ARM = """
 JOINT = 'damping="{damping}" frictionloss="{frictionloss}" armature="{armature}"'
 RIGID = ' solreffriction="0.00001 1" solimpfriction="0.9999 0.9999"'
 MODEL = {"damping": 0.2, "frictionloss": 0.1, "armature": 0.02, "kp": 60.0, "kv": 1.5}
-_FINE_S, _RATE_HZ, _NOISE = 2.5e-4, 100, 3e-4
+_FINE_S, _RATE_HZ, _NOISE, _TORQUE_NOISE = 2.5e-4, 100, 3e-4, 0.02
+_UNITS = {"position": "rad", "torque": "Nm"}
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class Lack:
         payload_kg: at the tip.
         top_speed: of joint b [rad/s].
         mirrored: whether joint b counts the other way round.
+        torque: whether the torques of the drives are logged.
     """
 
     late_s: float = 0.0
@@ -53,6 +55,7 @@ class Lack:
     payload_kg: float = 0.0
     top_speed: float = 0.0
     mirrored: bool = False
+    torque: bool = False
 
 
 def arm_logs(
@@ -96,7 +99,7 @@ def _log(lack: Lack, seed: int, number: int, seconds: float) -> Episode:
     drive = _Drive(lack, kp, kv, data)
     motor = _Motor(lack, true, data) if soft else None
     friction, damping = model.dof_frictionloss.copy(), model.dof_damping.copy()
-    position = np.empty((rows, 2))
+    position, exerted = np.empty((rows, 2)), np.empty((rows, 2))
     every, settling = round(1 / _RATE_HZ / _FINE_S), 4000
     for step in range(settling + rows * every):
         row = max(step - settling, 0)
@@ -109,6 +112,8 @@ def _log(lack: Lack, seed: int, number: int, seconds: float) -> Episode:
             model.dof_frictionloss[1] += lack.per_load * abs(data.qfrc_bias[1])
         q, v = (data.qpos, data.qvel) if motor is None else motor.seen()
         torque = drive.torque(command[min(row // every, rows - 1)], q, v)
+        if step >= settling and row % every == 0:
+            exerted[row // every] = torque
         if motor is not None:
             torque = motor.step(torque)
         data.qfrc_applied[:] = torque
@@ -116,9 +121,12 @@ def _log(lack: Lack, seed: int, number: int, seconds: float) -> Episode:
     position += _NOISE * rng.standard_normal(position.shape)
     sign = np.array([1.0, -1.0 if lack.mirrored else 1.0])
     time_s = np.arange(rows) / _RATE_HZ
+    measured = {"position": sign * position}
+    if lack.torque:
+        measured["torque"] = sign * (exerted + _TORQUE_NOISE * rng.standard_normal(exerted.shape))
     series = [
-        TimeSeries(time_s, ("a", "b"), {"position": sign * own}, {"position": ("rad", "rad")})
-        for own in (position, command)
+        TimeSeries(time_s, ("a", "b"), own, {name: (_UNITS[name],) * 2 for name in own})
+        for own in (measured, {"position": sign * command})
     ]
     return Episode(EpisodeMeta(f"m{number}"), *series)
 

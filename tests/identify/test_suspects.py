@@ -100,7 +100,8 @@ def test_a_force_does_what_a_constant_torque_of_the_drive_does(tmp_path):
     segments = make_segments(logs["train"], nominal.simulator, SegmentRule())[0]
     problem = Problem(nominal, make_parameters({"torque_offset": "all"}, nominal), segments)
     courses = problem.courses(problem.parameters.start)
-    force = {segment: np.tile([0.4, -0.2], (*own.position[:, 1:].shape[:2], 1)) for segment, own in courses.items()}
+    torque = {segment: np.tile([0.4, -0.2], (*own.position[:, 1:].shape[:2], 1)) for segment, own in courses.items()}
+    force = {segment: np.stack([own, np.zeros_like(own)]) for segment, own in torque.items()}
     z = problem.parameters.at({"torque_offset[a]": 0.4, "torque_offset[b]": -0.2}).start
     (driven,) = problem.residuals(z[None])
     none = {key: np.zeros_like(own) for key, own in force.items()}
@@ -133,8 +134,17 @@ def test_an_identification_with_a_suspect_is_not_ok_and_is_read_back(tmp_path):
     assert FitResult.load(tmp_path / "fit.json").suspects == result.suspects
 
 
-def test_an_identification_of_a_right_model_is_ok(tmp_path):
-    robot, model, logs = arm_logs(tmp_path, Lack())
+def test_a_logged_torque_shows_late_feedback_that_positions_hide(tmp_path):
+    robot, model, logs = arm_logs(tmp_path, Lack(late_s=0.003, torque=True))
+    result = identify(logs, robot, model, config=IdentifyConfig(models={})).result
+    assert result.status == "unexplained"
+    assert [item.name for item in result.suspects] == ["late-feedback"]
+    assert np.mean(result.suspects[0].sizes) == pytest.approx(0.003, rel=0.3)
+
+
+@pytest.mark.parametrize("torque", [False, True])
+def test_an_identification_of_a_right_model_is_ok(tmp_path, torque):
+    robot, model, logs = arm_logs(tmp_path, Lack(torque=torque))
     result = identify(logs, robot, model, config=IdentifyConfig(models={})).result
     assert (result.status, result.suspects) == ("ok", ())
 

@@ -66,7 +66,8 @@ class Candidate:
             carried = self.nominal.carried(self.payload)
             if self.nominal.hangs_payloads:
                 ball = self.spec.body(CARRIED) or self.spec.body(body).add_body(name=CARRIED)
-                ball.explicitinertial, ball.mass, ball.ipos, ball.inertia = True, carried.mass, carried.com, [0, 0, 0]
+                ball.explicitinertial, ball.mass, ball.ipos = True, carried.mass, carried.com
+                ball.inertia = np.diag(carried.inertia)
             else:
                 inertials[body] = (inertials.get(body) or self.inertial(body)).plus(carried)
         for body, inertial in inertials.items():
@@ -298,10 +299,12 @@ class Nominal:
         """A payload in the frame of the body that carries it.
 
         Args:
-            payload: its `mass` [kg], and how far it is from its place along `x`, `y` and `z` [m].
+            payload: its `mass` [kg], how far it is from its place along `x`, `y` and `z` [m], and its `inertia` about
+                each axis [kg m2].
         """
         _, site = self.payload_place
-        return Inertial.point(payload.get("mass", 0.0), np.array(site) + [payload.get(axis, 0.0) for axis in "xyz"])
+        place = np.array(site) + [payload.get(axis, 0.0) for axis in "xyz"]
+        return Inertial(payload.get("mass", 0.0), place, payload.get("inertia", 0.0) * np.eye(3))
 
 
 def _leading(model: mujoco.MjModel, group: list[str]) -> list[str]:

@@ -53,12 +53,14 @@ class Column:
             positions at the measured stamps [rad or m per unit], (T, J), of which only `joint` counts if there is one.
         shifts: whether `field` holds shifts.
         within: values that make sense; zero does in any case.
+        logged: the part of the forces that a drive exerts, and logs with its torque; none if None.
     """
 
     joint: int | None
     field: Field
     shifts: bool = False
     within: tuple[float, float] = _POSITIVE
+    logged: Field | None = None
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -71,7 +73,14 @@ class Column:
 
     def of(self, segment: Segment) -> np.ndarray:
         """The field along one segment, zero at other joints."""
-        values = self.field[segment]
+        return self._own(self.field[segment])
+
+    def forces(self, segment: Segment) -> Float64[np.ndarray, "2 W N J"]:
+        """The forces along one segment, and which part of them a drive logs."""
+        total = self.of(segment)
+        return np.stack([total, np.zeros_like(total) if self.logged is None else self._own(self.logged[segment])])
+
+    def _own(self, values: np.ndarray) -> np.ndarray:
         if self.joint is None:
             return values
         own = np.zeros_like(values)
@@ -147,6 +156,10 @@ class Motions:
         own = range(len(self.joints)) if joints is None else joints
         return [Column(joint, field, **further) for joint in own]  # type: ignore[arg-type]
 
+    def _exerted(self, field: Field, joints: Sequence[int] | None = None) -> list[Column]:
+        """One column per joint of what drives do, and log."""
+        return self.each(field, joints, logged=field)
+
     @property
     def driven(self) -> list[int]:
         """Joints whose drives feed a state back."""
@@ -170,7 +183,7 @@ class Motions:
         }
         damping = {segment: kv * apart(course.velocity) for segment, course in self.courses.items()}
         stiff = [joint for joint in self.driven if kp[joint]]
-        return [*self.each(damping, self.driven), *self.each(stiffness, stiff)]
+        return [*self._exerted(damping, self.driven), *self._exerted(stiffness, stiff)]
 
     def integral(self) -> list[Column]:
         """The sum of the servo's error, as the robot measured it."""
@@ -183,13 +196,13 @@ class Motions:
             sums[segment] = (np.cumsum(error, axis=1) - error) * self._step_s
             if self.signal == "velocity":
                 sums[segment] -= measured - measured[:, :1]
-        return self.each(sums, joints)
+        return self._exerted(sums, joints)
 
     def beginnings(self) -> list[Column]:
         """A constant torque of each driven joint in each motion: what an integral term begins with."""
         zeros = {segment: np.zeros_like(course.position[:, :-1]) for segment, course in self.courses.items()}
         ones = [{**zeros, segment: np.ones_like(own)} for segment, own in zeros.items()]
-        return [Column(joint, field, within=_ANY) for joint in self.driven for field in ones]
+        return [Column(joint, field, within=_ANY, logged=field) for joint in self.driven for field in ones]
 
     def backlash(self) -> list[Column]:
         """Half of the play between motor and link, on the side to which load and friction of the link press it."""
@@ -208,17 +221,16 @@ class Motions:
         To the link, a drive with gains kp and kv and a rotor with inertia I add -(kp s + kv ds/dt + I d2s/dt2).
         """
         kp, kv = self._gains
-        forces = {
-            segment: -(
-                segment.setup.kp_factor * kp * own
-                + kv * np.gradient(own, self._step_s, axis=1)
-                + (rotors * self._bent(own) if rotors.any() else 0.0)
-            )
+        drives = {
+            segment: -(segment.setup.kp_factor * kp * own + kv * np.gradient(own, self._step_s, axis=1))
             for segment, own in twist.items()
         }
+        forces = drives
+        if rotors.any():
+            forces = {segment: own - rotors * self._bent(twist[segment]) for segment, own in drives.items()}
         driven = self.driven
         others = [joint for joint in range(len(self.joints)) if joint not in driven]
-        return [*self.each(forces, driven), *self._behind(twist, others)]
+        return [*self.each(forces, driven, logged=drives), *self._behind(twist, others)]
 
     def _bent(self, values: np.ndarray) -> np.ndarray:
         """The second derivative of what is known at the poses only and straight between them, (W, N, J)."""
@@ -289,7 +301,7 @@ class Motions:
         for segment, course in self.courses.items():
             velocity = course.velocity[:, :-1]
             forces[segment] = -np.sign(velocity) * np.maximum(np.abs(velocity) - top, 0.0)
-        return self.each(forces)
+        return self._exerted(forces)
 
     def payload(self) -> list[Column]:
         """A mass at the origin of the last body, and its first moments along the axes of that body."""

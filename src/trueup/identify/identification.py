@@ -125,7 +125,7 @@ def identify(
         nothing = "not determined: the fitted model does not explain these motions"
         parameters = relabelled(parameters, ("yes", "effective", "weakly"), "no", nothing)
     judge = "val" if "val" in soft.splits else next(iter(soft.splits))
-    before, after = soft.signals(ParameterSet(()), {}, judge), search.signals(best, judge)
+    before, after = soft.signals(ParameterSet(()), {}, judge, search.logs.weights.torque), search.signals(best, judge)
     signals = {
         signal: {joint: (error, after[signal][joint]) for joint, error in own.items()} for signal, own in before.items()
     }

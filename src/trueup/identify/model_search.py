@@ -19,6 +19,7 @@ from trueup.core.parameters import ParameterSet, widened
 from trueup.core.ray_workers import Cluster
 from trueup.core.time_limit import OutOfTime, TimeLimit
 from trueup.errors import DataError, NotIdentifiable
+from trueup.identify.assumptions import assumption_shifts
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import AUTO, IdentifyConfig, make_parameters
 from trueup.identify.discretization import (
@@ -41,7 +42,6 @@ from trueup.identify.scoring import Scorer, Scores
 from trueup.identify.search import Search, Stopwatch
 from trueup.identify.segments import usable
 from trueup.identify.sensitivity import late_shifts, split_shifts
-from trueup.identify.shapes import shape_shifts
 from trueup.identify.simulated_logs import SimulatedLogs
 from trueup.identify.solution import OnModel, Solution
 from trueup.identify.solve import solve
@@ -237,9 +237,9 @@ class ModelSearch:
         left = remaining_step(problem, found.z, found.residual, found.jacobian)
         weight = noise_of(problem, found.residual).weight
         split = split_shifts(problem, found.z, found.jacobian, weight)
-        shapes = shape_shifts(problem, found.z, found.jacobian, weight)
+        assumed = assumption_shifts(problem, found.z, found.jacobian, weight)
         late = late_shifts(problem, found.z)
-        return known.widened([left, *undecided, *split, *shapes, *late, step * np.ones(found.z.size), unknown])
+        return known.widened([left, *undecided, *split, *assumed, *late, step * np.ones(found.z.size), unknown])
 
     def suspects(self, item: TriedModel) -> tuple[Suspect, ...] | None:
         """What the model may lack; None where no time is left to look for it."""
@@ -253,7 +253,7 @@ class ModelSearch:
                     for simulated in (own, own.coarse) if own is not None else ():
                         if simulated is not None:
                             stack.enter_context(simulated.ending(self._limit))
-                return suspects_of(problem, held_out, found, self._settings)
+                return suspects_of(problem, held_out, found, self._settings, whole=self._of_this_step)
         except OutOfTime:
             return None
 
@@ -289,7 +289,7 @@ class ModelSearch:
 
     def signals(self, item: TriedModel, split: str) -> dict[str, dict[str, float]]:
         """Logged signal -> joint -> error of one model on one split."""
-        return self._scorer.signals(item.solution.parameters, item.solution.values, split)
+        return self._scorer.signals(item.solution.parameters, item.solution.values, split, self.logs.weights.torque)
 
     @cached_property
     def judged(self) -> tuple[str, ...]:

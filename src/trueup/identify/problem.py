@@ -53,8 +53,9 @@ class Weights:
         return self.signals[signal] * np.array([own.get(joint, 1.0) for joint in joints])
 
 
-# Segment -> what acts on the joints in each simulation step of each window besides their drives, (W, N, J) [Nm or N].
-Forces = Mapping[Segment, Float64[np.ndarray, "_ _ J"]]
+# Segment -> what acts on the joints in each simulation step of each window besides the drives of the model, and which
+# part of it the robot's drives exert and log, (2, W, N, J) [Nm or N].
+Forces = Mapping[Segment, Float64[np.ndarray, "2 _ _ J"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,7 +249,7 @@ class Problem:
 
         Args:
             z: free parameters of each candidate.
-            forces: what acts on its joints besides their drives; nothing if None.
+            forces: what acts on its joints besides the drives of the model; nothing if None.
 
         Raises:
             OutOfTime: the time of `ending` is over.
@@ -466,8 +467,8 @@ class Problem:
             gravity=None if (pulls := requests[0].gravity) is None else np.tile(pulls, (len(requests), 1, 1)),
         )
         per_window = [model for row in task.rows if (model := models[row]) is not None for _ in range(windows)]
-        force = None if forces is None else np.concatenate([forces[row][task.segment] for row in task.rows])
-        result = simulator.rollout_candidates(request, per_window, force)
+        every = None if forces is None else np.concatenate([forces[row][task.segment] for row in task.rows], axis=1)
+        result = simulator.rollout_candidates(request, per_window, None if every is None else every[0])
         grids = {"position": result.position, "velocity": result.velocity, "torque": result.torque}
         if self.trapezoidal and set(self._rows[task.segment]) - {"position"}:
             drives, later = Drives.all_of(per_window, simulator.places[1]), None
@@ -477,6 +478,8 @@ class Problem:
                 later = simulator.control_of(own)
             grids["torque"] = drives.at_step_ends(result.torque, result.velocity, later)
             grids["velocity"] = at_step_ends(result.velocity)
+        if every is not None:
+            grids["torque"] = grids["torque"] + np.concatenate([every[1], every[1, :, -1:]], axis=1)
         blocks = []
         for signal, counted in self._rows[task.segment].items():
             grid = grids[signal]

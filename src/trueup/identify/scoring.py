@@ -14,6 +14,7 @@ from trueup.core.results import Estimate
 from trueup.errors import DataError
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import IdentifyConfig
+from trueup.identify.logged_torque import LoggedTorque
 from trueup.identify.problem import Problem, Weights
 from trueup.identify.quantities import quantity
 from trueup.identify.segments import Segment, SegmentRule, make_segments
@@ -143,11 +144,21 @@ class Scorer:
                 found[name] = {joint: float(spread[robot.joint_names.index(joint)]) for joint in robot.scored_joints}
         return found
 
-    def signals(self, parameters: ParameterSet, values: Mapping[str, float], split: str) -> dict[str, dict[str, float]]:
-        """Logged signal -> scored joint -> root mean square error of one model on one split [unit of the signal]."""
+    def signals(
+        self,
+        parameters: ParameterSet,
+        values: Mapping[str, float],
+        split: str,
+        torque: Mapping[str, LoggedTorque],
+    ) -> dict[str, dict[str, float]]:
+        """Logged signal -> scored joint -> root mean square error of one model on one split [unit of the signal].
+
+        Torques are compared without what other moments of their measurement explain: where a command is held, the one
+        that acted a moment before may make all the difference.
+        """
         logged = {name for segment in self._segments[split] for name in segment.plan.measured.signals}
         own = dict.fromkeys(("position", *(name for name in ("velocity", "torque") if name in logged)), 1.0)
-        problem = self._problem(parameters, values, split, Weights(own, {}))
+        problem = self._problem(parameters, values, split, Weights(own, {}, torque=torque))
         residual = problem.residuals(problem.parameters.start[None])[0]
         pieces: dict[str, list[np.ndarray]] = {}
         for _, signal, rows in problem.by_segment(residual):

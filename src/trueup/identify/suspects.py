@@ -48,8 +48,9 @@ _LEAST_GAIN, _LEAST_OF_JOINT, _LEAST_ON_VAL = 25.0, 12.0, 10.0
 _SOME = 0.2
 # Causes that are looked at closely.
 _MOST = 3
-# Share of what is left that a suspect explains at least, on train and on val, and on train without val.
-_EXPLAINS, _EXPLAINS_ALONE = 0.3, 0.5
+# Share of what is left that a suspect explains at least, on train and on val, and on train without val; and where
+# nothing should be left.
+_EXPLAINS, _EXPLAINS_ALONE, _EXPLAINS_SOME = 0.3, 0.5, 0.1
 # Of one of its joints, on train.
 _PART = 0.15
 # What is left beyond the noise of the measurement counts as no less than this share of that noise.
@@ -125,7 +126,7 @@ class Rest:
         for begin in range(0, len(columns), segments):
             own = columns[begin : begin + segments]
             every = {key: np.sum([column.field[key] for column in own], axis=0) for key in own[0].field}
-            (found,) = self.derivatives([replace(own[0], field=every)])
+            (found,) = self.derivatives([replace(own[0], field=every, logged=every)])
             for segment in self.problem.segments:
                 row = np.zeros_like(found)
                 for (other, _, mine), (_, _, values) in zip(
@@ -171,11 +172,12 @@ class Rest:
         return _PUSH / most if most > _NOTHING else 0.0
 
     def _forces(self, columns: Sequence[Column], sizes: Sequence[float] | np.ndarray) -> Forces:
-        total = {segment: np.zeros_like(own.position[:, 1:]) for segment, own in self.motions.courses.items()}
+        courses = self.motions.courses
+        total = {segment: np.zeros((2, *own.position[:, 1:].shape)) for segment, own in courses.items()}
         for column, size in zip(columns, sizes, strict=True):
             if not column.shifts and size:
                 for segment, own in total.items():
-                    own += size * column.of(segment)
+                    own += size * column.forces(segment)
         return total
 
 
@@ -281,12 +283,22 @@ class Suspicion:
         held_out: the same for motions that were not fitted; None without.
         solution: of the fit.
         settings: of its search.
+        whole: whether the model should leave nothing at all: that of a simulation's logs.
 
     Raises:
         DataError: the model cannot be simulated.
     """
 
-    def __init__(self, problem: Problem, held_out: Problem | None, solution: Solution, settings: SolveSettings) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        held_out: Problem | None,
+        solution: Solution,
+        settings: SolveSettings,
+        *,
+        whole: bool = False,
+    ) -> None:
+        self._least = _EXPLAINS_SOME if whole else _EXPLAINS
         z, newton = solution.z, settings.gauss_newton
         (residual,) = problem.residuals(z[None])
         loss = Loss.of(residual, newton.loss, newton.loss_scale)
@@ -334,7 +346,7 @@ class Suspicion:
         noise = self._noise * self.train.samples
         beyond = self.train.problem.squares(self.train.residual) - noise
         columns = self.train.problem.columns
-        return {int(columns[place]) for place in np.flatnonzero(beyond > _EXPLAINS * _LEAST_EXCESS * noise)}
+        return {int(columns[place]) for place in np.flatnonzero(beyond > self._least * _LEAST_EXCESS * noise)}
 
     def screened(self) -> list[Tested]:
         """All causes whose derivatives explain more than chance would, the best first."""
@@ -542,7 +554,7 @@ class Suspicion:
         if None not in joints and not item.cause.single:
             some = [place for place, joint in enumerate(columns) if joint in joints and shares[0][place] > _PART]
             return [place for place in some if shares[-1][place] > 0.0]
-        return [place for place in range(len(columns)) if all(own[place] > _EXPLAINS for own in shares)]
+        return [place for place in range(len(columns)) if all(own[place] > self._least for own in shares)]
 
     def _by_joint(self, item: Tested) -> list[Float64[np.ndarray, "K"]]:
         """Share of what is left of each joint that a cause explains, on train and on val."""
@@ -609,7 +621,7 @@ class Suspicion:
         train, val, gain = self._shares(item, about)
         if val is None:
             return train > _EXPLAINS_ALONE
-        return train > _EXPLAINS and val > _EXPLAINS and gain > _LEAST_ON_VAL
+        return train > self._least and val > self._least and gain > _LEAST_ON_VAL
 
     @staticmethod
     def _sizes(item: Tested) -> dict[int | None, float]:
@@ -661,7 +673,12 @@ class _Left:
 
 
 def suspects_of(
-    problem: Problem, held_out: Problem | None, solution: Solution, settings: SolveSettings
+    problem: Problem,
+    held_out: Problem | None,
+    solution: Solution,
+    settings: SolveSettings,
+    *,
+    whole: bool = False,
 ) -> tuple[Suspect, ...]:
     """What a fitted model may lack.
 
@@ -670,11 +687,12 @@ def suspects_of(
         held_out: the same for motions that were not fitted; None without.
         solution: of the fit.
         settings: of its search.
+        whole: whether the model should leave nothing at all: that of a simulation's logs.
 
     Raises:
         DataError: the fitted model cannot be simulated.
     """
-    return Suspicion(problem, held_out, solution, settings).suspects()
+    return Suspicion(problem, held_out, solution, settings, whole=whole).suspects()
 
 
 def strange_masses(parameters: ParameterSet, values: Mapping[str, float]) -> str:

@@ -137,4 +137,12 @@ RIGID_BODY: tuple[Quantity, ...] = (
         )
         for index, axis in enumerate("xyz")
     ),
+    Quantity(
+        *("payload_inertia", "rotational inertia of the payload, taken as a ball", "kg m2", "robot", "inertia"),
+        _zero,
+        _write_carried("inertia"),
+        "accelerate the payload about several axes",
+        SearchRange(low=0.0, high=5.0, scale=1e-3, prior_std=10.0),
+        relative=True,
+    ),
 )

@@ -8,11 +8,11 @@ import numpy as np
 from identify.recovery_cases import JOINTS, TORQUE, Truth, nominal_of
 from trueup.core.parameters import ParameterSet
 from trueup.identify import Problem, SegmentRule, SolveSettings, make_segments, solve
+from trueup.identify.assumptions import assumption_shifts, unseen
 from trueup.identify.config import make_parameters
 from trueup.identify.inertial import COMPONENTS
 from trueup.identify.regression.equation import mechanism_structure
 from trueup.identify.regression.linkage import Linkage
-from trueup.identify.shapes import shape_shifts, unseen
 from trueup.identify.solution import fingerprint_of
 from trueup.identify.uncertainty import noise_of, posterior_of
 
@@ -62,7 +62,7 @@ def test_single_masses_are_no_more_certain_than_shapes_are_known(tmp_path):
     found = solve(problem, SolveSettings())
     sharp = posterior_of(problem, found.z, found.residual, found.jacobian)
     weight = noise_of(problem, found.residual).weight
-    wide = sharp.widened(shape_shifts(problem, found.z, found.jacobian, weight))
+    wide = sharp.widened(assumption_shifts(problem, found.z, found.jacobian, weight))
     names = [item.name for item in problem.parameters.free]
     assert np.all(wide.std >= sharp.std * (1 - 1e-9))
     lower = names.index("mass[lower]")
