@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -62,7 +62,6 @@ class Moments:
         segment: a part of the logs.
         rows: its stamps that count, (T,).
         columns: numbers of the K joints, among those of the robot.
-        names: of these.
         signal: that the robot follows.
         torque: joint name -> what is known of its torque; the moments of others are those of the stamps.
         segments: how many have the same moments.
@@ -73,13 +72,13 @@ class Moments:
         segment: Segment,
         rows: Bool[np.ndarray, "T"],
         columns: Int[np.ndarray, "K"],
-        names: Sequence[str],
         signal: str,
         torque: Mapping[str, LoggedTorque],
         segments: int,
     ) -> None:
-        self._known = [torque.get(name) for name in names]
-        plan, own = segment.plan, [known or LoggedTorque() for known in self._known]
+        plan = segment.plan
+        self._known = [torque.get(plan.measured.joints[column]) for column in columns]
+        own = [known or LoggedTorque() for known in self._known]
         stiff, damped = segment.setup.kp_factor * np.array([one.kp for one in own]), np.array([one.kv for one in own])
         delays = np.zeros(len(plan.measured.joints))
         delays[columns] = [one.delay_s for one in own]

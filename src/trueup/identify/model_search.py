@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
 from trueup.core.episode import Episode
 from trueup.core.fit_result import ModelRow, Suspect
@@ -535,9 +534,7 @@ class ModelSearch:
             sure, candidates = self._until(_SURE), _TO_FINISH * len(best.solution.parameters.free)
             if sure is not None and sure.left_s < candidates * self._finer.candidate_s:
                 break  # no time to come to an end with it
-            moved = replace(best, solution=replace(best.solution, z=self._minimum_of(self._finer, best.solution)))
-            self.logs.way = self._finer.way
-            best = self._further(moved, fit, "finer", left_out, rough=rough, limit=limit)
+            best = self._moved(best, fit, self._finer, "finer", left_out, rough=rough, limit=limit)
         if self._finer is not None and self._finer.way.divisor == 2 and self._finer.gain < -DECIDED:
             return self._as_simulated(best, fit, left_out, rough=rough, limit=limit)
         return best
@@ -559,9 +556,8 @@ class ModelSearch:
         other = self._compared(best, way)
         if other is None or other.gain < -DECIDED:
             return best
-        self._of_this_step, self._finer, self.logs.way = True, None, way
-        moved = replace(best, solution=replace(best.solution, z=self._minimum_of(other, best.solution)))
-        return self._further(moved, fit, "as simulated", left_out, rough=rough, limit=limit)
+        self._of_this_step, self._finer = True, None
+        return self._moved(best, fit, other, "as simulated", left_out, rough=rough, limit=limit)
 
     def _smoothed(
         self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None
@@ -596,9 +592,25 @@ class ModelSearch:
         other = self._compared(best, way)
         if other is None or not self._better(other, best):
             return best
-        self.logs.way = way
-        moved = replace(best, solution=replace(best.solution, z=self._minimum_of(other, best.solution)))
-        return self._further(moved, fit, "another way", (), rough=rough, limit=limit)
+        return self._moved(best, fit, other, "another way", (), rough=rough, limit=limit)
+
+    def _moved(
+        self,
+        best: TriedModel,
+        fit: Mapping[str, Any],
+        other: Alternative,
+        what: str,
+        left_out: Sequence[str],
+        *,
+        rough: bool,
+        limit: TimeLimit | None,
+    ) -> TriedModel:
+        """The same model in the way that it was compared with, from where that has its minimum."""
+        assert self._minimum is not None
+        z = np.asarray(np.clip(self._minimum[2][0] + other.shift, *best.solution.parameters.bounds))
+        self.logs.way = other.way
+        place = replace(best, solution=replace(best.solution, z=z))
+        return self._further(place, fit, what, left_out, rough=rough, limit=limit)
 
     def _better(self, other: Alternative, best: TriedModel) -> bool:
         """Whether data prefer another fit; if they do not decide, what it would change by is kept for the intervals."""
@@ -665,11 +677,6 @@ class ModelSearch:
         # Half of a step leaves a quarter of its error.
         left = 4.0 / 3.0 if present.trapezoidal and way.divisor > present.divisor else 1.0
         return replace(compared, shift=left * compared.shift)
-
-    def _minimum_of(self, other: Alternative, found: Solution) -> Float64[np.ndarray, "P"]:
-        """Where the way that a solution was compared with has its minimum."""
-        assert self._minimum is not None
-        return np.asarray(np.clip(self._minimum[2][0] + other.shift, *found.parameters.bounds))
 
     def _polished(self, problem: Problem, found: Solution, weight: float) -> Minimum | None:
         """The minimum of a fit that is simulated in some way, near a solution; None where it cannot be, or in time."""

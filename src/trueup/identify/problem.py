@@ -140,9 +140,10 @@ class Problem:
             for place in quantity(parameter.quantity).places(nominal, parameter.target)
         ]
         self._rows = {segment: self._counted(segment) for segment in self.segments}
-        names, signal = [robot.joint_names[column] for column in self.columns], robot.controller.signal
         self._moments = {
-            segment: Moments(segment, rows["torque"], self.columns, names, signal, self.weights.torque, len(segments))
+            segment: Moments(
+                segment, rows["torque"], self.columns, robot.controller.signal, self.weights.torque, len(segments)
+            )
             for segment, rows in self._rows.items()
             if self.weights.torque and "torque" in rows
         }

@@ -87,8 +87,7 @@ class SimulatedLogs:
     @cached_property
     def period_s(self) -> float:
         """Usual time between two commands [s]."""
-        steps = [np.diff(log.commanded().time_s) for log in self._logs["train"]]
-        return float(np.median(np.concatenate(steps))) if any(own.size for own in steps) else 0.0
+        return float(np.median([segment.plan.command_period_s for segment in self.segments]))
 
     @property
     def between_stamps(self) -> bool:
