@@ -4,15 +4,17 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
+import pytest
 
-from identify.recovery_cases import JOINTS, TORQUE, Truth, nominal_of
+from identify.recovery_cases import JOINTS, SERVO, TORQUE, Truth, arm, nominal_of
 from trueup.core.parameters import ParameterSet
-from trueup.identify import Problem, SegmentRule, SolveSettings, make_segments, solve
+from trueup.identify import Nominal, Problem, SegmentRule, SolveSettings, make_segments, solve
 from trueup.identify.assumptions import assumption_shifts, unseen
 from trueup.identify.config import make_parameters
 from trueup.identify.inertial import COMPONENTS
 from trueup.identify.regression.equation import mechanism_structure
 from trueup.identify.regression.linkage import Linkage
+from trueup.identify.search import Search, Stopwatch
 from trueup.identify.solution import fingerprint_of
 from trueup.identify.uncertainty import noise_of, posterior_of
 
@@ -72,6 +74,26 @@ def test_single_masses_are_no_more_certain_than_shapes_are_known(tmp_path):
     moment = np.zeros(len(names))
     moment[lower], moment[place] = 1.0, problem.parameters.free[place].scale / values["com_x[lower]"]
     assert float(np.sqrt(moment @ wide.covariance @ moment)) < 0.01 * wide.std[lower]
+
+
+@pytest.mark.parametrize("limit", [9.0, 500.0])
+def test_a_drive_that_saturates_for_moments_does_not_tell_the_scale_of_all_torques(tmp_path, limit):
+    robot, path = arm(tmp_path, SERVO)
+    limits = f'name="shoulder" actuatorfrcrange="-{limit} {limit}" actuatorfrclimited="true"'
+    path.write_text(path.read_text().replace('name="shoulder"', limits))
+    nominal = Nominal(robot, path)
+    logs = [Truth(robot, nominal, {}).log(seed, noise=3e-4, size=0.6, seconds=6.0, top_hz=3.0) for seed in (1, 2)]
+    segments, _ = make_segments(logs, nominal.simulator, SegmentRule())
+    fit = dict.fromkeys(("kp", "kv", "armature", "damping", "frictionloss", "mass"), "all")
+    problem = Problem(nominal, make_parameters(fit, nominal), segments)
+    search = Search(problem, SolveSettings(), Stopwatch(), checkpoint=None, on_progress=None)
+    found = search.certain(solve(problem, SolveSettings()).z)
+    sharp = posterior_of(problem, found["z"], found["residual"], found["jacobian"])
+    weight = noise_of(problem, found["residual"]).weight
+    wide = sharp.widened(assumption_shifts(problem, found["z"], found["jacobian"], weight))
+    place = [item.name for item in problem.parameters.free].index("kp[elbow]")
+    assert (sharp.std[place] < 0.05) == (limit < 100.0)
+    assert wide.std[place] > 0.08
 
 
 def test_a_number_at_its_bound_is_unseen_as_it_is_inside(tmp_path):

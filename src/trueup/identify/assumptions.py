@@ -9,9 +9,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from trueup.core.parameters import Parameter, ParameterSet
+from trueup.errors import DataError
 from trueup.identify.inertial import COMPONENTS
 from trueup.identify.problem import Problem
 from trueup.identify.quantities import quantity
+from trueup.identify.sensitivity import invariant
 from trueup.identify.uncertainty import precision_of
 
 # How well the inertia of a body is known beside its mass, one standard deviation of its logarithm; components of its
@@ -48,8 +50,9 @@ def assumption_shifts(
 
     So the covariance of the fit is told as if these numbers were fitted, too, with a prior, and with no information
     along what the equations of motion say is unseen: with J the derivatives of the residual by all of these, without
-    their part along `unseen`, L the precision of the prior and w the variance of one observation, it is
-    w (J J^T + w L)^-1. What that is more than without them is returned as independent shifts.
+    their part along `unseen`, and mended along the common scale of all torques, L the precision of the prior and w the
+    variance of one observation, it is w (J J^T + w L)^-1. What that is more than without them is returned as
+    independent shifts.
 
     Source: Gautier, Khalil 1990, "Direct calculation of minimum set of inertial parameters of serial robots", for what
     is unseen.
@@ -60,7 +63,7 @@ def assumption_shifts(
         jacobian: verified, at z, (P, N).
         weight: variance of one independent observation.
     """
-    assumed = {**_shapes(problem), **_centers(problem), **_limits(problem), **_payload(problem, z)}
+    assumed = {**_shapes(problem), **_centers(problem), **_limits(problem, z), **_payload(problem, z)}
     if not assumed:
         return []
     wider = problem.with_parameters(ParameterSet((*problem.parameters, *assumed)))
@@ -71,17 +74,23 @@ def assumption_shifts(
     ends = np.stack([np.clip(here + sign * moves, low, high) for sign in (1.0, -1.0)])
     seen = np.empty((2, count, jacobian.shape[1]))
     # Drives saturate for moments that a larger time step does not see.
-    short = np.array([item.quantity == "torque_limit" for item in assumed])
-    for own, simulated in ((~short, wider.slopes), (short, wider.alone().residuals)):
+    short, fine = np.array([item.quantity == "torque_limit" for item in assumed]), wider.alone()
+    for own, simulated in ((~short, wider.slopes), (short, fine.residuals)):
         if own.any():
             seen[:, own] = simulated(ends[:, own].reshape(-1, here.size)).reshape(2, -1, jacobian.shape[1])
     away = (ends[0] - ends[1])[np.arange(count), z.size + np.arange(count)]
     both = np.concatenate([jacobian, np.nan_to_num((seen[0] - seen[1]) / away[:, None])])
     norms = np.linalg.norm(both, axis=1)
     size = np.where(norms > 0, norms, 1.0)
-    nothing = unseen(wider, here) * size
-    unit = both / size[:, None]
-    both = (unit - np.linalg.pinv(nothing) @ (nothing @ unit)) * size[:, None]
+    known = unseen(wider, here)
+    slopes = np.zeros((len(known), jacobian.shape[1]))
+    if short.any():
+        # These moments have kinks, where single derivatives do not add up to what all torques do together.
+        scale = invariant(wider.parameters, here)[:1]
+        one, other = fine.residuals(np.concatenate([here + _NEAR * scale, here - _NEAR * scale]))
+        known, slopes = np.concatenate([known, scale]), np.vstack([slopes, np.nan_to_num(one - other) / (2.0 * _NEAR)])
+    known, unit = known * size, both / size[:, None]
+    both = (unit + np.linalg.pinv(known) @ (slopes - known @ unit)) * size[:, None]
     own = precision_of(problem.parameters)
     prior = np.zeros((len(both), len(both)))
     prior[: z.size, : z.size], prior[z.size :, z.size :] = own, np.diag(np.array(list(assumed.values())) ** -2.0)
@@ -125,14 +134,22 @@ def _weighed(problem: Problem, names: Sequence[str]) -> set[str]:
     return bodies - {item.target for item in problem.parameters if item.quantity in names}
 
 
-def _limits(problem: Problem) -> dict[Parameter, float]:
-    """Likewise the largest torques of drives that have one."""
-    made = quantity("torque_limit")
-    return {
-        made.parameter(problem.nominal, joint): _LIMIT
+def _limits(problem: Problem, z: Float64[np.ndarray, "P"]) -> dict[Parameter, float]:
+    """Likewise the largest torques of drives that come near it."""
+    made, names = quantity("torque_limit"), problem.nominal.robot.joint_names
+    held = {
+        joint: made.parameter(problem.nominal, joint)
         for joint in made.holders(problem.nominal)
         if f"torque_limit[{joint}]" not in problem.parameters.names
     }
+    if not held:
+        return {}
+    try:
+        torques = [np.abs(course.torque).max(axis=(0, 1)) for course in problem.courses(z).values()]
+    except DataError:
+        return {}
+    most = dict(zip(names, np.max(torques, axis=0).tolist(), strict=True))
+    return {item: _LIMIT for joint, item in held.items() if most[joint] > (1.0 - _LIMIT) * item.value}
 
 
 def _payload(problem: Problem, z: Float64[np.ndarray, "P"]) -> dict[Parameter, float]:
