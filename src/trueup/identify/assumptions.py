@@ -22,8 +22,7 @@ from trueup.identify.uncertainty import precision_of
 _INERTIA, _COMPONENT, _CENTER = 0.1, 0.05, 0.05
 # How well a drive's largest torque is known, one standard deviation of its logarithm.
 _LIMIT = 0.1
-# A payload is a ball of this density, more or less [kg/m3].
-_DENSITY = 1500.0
+# Numbers of a payload, which belong to the whole robot.
 _CARRIED = frozenset({"payload_mass", "payload_x", "payload_y", "payload_z", "payload_inertia"})
 # Of differences: of a residual, and of torques, in z.
 _NEAR, _NEARER = 0.01, 1e-4
@@ -46,7 +45,7 @@ def assumption_shifts(
     tenth in its inertia, and its center by a twentieth of its radius of gyration. With shapes that are exactly the
     model's, masses and their centers look as if motions told them; in truth a joint shows combinations of them alone
     (base parameters). A drive that saturates for a moment tells the scale of all torques, if its largest torque is what
-    the model says: that is known to a tenth. A payload is fitted as a point, and is a ball.
+    the model says: that is known to a tenth.
 
     So the covariance of the fit is told as if these numbers were fitted, too, with a prior, and with no information
     along what the equations of motion say is unseen: with J the derivatives of the residual by all of these, without
@@ -63,7 +62,7 @@ def assumption_shifts(
         jacobian: verified, at z, (P, N).
         weight: variance of one independent observation.
     """
-    assumed = {**_shapes(problem), **_centers(problem), **_limits(problem, z), **_payload(problem, z)}
+    assumed = {**_shapes(problem), **_centers(problem), **_limits(problem, z)}
     if not assumed:
         return []
     wider = problem.with_parameters(ParameterSet((*problem.parameters, *assumed)))
@@ -150,17 +149,6 @@ def _limits(problem: Problem, z: Float64[np.ndarray, "P"]) -> dict[Parameter, fl
         return {}
     most = dict(zip(names, np.max(torques, axis=0).tolist(), strict=True))
     return {item: _LIMIT for joint, item in held.items() if most[joint] > (1.0 - _LIMIT) * item.value}
-
-
-def _payload(problem: Problem, z: Float64[np.ndarray, "P"]) -> dict[Parameter, float]:
-    """Likewise the inertia of a payload: 2/5 m r^2 of a ball with radius r."""
-    names = problem.parameters.names
-    if "payload_mass" not in names or "payload_inertia" in names:
-        return {}
-    mass, made = problem.parameters.values(z)["payload_mass"], quantity("payload_inertia")
-    item = made.parameter(problem.nominal, "")
-    radius = (3.0 * mass / (4.0 * np.pi * _DENSITY)) ** (1.0 / 3.0)
-    return {item: 0.4 * mass * radius**2 / item.scale} if mass > 0.0 else {}
 
 
 def _covariance(

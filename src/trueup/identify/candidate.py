@@ -300,11 +300,11 @@ class Nominal:
 
         Args:
             payload: its `mass` [kg], how far it is from its place along `x`, `y` and `z` [m], and its `inertia` about
-                each axis [kg m2].
+                each axis per mass: its radius of gyration, squared [m2].
         """
         _, site = self.payload_place
-        place = np.array(site) + [payload.get(axis, 0.0) for axis in "xyz"]
-        return Inertial(payload.get("mass", 0.0), place, payload.get("inertia", 0.0) * np.eye(3))
+        mass, place = payload.get("mass", 0.0), np.array(site) + [payload.get(axis, 0.0) for axis in "xyz"]
+        return Inertial(mass, place, mass * payload.get("inertia", 0.0) * np.eye(3))
 
 
 def _leading(model: mujoco.MjModel, group: list[str]) -> list[str]:

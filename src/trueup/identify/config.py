@@ -28,7 +28,7 @@ _SERVO_FIT: Mapping[str, Any] = {
     "mass": _WEIGHED,
 }
 _SERVO_MODELS = {
-    "payload": ("payload_mass", "payload_x", "payload_y", "payload_z"),
+    "payload": ("payload_mass", "payload_x", "payload_y", "payload_z", "payload_inertia"),
     "limits": ("torque_limit",),
     "integral": ("ki",),
     **_LAWS,

@@ -138,11 +138,11 @@ RIGID_BODY: tuple[Quantity, ...] = (
         for index, axis in enumerate("xyz")
     ),
     Quantity(
-        *("payload_inertia", "rotational inertia of the payload, taken as a ball", "kg m2", "robot", "inertia"),
+        *("payload_inertia", "rotational inertia of the payload, per mass", "m2", "robot", "inertia"),
         _zero,
         _write_carried("inertia"),
         "accelerate the payload about several axes",
-        SearchRange(low=0.0, high=5.0, scale=1e-3, prior_std=10.0),
+        SearchRange(low=0.0, high=0.25, scale=3.6e-3, prior_std=1.0),  # a radius of gyration of 6 cm
         relative=True,
     ),
 )
