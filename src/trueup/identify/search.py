@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,8 @@ _POLISHED, _FINISHED, _AGAIN, _SETTLED = 9, 3, 3, 0.3
 _FAR_AWAY = 2.0
 # How often windows begin anew while another way to simulate is brought to its minimum.
 _RESTARTS = 3
+# A search whose windows begin anew with each iteration ends where so many have not lowered the squares by this share.
+_LAST, _LOWER = 4, 0.01
 # A new look at the starts that lowers the cost by less than so many observations is the last one.
 _GAINED = 1.0
 
@@ -80,6 +83,12 @@ class Descent:
     solution: Solution
     gained: float
     search: GaussNewton
+
+
+def _level(squares: Sequence[float]) -> bool:
+    """Whether the last sums of squares are no lower than those before."""
+    before, last = squares[:-_LAST], squares[-_LAST:]
+    return bool(before) and min(last) > (1.0 - _LOWER) * min(before)
 
 
 def space_of(problem: Problem) -> Space:
@@ -133,8 +142,11 @@ class Search:
         """
         store, kept = self._open(phase)
         state = GaussNewtonState(self.problem.parameters.start)
+        # Stage, sum of squares and parameters where windows began anew.
+        ends: list[tuple[int, float, Float64[np.ndarray, "P"]]] = []
         if kept:
             with store.reading():
+                ends = [(int(stage), float(square), np.array(z)) for stage, square, z in kept.get("ends", [])]
                 state = GaussNewtonState.from_json(kept["solver"], space_of(self.problem), self.settings.gauss_newton)
         search = self._derivatives(state)
         if not search.done:
@@ -145,11 +157,18 @@ class Search:
                     search.step()
                     if not state.reason and self.problem.restart(state.z):
                         search.renew()
+                        # Each change of the starts moves the minimum a little, so that steps always find a gain.
+                        ends = [*(end for end in ends if end[0] == state.stage), (state.stage, state.square, state.z)]
+                        *_, best = min(ends, key=lambda end: end[1])
+                        if _level([square for _, square, _ in ends]):
+                            self.problem.restart(best)
+                            search.settle(best)
             except OutOfTime:
                 state.reason, state.square = "time", search.square
             if self._left_s() <= 0 and not search.done:
                 state.reason = "time"
-            store.save({"solver": state.to_json(), **self._spent()})
+            kept_ends = [(stage, square, z.tolist()) for stage, square, z in ends]
+            store.save({"solver": state.to_json(), "ends": kept_ends, **self._spent()})
             self._say(phase, state.iteration, float(np.sqrt(state.square)))
         jacobian = search.final_jacobian()
         solution = self._solution("gauss-newton", state.reason, state.iteration, search, jacobian)

@@ -255,6 +255,12 @@ class GaussNewton:
         self._start()
         self.state.square = self.square
 
+    def settle(self, z: Float64[np.ndarray, "P"]) -> None:
+        """End a stage at these parameters, since steps no longer lead anywhere."""
+        self.state.z = z
+        self.renew()
+        self._advance(finished=True)
+
     def polish(self, jacobian: Float64[np.ndarray, "P N"], weight: float | None = None) -> Float64[np.ndarray, "P N"]:
         """Go on with given derivatives to the minimum that they see, without holding back where they are small.
 
