@@ -391,6 +391,8 @@ class ModelSearch:
         if self._rival is None or _over(limit) or not doubtful or self._left(best) > _FAR_FROM_NOISE:
             return best
         rival, command = self._rival
+        # Lines with corners would lose against a held command where a curve wins.
+        best = self._smoothed(best, fit, rough=rough, limit=limit)
         now, self.logs.way = self.logs.way, replace(self.logs.way, command=command)
         self._undecided.clear()
         if _carries(fit) and not _carries(rival.row.quantities):
@@ -744,7 +746,8 @@ class ModelSearch:
             took_s = max(took_s, prepared_s + solution.solver["seconds"])  # before an interruption, too
         if solution.solver["stop"] == "time":
             self.short_of_time.append(name)
-        self.logs.begin_at(solution.values)
+        # Where windows began is part of what a search has found; from afar, they may end elsewhere.
+        self.logs.begin_at(solution.values, None if self.config.data.window_s is None else problem.starts)
         if start is not None and "remark" in start.solver:
             # It holds for all that goes on from there.
             solution = replace(solution, solver={"remark": start.solver["remark"], **solution.solver})
