@@ -746,8 +746,7 @@ class ModelSearch:
             took_s = max(took_s, prepared_s + solution.solver["seconds"])  # before an interruption, too
         if solution.solver["stop"] == "time":
             self.short_of_time.append(name)
-        # Where windows began is part of what a search has found; from afar, they may end elsewhere.
-        self.logs.begin_at(solution.values, None if self.config.data.window_s is None else problem.starts)
+        self.logs.begin_at(solution.values)
         if start is not None and "remark" in start.solver:
             # It holds for all that goes on from there.
             solution = replace(solution, solver={"remark": start.solver["remark"], **solution.solver})
