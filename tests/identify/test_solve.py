@@ -184,7 +184,7 @@ def test_the_moment_of_a_torque_is_known_as_well_as_is_said(tmp_path, noise):
             effect = std_s / max(noise, 1e-6) * change[-len(rows) :, joint]
             spread += np.outer(effect, effect)
         expected = rows[:, joint] @ np.linalg.solve(spread, rows[:, joint])
-        assert compared[:, joint] @ compared[:, joint] == pytest.approx(expected, rel=1e-3)
+        assert compared[:, joint] @ compared[:, joint] == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize("solver", ["cma-es", "evolution"])

@@ -391,8 +391,6 @@ class ModelSearch:
         if self._rival is None or _over(limit) or not doubtful or self._left(best) > _FAR_FROM_NOISE:
             return best
         rival, command = self._rival
-        # Lines with corners would lose against a held command where a curve wins.
-        best = self._smoothed(best, fit, rough=rough, limit=limit)
         now, self.logs.way = self.logs.way, replace(self.logs.way, command=command)
         self._undecided.clear()
         if _carries(fit) and not _carries(rival.row.quantities):
