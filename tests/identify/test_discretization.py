@@ -102,16 +102,55 @@ def test_a_delay_that_was_taken_for_damping_is_given_back(tmp_path):
     # As far along the valley as a search gets that takes all of it for damping, and for the inertia that belongs to it.
     kp, total = found.values["kp[j]"], found.values["kv[j]"] + 0.1
     changed = {
-        "delay_s[j]": 0.0,
-        "kv[j]": found.values["kv[j]"] + kp * late_s,
-        "armature[j]": found.values["armature[j]"] + kp * late_s**2 / 2 + total * late_s,
+        "delay_s": 0.0,
+        "kv": found.values["kv[j]"] + kp * late_s,
+        "armature": found.values["armature[j]"] + kp * late_s**2 / 2 + total * late_s,
     }
-    z = found.parameters.at({**found.values, **changed}).start
-    (row,) = search.problem_of(best).residuals(z[None])
-    valley = replace(best, solution=replace(found, z=z, residual=row, rms=float(np.linalg.norm(row))))
+    valley = at(search, best, **changed)
     back = search._exchanged(valley, fit, rough=False, limit=None)
     assert back.solution.rms < 1.01 * found.rms
     assert back.solution.values["delay_s[j]"] == pytest.approx(late_s, abs=0.003)
+
+
+def at(search, item, **changed):
+    """A fit that has ended elsewhere."""
+    found = item.solution
+    z = found.parameters.at({**found.values, **{f"{name}[j]": value for name, value in changed.items()}}).start
+    (row,) = search.problem_of(item).residuals(z[None])
+    return replace(item, solution=replace(found, z=z, residual=row, rms=float(np.linalg.norm(row))))
+
+
+def test_two_timings_are_compared_at_their_minima_once_a_payload_was_found(tmp_path):
+    """Wherever searches have ended, and in whichever of the two: a held command is late by half of 10 ms."""
+    pendulum = pendulum_logs(tmp_path)
+    fit = dict.fromkeys(("delay_s", "kp", "kv", "frictionloss", "armature"), "all")
+    search = ModelSearch(
+        Nominal(pendulum.robot, pendulum.model),
+        pendulum.episodes,
+        IdentifyConfig(fit=fit, models={}),
+        jobs=1,
+        seed=0,
+        checkpoints=None,
+        on_progress=None,
+    )
+    held, linear = (replace(search.logs.way, command=command) for command in ("held", "linear"))
+    best = search._try("held", fit)
+    search.logs.way = linear
+    moving = search._try("linear", fit)
+    assert moving.solution.values["delay_s[j]"] == pytest.approx(0.005, abs=1e-3)
+    for way, other, item in ((held, linear, best), (linear, held, moving)):
+        search.logs.way = way
+        early = at(search, item, kv=0.9 * item.solution.values["kv[j]"])
+        assert early.solution.rms > 1.05 * item.solution.rms
+        search._undecided.clear()
+        search._rival = (item, other.command)  # it has no payload
+        found = search._certain(replace(early, row=replace(early.row, quantities=(*fit, "payload_mass"))))
+        assert found.solution.rms == pytest.approx(min(best.solution.rms, moving.solution.rms), rel=1e-3)
+        late_s = 0.0 if search.logs.way == held else 0.005
+        assert found.solution.values["delay_s[j]"] == pytest.approx(late_s, abs=0.003)
+        # A motion that is as smooth as this one does not tell them apart.
+        (undecided,) = search._undecided
+        assert abs(undecided["delay_s[j]"]) * 0.02 > 0.001  # in z, of 20 ms
 
 
 def test_a_step_of_zero_is_told_from_two_others():

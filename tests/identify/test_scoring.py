@@ -32,6 +32,24 @@ def test_motions_that_were_recorded_again_are_no_further_evidence(tmp_path):
     assert repeated.high - repeated.low > 1.2 * (apart.high - apart.low)
 
 
+def test_few_motions_of_val_choose_together_with_those_of_train(tmp_path):
+    robot, nominal = nominal_of(tmp_path)
+    logs = [Truth(robot, nominal, {}).log(seed, seconds=0.5, name=f"log{seed}", noise=0.02) for seed in range(7)]
+    again = [replace(log, meta=replace(log.meta, id=f"{log.meta.id}-{n}", source="one")) for n in "ab" for log in logs]
+    train, val = logs[:1], logs[1:]
+
+    def error(scorer):
+        return scorer.deciding_error(ParameterSet(()), {})
+
+    for own, splits in ((val, ("val",)), (val[1:], ("train", "val")), (again, ("train", "val"))):
+        scorer = Scorer(nominal, {"train": train, "val": own})
+        assert scorer.deciding == splits
+        scores = [scorer.score(ParameterSet(()), {}, split).rmse.mean(axis=1) for split in splits]
+        assert error(scorer) == pytest.approx(np.concatenate(scores).mean())
+    assert Scorer(nominal, {"train": train}).deciding == ()
+    assert Scorer(nominal, {"val": val[:2]}).deciding == ("val",)
+
+
 def test_a_mean_has_no_interval_where_all_recordings_are_of_one_motion():
     found = scores([[0.1, 0.2], [0.3, 0.4]], executed=("plan", "plan")).estimate("rad")
     assert (found.value, found.low, found.high) == (pytest.approx(0.25), None, None)

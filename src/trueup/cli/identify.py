@@ -102,7 +102,7 @@ def show(identified: Identified, out_dir: Path) -> None:
     out.print(parameter_table(fit))
     if len(fit.models) > 1:
         out.print(model_table(fit))
-        out.print("* chosen on val" if "val" in fit.models[0].splits else "* chosen", markup=False)
+        out.print("* chosen", markup=False)
     out.print(ladder_table(identified.ladder))
     for line in verdicts(identified.measurement.gap):
         out.print(line, markup=False)

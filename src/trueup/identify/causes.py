@@ -393,7 +393,7 @@ class Cause:
         columns: what one unit of it adds.
         beginnings: whether each motion begins with an unknown torque of its own.
         size: the size that is told, by the coefficient; None where parameters hide an unknown part of it.
-        whole: whether its columns make sense only together.
+        together: whether its columns make sense only together.
         single: whether only one joint is looked for, since several look alike.
         least: a smaller size is no cause, since every simulation has as much of its own.
     """
@@ -404,7 +404,7 @@ class Cause:
     columns: Callable[[Motions], list[Column]]
     beginnings: bool = False
     size: Callable[[float], float] | None = float
-    whole: bool = False
+    together: bool = False
     single: bool = False
     least: float = 0.0
 
@@ -441,7 +441,7 @@ CAUSES: tuple[Cause, ...] = (
         "",
         Motions.payload,
         size=None,
-        whole=True,
+        together=True,
     ),
     Cause(
         "mirrored",

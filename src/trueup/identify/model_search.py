@@ -74,7 +74,7 @@ _TO_FINISH = 12
 _HOPELESS = 3.0
 # How often bounds that were hit are moved.
 _WIDENINGS = 2
-# A number that ended below this share of its usual start hardly moves from there.
+# A number below this share of its usual start hardly moves from there.
 _DEAD = 0.1
 # Shares of a time limit at which the base model ends, no richer one is begun, these end, the best one ends, and what
 # makes its intervals certain.
@@ -185,8 +185,7 @@ class ModelSearch:
             # What made up for the payload may have been delays; with it, all is free again.
             limit, idle = self._until(_RICHER), []
             again = self._exchanged(best, fit, rough=True, limit=limit)
-            again = self._retimed(again, fit, rough=True, limit=limit)
-            again = self._exchanged(again, fit, rough=True, limit=limit)
+            again = self._further(again, fit, "all free", (), limit=limit)
             tried[tried.index(best)] = best = again
         if best is not tried[0]:
             # Where far more than noise was left, how commands act between their stamps could not be told.
@@ -252,20 +251,27 @@ class ModelSearch:
                     for simulated in (own, own.coarse) if own is not None else ():
                         if simulated is not None:
                             stack.enter_context(simulated.ending(self._limit))
-                return suspects_of(problem, held_out, found, self._settings, whole=self._of_this_step)
+                return suspects_of(problem, held_out, found, self._settings, exact=self._of_this_step)
         except OutOfTime:
             return None
 
     def _certain(self, item: TriedModel) -> TriedModel:
         """The same model with verified derivatives, at the minimum that these see."""
+        found = self._verified(item)
+        if found is None:
+            self.short_of_time.append(item.row.name)
+            return replace(item, solution=replace(item.solution, solver={**item.solution.solver, "stop": "time"}))
+        return self._timed_for_certain(found)
+
+    def _verified(self, item: TriedModel) -> TriedModel | None:
+        """The same, in the present timing of the command; None where no time is left for it."""
         found, problem = item.solution, self.problem_of(item)
         search = Search(problem, self._settings, Stopwatch(), checkpoint=None, on_progress=None)
         try:
             with problem.ending(self._until(_SURE)):
                 solution = replace(found, **search.certain(found.z))
         except OutOfTime:
-            self.short_of_time.append(item.row.name)
-            return replace(item, solution=replace(found, solver={**found.solver, "stop": "time"}))
+            return None
         self.logs.begin_at(solution.values, problem.starts)
         return replace(item, solution=solution, val=self._on_val(solution))
 
@@ -393,13 +399,29 @@ class ModelSearch:
         rival, command = self._rival
         now, self.logs.way = self.logs.way, replace(self.logs.way, command=command)
         self._undecided.clear()
-        if _carries(fit) and not _carries(rival.row.quantities):
-            found = best.solution  # nearer than what has no payload
-            delays = {item.name for item in found.parameters.free if item.quantity == "delay_s"}
-            begun = {name: value + self.logs.later_s * (name in delays) for name, value in found.values.items()}
-            rival = replace(best, solution=replace(found, z=found.parameters.at(begun).start))
         other = self._further(rival, fit, "once more", (), rough=rough, limit=limit)
         return self._better_timed(best, now, self._smoothed(other, fit, rough=rough, limit=limit))
+
+    def _timed_for_certain(self, best: TriedModel) -> TriedModel:
+        """The same model with the other timing of the command, if a payload was found since they were compared.
+
+        Both at their minima, by verified derivatives: what a search leaves is more than they differ by.
+        """
+        if self._rival is None or _carries(self._rival[0].row.quantities) or not _carries(best.row.quantities):
+            return best
+        if self._left(best) > _FAR_FROM_NOISE:
+            return best
+        found, now = best.solution, self.logs.way
+        self.logs.way = replace(now, command=self._rival[1])
+        self._undecided.clear()
+        delays = {item.name for item in found.parameters.free if item.quantity == "delay_s"}
+        later = {name: at + self.logs.later_s * (name in delays) for name, at in found.values.items()}
+        other = self._verified(replace(best, solution=replace(found, z=found.parameters.at(later).start)))
+        if other is None:
+            self.logs.way = now
+            self.logs.begin_at(found.values)
+            return best
+        return self._better_timed(best, now, other)
 
     def _better_timed(self, best: TriedModel, now: Discretization, other: TriedModel) -> TriedModel:
         """The better one of two timings: that of the model until now, and the one which it was just fitted with."""
@@ -469,37 +491,44 @@ class ModelSearch:
         masses that are free from the beginning divide it among themselves, and a way back need not go down.
         """
         nominal, before = self.logs.nominal, best.solution
-        masses = [item.name for item in before.parameters.free if item.quantity == "mass" and item.name not in left_out]
         begun = {item.name: item.value for item in before.parameters}
+        if self._left(best) > _FAR_FROM_NOISE:
+            left_out = []  # what changes nothing where that ended may count from where it began
+        masses = [item.name for item in before.parameters.free if item.quantity == "mass" and item.name not in left_out]
         if self._left(best) < _FAR_FROM_NOISE:
             heavy = f"mass[{nominal.carrier}]"
             more = before.values[heavy] - nominal.inertial(nominal.carrier).mass if heavy in masses else 0.0
-            begun = {**before.values, "payload_mass": max(0.0, more)}
-        # On a logarithmic scale there is no slope that leads back from next to nothing.
-        made = make_parameters(fit, nominal, self.motions)
-        dead = [item for item in made if item.transform == "log" and begun.get(item.name, np.inf) < _DEAD * item.value]
-        revived = {item.name: item.value for item in dead}
-        begun |= revived
-        left_out = [own for own in left_out if own not in revived]
+            # On a logarithmic scale no slope leads back from next to nothing. The gain that follows commands is never
+            # that: where it is far below what robot.yaml says, the motions say so.
+            follows = "kv" if self._signal == "velocity" else "kp"
+            made = [item for item in make_parameters(fit, nominal, self.motions) if item.transform == "log"]
+            least = {item.name: _DEAD * item.value for item in made if item.quantity != follows}
+            dead = {name: low for name, low in least.items() if before.values.get(name, np.inf) < low}
+            begun = {**before.values, **dead, "payload_mass": max(0.0, more)}
+            left_out = [own for own in left_out if own not in dead]
         found = self._try(name, fit, begun=begun, left_out=[*left_out, *masses], rough=True, limit=limit)
         return self._further(found, fit, "with masses", left_out, rough=True, limit=limit)
 
     def _earned(self, richer: TriedModel, best: TriedModel) -> bool:
         """Whether a richer model earns its parameters: on motions that it was not fitted to.
 
-        Without val, on those of train, where it has to be more likely by far than its further parameters make any: by
-        twice the logarithm of the likelihood, as Akaike's criterion of 1974 counts it. A payload may leave val as it is
-        if masses are where the robot's description has them for it.
+        Few motions of val decide nothing by themselves; those of train count beside them. Without val, train decides,
+        and a richer model has to be more likely by far than its further parameters make any: by twice the logarithm of
+        the likelihood, as Akaike's criterion of 1974 counts it. A payload may leave val as it is if masses are where
+        the robot's description has them for it.
         """
         gain = self._gained(best, richer)
         more = len(richer.solution.parameters.free) - len(best.solution.parameters.free)
         needed = DECIDED + 2.0 * max(more, 0)
         if richer.val is not None and best.val is not None:
-            if richer.val.mean < (1.0 - _WORTH) * best.val.mean:
+            before, after = (
+                self._scorer.deciding_error(item.solution.parameters, item.solution.values) for item in (best, richer)
+            )
+            if after < (1.0 - _WORTH) * before and (gain > needed or "train" not in self._scorer.deciding):
                 return True
             nearer = _strangeness(best.solution) - _strangeness(richer.solution)
             heavy = _carries(richer.row.quantities) and not _carries(best.row.quantities) and nearer > DECIDED
-            return heavy and richer.val.mean < (1.0 + _WORTH) * best.val.mean and gain + nearer > needed
+            return heavy and after < (1.0 + _WORTH) * before and gain + nearer > needed
         return richer.solution.rms < (1.0 - _WORTH) * best.solution.rms and gain > needed
 
     def _explained(self, item: TriedModel) -> bool:

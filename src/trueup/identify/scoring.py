@@ -21,6 +21,9 @@ from trueup.identify.segments import Segment, SegmentRule, make_segments
 from trueup.measure import bootstrap_interval, motion_numbers
 from trueup.robots import RobotSpec
 
+# Fewer motions of val than this do not choose between models alone.
+_FEW = 6
+
 
 @dataclass(frozen=True, eq=False)
 class Scores:
@@ -125,6 +128,19 @@ class Scorer:
     def splits(self) -> tuple[str, ...]:
         """The splits that have motions."""
         return tuple(self._segments)
+
+    @property
+    def deciding(self) -> tuple[str, ...]:
+        """The splits that choose between models: val, and train beside it where val has few motions."""
+        if "val" not in self._segments:
+            return ()
+        few = len({self._executed[segment.episode_id] for segment in self._segments["val"]}) < _FEW
+        return ("train", "val") if few and "train" in self._segments else ("val",)
+
+    def deciding_error(self, parameters: ParameterSet, values: Mapping[str, float]) -> float:
+        """Mean over the motions that choose between models of the mean over scored joints; infinite if one diverged."""
+        errors = np.concatenate([self.score(parameters, values, split).rmse for split in self.deciding])
+        return float(np.mean(errors)) if np.isfinite(errors).all() else float("inf")
 
     @property
     def unit(self) -> str:

@@ -283,7 +283,7 @@ class Suspicion:
         held_out: the same for motions that were not fitted; None without.
         solution: of the fit.
         settings: of its search.
-        whole: whether the model should leave nothing at all: that of a simulation's logs.
+        exact: whether the model should leave nothing at all: that of a simulation's logs.
 
     Raises:
         DataError: the model cannot be simulated.
@@ -296,9 +296,9 @@ class Suspicion:
         solution: Solution,
         settings: SolveSettings,
         *,
-        whole: bool = False,
+        exact: bool = False,
     ) -> None:
-        self._least = _EXPLAINS_SOME if whole else _EXPLAINS
+        self._least = _EXPLAINS_SOME if exact else _EXPLAINS
         z, newton = solution.z, settings.gauss_newton
         (residual,) = problem.residuals(z[None])
         loss = Loss.of(residual, newton.loss, newton.loss_scale)
@@ -438,11 +438,11 @@ class Suspicion:
             own = free.only(kept)
             solved = self._solve(own)
             weakest = int(np.argmin(solved.gains))
-            if cause.whole or solved.gains[weakest] >= _LEAST_OF_JOINT:
+            if cause.together or solved.gains[weakest] >= _LEAST_OF_JOINT:
                 numbers = [k for k, column in enumerate(columns) if any(column is other for other in own.columns)]
                 gain = self._gain(own)
                 least = [_SOME * max(column.within[0], 0.0) for column in own.columns]
-                if not cause.whole and np.any(solved.sizes < least):
+                if not cause.together and np.any(solved.sizes < least):
                     return None
                 return Tested(cause, own.columns, numbers, gain, alike) if gain > _LEAST_GAIN else None
             kept.pop(weakest)
@@ -614,7 +614,7 @@ class Suspicion:
 
     def _convinces(self, item: Tested, about: list[int]) -> bool:
         every = list(range(self.train.problem.columns.size))
-        if item.cause.whole and min(value for value in self._shares(item, every)[:2] if value is not None) < _ON_ALL:
+        if item.cause.together and min(value for value in self._shares(item, every)[:2] if value is not None) < _ON_ALL:
             return False
         if item.cause.size is not None and max(self._sizes(item).values()) < item.cause.least:
             return False
@@ -639,7 +639,7 @@ class Suspicion:
         numbers = [int(self.train.problem.columns[place]) for place in about]
         joints, where, unit = tuple(motions.joints[number] for number in numbers), "", cause.unit
         sizes: tuple[float, ...] = ()
-        if cause.whole:
+        if cause.together:
             where = f"the body {motions.model.body(motions.end_body).name!r}"
         else:
             which = [name for number, name in enumerate(motions.joints) if number in item.alike]
@@ -678,7 +678,7 @@ def suspects_of(
     solution: Solution,
     settings: SolveSettings,
     *,
-    whole: bool = False,
+    exact: bool = False,
 ) -> tuple[Suspect, ...]:
     """What a fitted model may lack.
 
@@ -687,12 +687,12 @@ def suspects_of(
         held_out: the same for motions that were not fitted; None without.
         solution: of the fit.
         settings: of its search.
-        whole: whether the model should leave nothing at all: that of a simulation's logs.
+        exact: whether the model should leave nothing at all: that of a simulation's logs.
 
     Raises:
         DataError: the fitted model cannot be simulated.
     """
-    return Suspicion(problem, held_out, solution, settings, whole=whole).suspects()
+    return Suspicion(problem, held_out, solution, settings, exact=exact).suspects()
 
 
 def strange_masses(parameters: ParameterSet, values: Mapping[str, float]) -> str:

@@ -95,7 +95,7 @@ def window_starts(
         else np.zeros((2, segment.plan.starts.size, _joints(problem)))
         for segment in problem.segments
     }
-    known = {segment: _known(segment) for segment in problem.segments}
+    known = {} if whole else {segment: _known(segment) for segment in problem.segments}
     last = np.inf
     for _ in range(0 if whole else 1 if begun else _ROUNDS):
         base, sensitivity = _residuals(problem, z, shifts), _slopes(problem, z, shifts)
