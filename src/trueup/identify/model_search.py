@@ -491,11 +491,11 @@ class ModelSearch:
         masses that are free from the beginning divide it among themselves, and a way back need not go down.
         """
         nominal, before = self.logs.nominal, best.solution
-        begun = {item.name: item.value for item in before.parameters}
-        if self._left(best) > _FAR_FROM_NOISE:
+        begun, near = {item.name: item.value for item in before.parameters}, self._left(best) < _FAR_FROM_NOISE
+        if not near:
             left_out = []  # what changes nothing where that ended may count from where it began
         masses = [item.name for item in before.parameters.free if item.quantity == "mass" and item.name not in left_out]
-        if self._left(best) < _FAR_FROM_NOISE:
+        if near:
             heavy = f"mass[{nominal.carrier}]"
             more = before.values[heavy] - nominal.inertial(nominal.carrier).mass if heavy in masses else 0.0
             # On a logarithmic scale no slope leads back from next to nothing. The gain that follows commands is never
