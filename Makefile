@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 TRUEUP := $(BIN)/trueup
 # Two processes share the cores, and threads of BLAS would wait for those of the other.
-PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal --durations=60 --durations-min=10
 
 .PHONY: demo test test-all attack install lint bench acceptance pages docs lock clean
 

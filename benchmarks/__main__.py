@@ -43,6 +43,8 @@ SHORT = (
     "policy_loop",
     "ros2_bridge",
     "fleet",
+    "drafting",
+    "first_look",
     "xl330",
 )
 # Hours each, or one hour at least: measured when they are named, or with --anew.
@@ -70,10 +72,12 @@ LONG = (
     "ros2_hour",
     "close",
     "foreign",
+    "foreign_logs",
+    "foreign_models",
 )
 NAMES = SHORT + LONG
 # What has options of its own, which stand behind its name.
-WITH_OPTIONS = ("foreign",)
+WITH_OPTIONS = ("drafting", "foreign", "foreign_logs", "foreign_models")
 
 
 def main() -> None:
@@ -109,8 +113,9 @@ def main() -> None:
             traceback.print_exc()
             broken.append(name)
         else:
-            keep(name, rows[name])
-            print_table(rows[name], name)
+            if rows[name]:
+                keep(name, rows[name])
+                print_table(rows[name], name)
     if not options.names:
         print_all(NAMES)
     if options.rows:

@@ -43,7 +43,7 @@ def run() -> list[Row]:
         result = {
             "schema": "trueup.close_benchmark/1",
             "so101": measured(folder / "so101", "close", str(logs), "--robot", "so101"),
-            "demo": measured(folder / "demo", "demo"),
+            "demo": measured(folder / "demo", "demo", "--full"),
         }
         hashes = {robot: Dataset(folder / robot / "dataset").hash for robot in ("so101", "demo")}
     machine = {"name": machine_name(), "load_before": load}

@@ -17,7 +17,7 @@ ROOT = Path(__file__).parent.parent
 ON_RECORDINGS = (
     "tests/stages/test_real_recordings.py",
     "tests/align/test_quality_real.py",
-    "tests/dataset/test_import_csv.py",
+    "tests/dataset/test_import_table.py",
     "tests/dataset/test_import_sage.py",
     "tests/dataset/test_store_splits.py",
     "tests/identify/test_inverse_dynamics.py",

@@ -54,9 +54,24 @@ def model_cases() -> Path:
 
 
 @pytest.fixture(scope="session")
+def log_cases() -> Path:
+    """Small logs of kinds that went wrong once."""
+    shared = shared_folder()
+    if shared is None or not (shared / "cases" / "logs").is_dir():
+        pytest.skip("logs of cases/logs not found: set TRUEUP_SHARED, or put `shared` beside the project")
+    return shared / "cases" / "logs"
+
+
+@pytest.fixture(scope="session")
 def so101_logs() -> Path:
     """43 motions of a real SO-101 in SAGE's layout."""
     return _recording("so101_sage")
+
+
+@pytest.fixture(scope="session")
+def bam_logs() -> Path:
+    """16 motions of a real servo on a pendulum, JSON."""
+    return _recording("bam_xl330") / "raw"
 
 
 @pytest.fixture(scope="session")

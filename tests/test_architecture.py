@@ -33,6 +33,7 @@ ARROWS = {
     "zoo": {"augment"},
     "ros2": {"deploy"},
     "check": {"align", "measure", "robots", "sim"},
+    "draft": {"robots", "sim"},
     "report": {"measure"},
     "stages": {
         "dataset",
@@ -44,6 +45,7 @@ ARROWS = {
         "record",
         "identify",
         "check",
+        "draft",
         "deploy",
         "augment",
         "compensate",
@@ -62,6 +64,7 @@ ARROWS = {
             "record",
             "identify",
             "check",
+            "draft",
             "deploy",
             "augment",
             "compensate",
@@ -122,6 +125,7 @@ def test_every_part_has_an_arrow_and_stands_in_the_architecture_page():
         ("trueup.deploy", {"torch", "mujoco", "onnx", "pyarrow", "scipy"}),
         ("trueup.augment.trained", {"torch", "mujoco", "onnx", "pyarrow", "scipy"}),
         ("trueup.record", {"torch", "mujoco", "ompl", "toppra", "mink", "scipy"}),
+        ("trueup.stages", {"torch", "mujoco", "onnx", "scipy.optimize"}),
         ("trueup.cli.main", {"torch", "mujoco", "plotly", "scipy"}),
     ],
 )

@@ -20,7 +20,7 @@ Position RMSE [mrad], 95 % intervals over motions; *seconds* as above. **{best}*
 
 The fit says `{fit}` of itself.
 
-`trueup demo`, with its defaults, takes {demo} there, the recording included. It ends with a position RMSE on test of
+`trueup demo --full` takes {demo} there, the recording included. It ends with a position RMSE on test of
 {demo_fitted} mrad after identification, where the model as it came has {demo_stock} and the command, taken as the
 motion, {demo_command}; `{demo_best}` is marked as the best on val. Its fit says `{demo_fit}` of itself.
 

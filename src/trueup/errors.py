@@ -7,7 +7,11 @@ lines and exits with the class's `exit_code`.
 
 import contextlib
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from difflib import get_close_matches
+
+# Names that are looked through for one that was meant, and how much of it has to be right.
+_MOST_NAMES, _NEAR = 1000, 0.75
 
 
 def _plain(value: object, limit: int) -> str:
@@ -23,6 +27,15 @@ def _listing(names: Iterable[object], limit: int = 24) -> str:
     shown = [_plain(name, 60) for name in names]
     more = f", … ({len(shown) - limit} more)" if len(shown) > limit else ""
     return ", ".join(shown[:limit]) + more if shown else "none"
+
+
+def _meant(text: str, names: Sequence[str]) -> str:
+    """The name that is nearest to a quoted word of a text, or to its last one; empty if none is near."""
+    words = [*re.findall(r"'([^']{2,60})'", text), *text.split()[-1:]]
+    for word in words:
+        if word not in names and (near := get_close_matches(word, names[:_MOST_NAMES], 1, _NEAR)):
+            return str(near[0])
+    return ""
 
 
 def _restored(kind: type["TrueupError"], message: tuple[object, ...], state: dict[str, object]) -> "TrueupError":
@@ -62,7 +75,10 @@ class TrueupError(Exception):
         if expected is not None:
             details.append(f"expected {_plain(expected, 1000)}")
         if available is not None:
-            details.append(f"available: {_listing(available)}")
+            names = list(map(str, available))
+            meant = _meant(f"{what} {got if isinstance(got, str) else ''}", names)
+            asked = f"did you mean {_plain(meant, 60)!r}? " if meant else ""
+            details.append(f"{asked}available: {_listing(names)}")
         self.details = "; ".join(details)
         super().__init__(": ".join(part for part in (what, self.details) if part))
 

@@ -6,7 +6,7 @@ import pytest
 
 from trueup.align import check_quality
 from trueup.core.episode import Episode
-from trueup.dataset.importers import csv, sage
+from trueup.dataset.importers import sage, table
 from trueup.dataset.importers.base import ImportOptions
 
 
@@ -44,7 +44,7 @@ def test_so101_good_motions_have_no_flags(so101_logs):
 
 
 def test_double_pendulum_has_notes_only(double_pendulum_logs):
-    episodes = load(csv, double_pendulum_logs, ["trajectory_00", "trajectory_11"])
+    episodes = load(table, double_pendulum_logs, ["trajectory_00", "trajectory_11"])
     assert len(episodes) == 2
     for episode in episodes.values():
         flags = check_quality(episode)
@@ -53,11 +53,11 @@ def test_double_pendulum_has_notes_only(double_pendulum_logs):
 
 
 def test_simple_pendulum_rests_on_its_encoder_and_swings_far_from_its_goal(simple_pendulum_logs):
-    for episode in load(csv, simple_pendulum_logs, ["gravity_compensation", "energy_shaping"]).values():
+    for episode in load(table, simple_pendulum_logs, ["gravity_compensation", "energy_shaping"]).values():
         assert {flag.kind for flag in check_quality(episode)} <= {"gap", "jittering_stamps"}
         assert {flag.severity for flag in check_quality(episode)} <= {"note"}
 
 
 def test_simple_pendulum_with_two_clocks(simple_pendulum_logs):
-    (episode,) = load(csv, simple_pendulum_logs, ["direct_collocation"]).values()
+    (episode,) = load(table, simple_pendulum_logs, ["direct_collocation"]).values()
     assert ("clock_mismatch", "warning", "") in shown(check_quality(episode))

@@ -26,7 +26,7 @@ from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter, append, is_dataset
 from trueup.dataset.importers.base import ImportOptions
-from trueup.dataset.importers.detect import importer
+from trueup.dataset.importers.detect import find_importer
 from trueup.robots import load_robot
 from trueup.stages.exporting import export_dataset
 from trueup.stages.importing import import_logs
@@ -131,9 +131,8 @@ def _exported_part(format: str) -> Callable[[Path], None]:
 
 def _exported(format: str) -> Callable[[Path], None]:
     def check(base: Path) -> None:
-        episodes = [
-            item.load() for item in importer(format).scan(base / f"as {format}" / "x", ImportOptions()).episodes
-        ]
+        logs = base / f"as {format}" / "x"
+        episodes = [item.load() for item in find_importer(logs, format).scan(logs, ImportOptions()).episodes]
         assert sorted(episode.id for episode in episodes) == list(IDS)
 
     return check

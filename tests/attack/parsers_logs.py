@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import contextlib
+import gzip
+import io
 import json
 import os
 import random
 import shutil
+import tarfile
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import h5py
 import numpy as np
+import openpyxl
+import pyarrow as pa
+import pyarrow.parquet as pq
+import scipy.io
 
 from attack.harness import HERE, Parser, Unsound
 from trueup.core.timeseries import TimeSeries
@@ -130,6 +139,68 @@ def make_csv(folder: Path) -> None:
     (folder / "mapping.yaml").write_text(MAPPING)
     (folder / "episodes.csv").write_text('id,payload_kg,condition\ntrajectory_00,1.5,"swing, up"\n')
     (folder / "split.json").write_text('{"train": ["trajectory_00.csv"], "val": ["trajectory_01.csv"]}')
+
+
+_ARRAYS = """joints: [a, b]
+series:
+  measured: {time: t, signals: {position: {columns: q, unit: rad}}}
+  command: {time: t, signals: {position: {columns: u, unit: rad}}}
+"""
+
+
+def _table_maker(ending: str) -> Parser.make:  # type: ignore[name-defined]
+    """Vectors in a file of arrays, with a mapping beside it."""
+
+    def make(folder: Path) -> None:
+        rng = np.random.default_rng(2)
+        arrays = {"t": 0.01 * np.arange(ROWS), "q": rng.normal(size=(ROWS, 2)), "u": rng.normal(size=(ROWS, 2))}
+        (folder / "mapping.yaml").write_text(_ARRAYS)
+        match ending:
+            case "parquet":
+                columns = {name: list(values) if values.ndim > 1 else values for name, values in arrays.items()}
+                pq.write_table(pa.table(columns), folder / "x.parquet")
+            case "mat":
+                beside = {"info": {"names": np.array(["a", "bc"], object), "gain": 2.0}, "note": "of today"}
+                scipy.io.savemat(folder / "x.mat", {**arrays, **beside})
+            case "xlsx":
+                book = openpyxl.Workbook()
+                names = ["t", *(f"{name}{place}" for name in "qu" for place in range(2))]
+                places = _ARRAYS.replace("columns: q", "columns: [q0, q1]").replace("columns: u", "columns: [u0, u1]")
+                (folder / "mapping.yaml").write_text(places)
+                for row in [names, *np.column_stack(list(arrays.values())).tolist()]:
+                    book.active.append(row)
+                book.save(folder / "x.xlsx")
+            case "json":
+                (folder / "x.json").write_text(json.dumps({name: own.tolist() for name, own in arrays.items()}))
+            case "hdf5":
+                with h5py.File(folder / "x.hdf5", "w") as file:
+                    for name, own in arrays.items():
+                        file[name] = own
+
+    return make
+
+
+def make_packed(folder: Path) -> None:
+    """A packed log beside another one, with their mapping."""
+    make_csv(folder)
+    first = min(folder.glob("*.csv"))
+    first.with_name(f"{first.name}.gz").write_bytes(gzip.compress(first.read_bytes(), mtime=0))
+    first.unlink()
+
+
+def make_archive(folder: Path) -> None:
+    """Logs and their mapping in an archive; one of a packed tar lies in it."""
+    make_csv(folder)
+    with zipfile.ZipFile(folder / "logs.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        for file in sorted(folder.iterdir()):
+            if file.suffix != ".zip":
+                archive.write(file, file.name)
+                file.unlink()
+        inner = io.BytesIO()
+        with tarfile.open(fileobj=inner, mode="w:xz") as tar:
+            item = tarfile.TarInfo("notes.txt")
+            tar.addfile(item)
+        archive.writestr("more.tar.xz", inner.getvalue())
 
 
 def make_pendulums(folder: Path) -> None:
@@ -296,6 +367,13 @@ PARSERS = (
     Parser("npz", make_npz, _reader("npz")),
     Parser("sage", make_sage, _reader("sage")),
     Parser("csv, mapping beside", make_csv, _reader("csv")),
+    *(Parser(f"{ending}, mapping beside", _table_maker(ending), _reader("table")) for ending in ("parquet", "mat")),
+    *(
+        Parser(f"{ending}, mapping beside", _table_maker(ending), _reader("table"))
+        for ending in ("json", "hdf5", "xlsx")
+    ),
+    Parser("packed log", make_packed, _reader("table")),
+    Parser("archive of logs", make_archive, _reader("table")),
     Parser("csv, shipped mapping", make_pendulums, _reader("csv")),
     Parser("hdf5, two groups", make_arms, _reader("hdf5", "m.yaml")),
     Parser("hdf5, stated names", make_stated, _reader("hdf5", "m.yaml")),

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from check.arm_logs import arm, changed, logs, look, mirrored, scaled, swapped
+from trueup.align import JointRule
 from trueup.check import mended
+from trueup.check.reading import units_of
 from trueup.core.check_result import CheckResult, Finding, Mend
 
 SIDES = {"both": (True, True), "measured": (True, False), "command": (False, True)}
@@ -369,3 +371,11 @@ def test_a_result_is_read_back(tmp_path):
     result.save(tmp_path / "check.json")
     assert CheckResult.load(tmp_path / "check.json") == result
     assert result.certain == (finding,)
+
+
+@pytest.mark.parametrize("limits", [(-1.0, 2.0), (-np.inf, np.inf)])
+@pytest.mark.parametrize("kind", ["rad", "m"])
+def test_what_is_written_for_a_unit_is_that_unit(kind, limits):
+    for unit in units_of(kind, *limits):
+        rule = JointRule("joint", "joint", scale=unit.scale, log_unit=unit.log_unit, unit=kind)
+        assert rule.factor("position", "1", "1")[0] == pytest.approx(unit.si), unit.name

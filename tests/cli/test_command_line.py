@@ -295,6 +295,18 @@ def test_a_bug_is_exit_code_1_and_a_traceback_only_with_debug(run, demo, tmp_pat
         main(["gap", str(demo), "--debug"])
 
 
+def test_a_way_to_draw_that_is_not_installed_is_no_bug(run, demo, monkeypatch):
+    """PyOpenGL finds no library of that name, and says so in words that only it understands."""
+    library = {"__name__": "OpenGL.raw.GL"}
+    exec("def missing(*_, **__): return None.glGetError", library)
+    monkeypatch.setattr("trueup.stages.gap", library["missing"])
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    code, _, err = run("gap", demo)
+    assert code == 2
+    assert "MUJOCO_GL=osmesa" in err
+    assert "Unset MUJOCO_GL" in err
+
+
 def kill_after(logs, out, *, episodes):
     """Start an import and kill -9 it when so many episodes are there."""
     command = [sys.executable, "-m", "trueup.cli.main", "import", str(logs), "--out", str(out)]
@@ -389,6 +401,26 @@ def test_what_the_machine_refuses_has_a_next_step(run, demo):
     assert code == 2
     assert said.endswith("got File name too long")
     assert following == "  next: Give a shorter name."
+
+
+@pytest.mark.parametrize("command", ["export", "gap"])
+def test_a_path_that_leads_to_itself_is_no_bug(run, demo, tmp_path, command):
+    (tmp_path / "loop").symlink_to("loop")
+    code, _, err = run(command, demo, "--out", tmp_path / "loop")
+    assert code == 2
+    assert "bug" not in err
+    assert (tmp_path / "loop").is_symlink()
+
+
+def test_a_file_that_is_larger_than_the_memory_is_no_bug(run, tmp_path):
+    (tmp_path / "logs").mkdir()
+    with (tmp_path / "logs" / "run.jsonl").open("wb") as file:
+        file.truncate(1 << 43)
+    code, _, err = run("import", tmp_path / "logs", "--out", tmp_path / "out")
+    assert code == 2
+    assert "too little memory" in err
+    assert "next:" in err
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_loop_of_doctor_is_asked_for(run):

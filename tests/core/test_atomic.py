@@ -108,3 +108,11 @@ def test_a_pipe_a_device_and_a_number_that_nothing_holds_are_not_read(tmp_path):
     for name in ("pipe", "device", "number"):
         with pytest.raises(DataError, match=name):
             read_json(tmp_path / name)
+
+
+def test_a_file_does_not_take_the_place_of_a_link_to_a_folder(tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "link").symlink_to("mine")
+    with pytest.raises(DataError, match="got a folder"):
+        write_text(tmp_path / "link", "x")
+    assert (tmp_path / "link").is_symlink()

@@ -1,3 +1,5 @@
+import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -91,6 +93,14 @@ def test_a_file_without_aliases_may_be_as_long_as_it_likes(monkeypatch):
     assert len(parse_yaml("a: [" + "[x], {y}, -1, " * 1000 + "]", "here")["a"]) == 3000
 
 
+def test_a_file_of_many_megabytes_is_refused_unread(tmp_path):
+    path = tmp_path / "robot.yaml"
+    path.touch()
+    os.truncate(path, 1 << 40)
+    with pytest.raises(ConfigError, match="too large to be written by hand: got 1099511627776 bytes"):
+        read_yaml(path)
+
+
 def test_what_yaml_is_instead_of_a_mapping_is_said_in_words(tmp_path):
     path = tmp_path / "robot.yaml"
     for text, said in (("", "is empty"), ("# nothing\n", "is empty"), ("- 1", "got a list"), ("5", "got one value")):
@@ -111,3 +121,32 @@ def test_a_missing_or_binary_file_is_refused(tmp_path):
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ConfigError, match="cannot be read"):
         read_yaml(tmp_path / "binary.yaml")
+
+
+@dataclass(frozen=True)
+class Gain:
+    """One number."""
+
+    kp: float
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [
+        ("1e-3", 1e-3),
+        ("1.0e12", 1e12),
+        ("-2E+4", -2e4),
+        (".5e1", 5.0),
+        ("1_000", 1000.0),
+        ("010", 10.0),
+        ("0x1f", 31.0),
+    ],
+)
+def test_numbers_as_people_write_them(text, number):
+    assert build(Gain, parse_yaml(f"kp: {text}", "r.yaml"), "r.yaml").kp == number
+
+
+@pytest.mark.parametrize("text", ["1:30", "190:20:30", "1:30.5", "1e", "e3", "1e400"])
+def test_texts_are_no_numbers(text):
+    with pytest.raises(ConfigError, match=re.escape(text)):
+        build(Gain, parse_yaml(f"kp: {text}", "r.yaml"), "r.yaml")

@@ -25,8 +25,8 @@ def test_formats_are_told_apart(tmp_path):
     (tmp_path / "csv" / "x.csv").write_text("t,q\n")
     (tmp_path / "npz").mkdir()
     np.savez(tmp_path / "npz" / "x.npz", a=np.zeros(1))
-    for name in ("sage", "csv", "npz"):
-        importer = find_importer(tmp_path / name)
+    for name, place in (("sage", "sage"), ("table", "csv"), ("npz", "npz")):
+        importer = find_importer(tmp_path / place)
         assert name == importer.NAME
     assert find_importer(tmp_path / "npz" / "x.npz").NAME == "npz"
     # A table beside recordings of another format does not make the folder a CSV recording.
@@ -67,17 +67,17 @@ def test_what_is_empty_is_said_to_be(tmp_path):
 
 
 def test_a_named_format_wins_and_must_exist(tmp_path):
-    assert find_importer(tmp_path, "csv").NAME == "csv"
-    with pytest.raises(ConfigError, match=r"'matlab'.*available: sage, lerobot, .*, csv"):
+    assert find_importer(tmp_path, "csv").NAME == "table"
+    with pytest.raises(ConfigError, match=r"'matlab'.*available: sage, lerobot, .*, table"):
         find_importer(tmp_path, "matlab")
     with pytest.raises(DataError, match="does not exist"):
         find_importer(tmp_path / "missing")
 
 
 def test_an_importer_that_cannot_be_loaded_does_not_hurt_the_others(tmp_path, monkeypatch):
-    monkeypatch.setattr(detect, "FORMATS", ("absent", "csv"))
+    monkeypatch.setattr(detect, "FORMATS", ("absent", "table"))
     (tmp_path / "x.csv").write_text("t\n")
-    assert find_importer(tmp_path).NAME == "csv"
+    assert find_importer(tmp_path).NAME == "table"
     with pytest.raises(MissingDependency, match="absent"):
         find_importer(tmp_path, "absent")
     (tmp_path / "x.csv").rename(tmp_path / "x.docx")
@@ -121,6 +121,7 @@ def test_the_clock_keeps_the_first_of_each_stamp():
         ([0.0, np.nan], "x.csv.*not finite.*nan in row 2"),
         ([0.0, np.inf], "not finite.*row 2"),
         ([0.0, 2.0, 1.0], "x.csv runs backwards.*row 3"),
+        ([0.0, 5e-324, 1e-323], "steps of 4.94e-324 s"),
         ([1.7e18, 1.8e18], "(?s)no clock shows.*unit"),
         ([-1.7e308, 1.7e308], "no clock shows"),
     ],

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trueup.core.timeseries import TimeSeries, same_units
-from trueup.dataset.importers import h5file, hdf5
+from trueup.dataset.importers import hdf5
 from trueup.dataset.importers.base import ImportOptions
 from trueup.dataset.importers.parts import on_one_clock
 from trueup.errors import ConfigError, DataError, FormatError, NameMismatch
@@ -408,7 +408,7 @@ def chunked(path, rows, *, packed=None, filters=("deflate",), name=VELOCITY, kin
 @pytest.mark.parametrize("name", [VELOCITY, "command_val_list"])
 def test_a_chunk_that_unpacks_to_more_than_it_says(tmp_path, monkeypatch, rows, name):
     """Larger than its table already as it is packed, or only when it is unpacked."""
-    monkeypatch.setattr(h5file, "_FEW_BYTES", 1 << 20)
+    monkeypatch.setattr("trueup.core.unpacking.FEW_BYTES", 1 << 20)
     write_humanoid(tmp_path / "a.h5", names=LEGS)
     chunked(tmp_path / "a.h5", rows, packed=zlib.compress(bytes(20_000_000), 9), name=name)
     with pytest.raises(DataError, match="unpacks to more than it says"):
@@ -416,7 +416,7 @@ def test_a_chunk_that_unpacks_to_more_than_it_says(tmp_path, monkeypatch, rows, 
 
 
 def test_chunks_that_are_what_they_say_are_read_whatever_their_size(tmp_path, monkeypatch):
-    monkeypatch.setattr(h5file, "_FEW_BYTES", 1000)
+    monkeypatch.setattr("trueup.core.unpacking.FEW_BYTES", 1000)
     _, values = write_humanoid(tmp_path / "a.h5", names=LEGS)
     kept = {"compression": "gzip", "fletcher32": True, "shuffle": True, "maxshape": (None, 3)}
     edit(tmp_path / "a.h5", "robot/joint_angle_list", values["position"], chunks=(50, 3), **kept)
@@ -456,7 +456,7 @@ def test_data_that_are_packed_in_unusual_ways(tmp_path, filters, kind):
 )
 def test_texts_that_fill_the_memory(tmp_path, monkeypatch, texts, as_attribute):
     """Each of them may refer to the longest in the file."""
-    monkeypatch.setattr(h5file, "_FEW_BYTES", 1 << 20)
+    monkeypatch.setattr("trueup.core.unpacking.FEW_BYTES", 1 << 20)
     write_humanoid(tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         holder = file["robot"].attrs if as_attribute else file["robot"]

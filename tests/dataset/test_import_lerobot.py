@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
@@ -393,13 +394,58 @@ def test_stamps_off_the_grid_are_kept_as_they_are(tmp_path):
     np.testing.assert_array_equal(second.measured.time_s, np.arange(30) / 30)
 
 
-@pytest.mark.parametrize("version", ["v2.1", "v2.0", "v1.6", "v4.0", None, 3, "latest"])
-def test_other_versions_are_refused_and_old_ones_can_be_converted(tmp_path, version):
+@pytest.mark.parametrize("version", ["v1.6", "v4.0", None, 3, "latest"])
+def test_other_versions_are_refused(tmp_path, version):
     folder = foreign(tmp_path / "d", {"observation.state": (ARM, values(3))}, codebase_version=version)
     with pytest.raises(FormatError) as raised:
         load(folder)
     assert str(version) in str(raised.value) or version is None
-    assert ("convert_dataset_v21_to_v30" in str(raised.value)) == (version in ("v2.1", "v2.0", "v1.6"))
+    assert "v2.1" in str(raised.value)
+
+
+def second_version(folder, version, *, chunk=1):
+    """The same dataset as versions 2 have it: a file for each episode, and a line of JSON about it."""
+    content = json.loads((folder / "meta/info.json").read_text())
+    content |= {
+        "codebase_version": version,
+        "chunks_size": chunk,
+        "data_path": "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",
+        "video_path": "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4",
+    }
+    whole = pq.read_table(folder / "data/chunk-000/file-000.parquet")
+    lines = []
+    for number in sorted(set(whole["episode_index"].to_pylist())):
+        own = whole.filter(pc.equal(whole["episode_index"], number))
+        path = folder / f"data/chunk-{number // chunk:03d}/episode_{number:06d}.parquet"
+        path.parent.mkdir(exist_ok=True)
+        pq.write_table(own, path)
+        lines.append(json.dumps({"episode_index": number, "tasks": ["pick"], "length": len(own)}))
+    (folder / "data/chunk-000/file-000.parquet").unlink()
+    shutil.rmtree(folder / "meta/episodes")
+    (folder / "meta/episodes.jsonl").write_text("\n".join(lines) + "\n")
+    (folder / "meta/info.json").write_text(json.dumps(content))
+    return folder
+
+
+@pytest.mark.parametrize("version", ["v2.0", "v2.1"])
+@pytest.mark.parametrize("chunk", [1, 1000])
+def test_the_second_version_says_the_same_as_the_third(tmp_path, version, chunk):
+    features = {"observation.state": (ARM, values(3)), "action": (ARM, values(3, seed=1))}
+    _, third = load(foreign(tmp_path / "c", features))
+    _, second = load(second_version(foreign(tmp_path / "d", features), version, chunk=chunk))
+    assert [one.id for one in second] == [one.id for one in third]
+    for one, other in zip(second, third, strict=True):
+        np.testing.assert_array_equal(one.measured["position"], other.measured["position"])
+        np.testing.assert_array_equal(one.command["position"], other.command["position"])
+        np.testing.assert_array_equal(one.measured.time_s, other.measured.time_s)
+
+
+@pytest.mark.parametrize("line", ["{", "[1]", '{"episode_index": 0}', '{"episode_index": -1, "length": 3}', ""])
+def test_damaged_lines_about_episodes_are_refused(tmp_path, line):
+    folder = second_version(foreign(tmp_path / "d", {"observation.state": (ARM, values(3))}), "v2.1")
+    (folder / "meta/episodes.jsonl").write_text(line)
+    with pytest.raises(DataError, match=r"episodes\.jsonl"):
+        load(folder)
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from trueup.core.timeseries import TimeSeries
 from trueup.dataset.importers import npz
 from trueup.dataset.importers.base import ImportOptions
 from trueup.errors import DataError, FormatError, NameMismatch, TrueupError, UnitError
+from trueup.stages import plan_import
 
 GOOD = {
     "measured.time_s": np.array([5.0, 5.1]),
@@ -223,3 +224,15 @@ def test_writing_and_reading_give_the_same_episode(episode):
         for signal, values in left.signals.items():
             assert values.dtype == right[signal].dtype
             np.testing.assert_array_equal(values, right[signal])
+
+
+def test_arrays_of_another_program_are_answered_with_a_mapping_that_reads_them(tmp_path):
+    q = np.column_stack([np.sin(np.arange(50.0)), np.cos(np.arange(50.0))])
+    np.savez(tmp_path / "x.npz", dof_pos=q, dof_pos_target=q + 0.1, dt=0.02)
+    (source,) = npz.scan(tmp_path, ImportOptions()).episodes
+    with pytest.raises(DataError, match="keys of an episode") as caught:
+        source.load()
+    (tmp_path / "mapping.yaml").write_text(caught.value.hint.partition("\n")[2])
+    episode = plan_import(tmp_path).episodes[0].load()
+    np.testing.assert_array_equal(episode.measured["position"], q)
+    np.testing.assert_allclose(np.diff(episode.measured.time_s), 0.02)

@@ -1,5 +1,7 @@
 """Bags of every kind are read by joint name, on one clock, and damaged ones are refused."""
 
+import json
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +11,10 @@ from hypothesis import strategies as st
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from trueup.dataset.importers import rosbag
+from trueup.dataset.importers.bagfile import open_bag
 from trueup.dataset.importers.base import ImportOptions
 from trueup.dataset.importers.jointstate import JointStateDecoder
 from trueup.errors import ConfigError, DataError, FormatError, NameMismatch
@@ -26,6 +29,19 @@ STEP_NS = 10_000_000
 LATE_NS = 2_000_000  # recorded this long after it was stamped
 JOINTS = ("shoulder", "elbow", "wrist")
 ALL = ("position", "velocity", "effort")
+JOINT_STATE_TEXT = """std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec"""
 
 
 def header(store, stamp_ns):
@@ -236,7 +252,155 @@ def test_trajectory_points_are_commands_at_their_own_time_and_a_new_one_replaces
     np.testing.assert_allclose(command.time_s, [0.0, 0.1, 0.2, 0.35], atol=1e-9)
     np.testing.assert_array_equal(command["position"][:, 2], [0, 1, 2, 7])
     np.testing.assert_array_equal(command["position"][-1], [9, 8, 7])
-    assert flags(episode, "trajectory")
+    assert "2 points were superseded" in flags(episode, "trajectory")[0].detail
+
+
+@pytest.mark.parametrize("due_s", [0.0, 0.01, 0.05])
+def test_points_that_are_sent_one_at_a_time_are_set_points_from_their_arrival(tmp_path, due_s):
+    items = [
+        (START_NS + k * STEP_NS, trajectory(START_NS + k * STEP_NS, JOINTS, [(due_s, [k, 1, 2])])) for k in range(40)
+    ]
+    topics = {"/joint_states": (JOINT_STATE, states(ROS2, motion())), "/arm/joint_trajectory": (TRAJECTORY, items)}
+    episode = load(write_bag(tmp_path / "arm", topics))
+    np.testing.assert_allclose(episode.command.time_s, 0.01 * np.arange(40), atol=1e-9)
+    np.testing.assert_array_equal(episode.command["position"][:, 0], np.arange(40))
+
+
+def test_goals_of_one_point_that_come_slower_than_they_are_due_are_planned(tmp_path):
+    items = [
+        (START_NS + k * 4 * STEP_NS, trajectory(START_NS + k * 4 * STEP_NS, JOINTS, [(0.02, [k, 1, 2])]))
+        for k in range(9)
+    ]
+    topics = {"/joint_states": (JOINT_STATE, states(ROS2, motion())), "/arm/joint_trajectory": (TRAJECTORY, items)}
+    episode = load(write_bag(tmp_path / "arm", topics))
+    np.testing.assert_allclose(episode.command.time_s, 0.02 + 0.04 * np.arange(9), atol=1e-9)
+
+
+NUMBER = "std_msgs/msg/Float64"
+
+
+def numbers(values, late_ns):
+    kind = ROS2.types[NUMBER]
+    return [
+        (START_NS + k * STEP_NS + late_ns, bytes(ROS2.serialize_cdr(kind(float(value)), NUMBER)))
+        for k, value in enumerate(values)
+    ]
+
+
+def test_a_number_for_each_joint_is_a_command_of_all(tmp_path):
+    topics = {
+        "/joint_states": (JOINT_STATE, states(ROS2, motion())),
+        **{
+            f"/{joint}_effort_controller/command": (NUMBER, numbers(np.arange(40) + 100 * place, 1000 * place))
+            for place, joint in enumerate(JOINTS)
+        },
+    }
+    command = load(write_bag(tmp_path / "arm", topics)).command.select(JOINTS)
+    assert set(command.signals) == {"torque"}
+    np.testing.assert_array_equal(command["torque"], np.arange(40)[:, None] + [0, 100, 200])
+    strange = {
+        "/joint_states": (JOINT_STATE, states(ROS2, motion())),
+        "/motor7/command": (NUMBER, numbers(np.arange(40), 0)),
+    }
+    with pytest.raises(ConfigError, match=r"no joint's name.*shoulder, elbow, wrist"):
+        load(write_bag(tmp_path / "other", strange))
+
+
+CONTROL = """std_msgs/Header header
+string[] joint_names
+"""
+POINTS = "\n".join(f"trajectory_msgs/JointTrajectoryPoint {name}" for name in ("{0}", "{1}", "error"))
+
+
+def control_store(text, kind):
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    part = "control_msgs/msg/InterfaceValue"
+    store.register(get_types_from_msg("string[] interface_names\nfloat64[] values", part))
+    store.register(get_types_from_msg(text, kind))
+    return store
+
+
+@pytest.mark.parametrize(("told", "done"), [("reference", "feedback"), ("desired", "actual")])
+@pytest.mark.parametrize("with_states", [True, False])
+def test_the_state_of_a_controller_has_command_and_measurement_at_one_stamp(tmp_path, told, done, with_states):
+    kind = "control_msgs/msg/JointTrajectoryControllerState"
+    store = control_store(CONTROL + POINTS.format(told, done), kind)
+    point, none = store.types["trajectory_msgs/msg/JointTrajectoryPoint"], np.array([])
+    due = store.types["builtin_interfaces/msg/Duration"](0, 0)
+    items = []
+    for k in range(40):
+        own = [point(np.array([k + shift, 1.0, 2.0]), none, none, none, due) for shift in (0.5, 0.0, 0.5)]
+        head = header(store, START_NS + k * STEP_NS)
+        message = store.types[kind](head, list(JOINTS), *own)
+        items.append((START_NS + k * STEP_NS + LATE_NS, bytes(store.serialize_cdr(message, kind))))
+    writer = Writer2(tmp_path / "arm", version=9, storage_plugin=StoragePlugin.MCAP)
+    with writer:
+        connection = writer.add_connection("/arm_controller/controller_state", kind, typestore=store)
+        for log_ns, raw in items:
+            writer.write(connection, log_ns, raw)
+        if with_states:
+            fill(writer, {"/joint_states": (JOINT_STATE, states(ROS2, motion()))}, ROS2)
+    episode = load(tmp_path / "arm")
+    np.testing.assert_array_equal(episode.command.select(JOINTS)["position"][:, 0], np.arange(40) + 0.5)
+    np.testing.assert_allclose(episode.command.time_s, 0.01 * np.arange(40), atol=1e-9)
+    if not with_states:
+        np.testing.assert_array_equal(episode.measured.select(JOINTS)["position"][:, 0], np.arange(40))
+        np.testing.assert_array_equal(episode.measured.time_s, episode.command.time_s)
+
+
+def test_dynamic_joint_states_are_measured(tmp_path):
+    kind = "control_msgs/msg/DynamicJointState"
+    store = control_store(CONTROL + "control_msgs/InterfaceValue[] interface_values", kind)
+    value = store.types["control_msgs/msg/InterfaceValue"]
+    with Writer2(tmp_path / "arm", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/dynamic_joint_states", kind, typestore=store)
+        for k in range(5):
+            values = [
+                value(["position", "effort"], np.array([k, 2.0 * k])),
+                value(["position", "temperature"], np.array([k + 10.0, 40.0])),
+            ]
+            message = store.types[kind](header(store, START_NS + k * STEP_NS), ["a", "b"], values)
+            writer.write(connection, START_NS + k * STEP_NS, bytes(store.serialize_cdr(message, kind)))
+    measured = load(tmp_path / "arm").measured
+    np.testing.assert_array_equal(measured["position"], np.column_stack([np.arange(5), np.arange(5) + 10]))
+    np.testing.assert_array_equal(measured["torque"][:, 0], 2 * np.arange(5))
+    assert np.isnan(measured["torque"][:, 1]).all()
+
+
+def test_a_controller_state_with_fields_of_its_own_is_refused(tmp_path):
+    kind = "control_msgs/msg/JointTrajectoryControllerState"
+    with Writer2(tmp_path / "arm", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        writer.add_connection("/c/controller_state", kind, msgdef="float64[] surprise", rihs01="x")
+    with pytest.raises(FormatError, match=r"type of its own.*surprise"):
+        load(tmp_path / "arm")
+
+
+@pytest.mark.parametrize(
+    ("case", "signal", "count"),
+    [
+        ("bags/D_vel_empty_eff_nan", "position", 400),
+        ("bags/H2_js_and_controller_state", "position", 400),
+        ("bags/L_float64", "position", 400),
+        ("bags/T_20ms", "position", 400),
+        ("bags/T_20ms_jitter", "position", 400),
+        ("mcap/noprofile", "position", 400),
+    ],
+)
+def test_cases_of_strangers(log_cases, case, signal, count):
+    (source,) = rosbag.scan(log_cases / case, ImportOptions()).episodes
+    episode = source.load()
+    names = ("yaw", "shoulder", "elbow")
+    command = episode.command.select(names)
+    assert len(command) == count
+    assert len(episode.measured) == 1600
+
+    def motion_at(time_s):
+        return np.column_stack([0.5 * np.sin((1 + 0.5 * i) * time_s + i) for i in range(3)])
+
+    np.testing.assert_allclose(
+        episode.measured.select(names)["position"], motion_at(episode.measured.time_s), atol=1e-6
+    )
+    np.testing.assert_allclose(command[signal], motion_at(command.time_s + 0.03), atol=1e-3)
 
 
 def test_arrays_without_names_are_refused_until_their_joints_are_stated(tmp_path):
@@ -379,6 +543,14 @@ def test_a_foreign_type_under_a_ros_name_is_refused(tmp_path):
         load(tmp_path / "arm")
 
 
+def test_a_bag_of_other_bytes_is_not_taken_into_memory(tmp_path):
+    path = tmp_path / "zeros.bag"
+    with path.open("wb") as file:
+        file.truncate(1 << 42)
+    with pytest.raises(DataError, match="other bytes where a bag begins"), open_bag(path):
+        pass
+
+
 def test_truncated_and_empty_bags_say_what_to_do(tmp_path):
     topics = {"/joint_states": (JOINT_STATE, states(ROS2, motion(rows=300)))}
     mcap = (write_bag(tmp_path / "m", topics) / "m.mcap").read_bytes()
@@ -481,3 +653,174 @@ def test_decoding_many_at_once_equals_decoding_one_by_one(data, ros1):
         assert set(signals) == set(expected)
         for signal, values in expected.items():
             np.testing.assert_array_equal(signals[signal], values)
+
+
+def mcap(path, channels, messages):
+    """An MCAP file without chunks, as its specification has it.
+
+    channels: name -> (encoding of messages, name, encoding and text of the schema); messages: (topic, ns, bytes).
+    """
+
+    def text(value):
+        return struct.pack("<I", len(value)) + (value if isinstance(value, bytes) else value.encode())
+
+    def record(kind, data):
+        return struct.pack("<BQ", kind, len(data)) + data
+
+    magic, numbers = b"\x89MCAP0\r\n", {topic: number for number, topic in enumerate(channels, start=1)}
+    parts = [record(1, text("") + text("test"))]
+    for topic, (encoding, name, language, schema) in channels.items():
+        own = struct.pack("<H", numbers[topic])
+        parts.append(record(3, own + text(name) + text(language) + text(schema)))
+        parts.append(record(4, own + own + text(topic) + text(encoding) + text(b"")))
+    for topic, stamp_ns, data in messages:
+        parts.append(record(5, struct.pack("<HIQQ", numbers[topic], 0, stamp_ns, stamp_ns) + data))
+    path.write_bytes(magic + b"".join(parts) + record(15, bytes(4)) + record(2, bytes(20)) + magic)
+    return path
+
+
+def json_state(values, names=JOINTS, **more):
+    return json.dumps({"name": list(names), "position": list(values), **more}).encode()
+
+
+@pytest.mark.parametrize("name", ["JointState", "sensor_msgs/JointState", "sensor_msgs.msg.JointState"])
+def test_messages_in_json_are_read(tmp_path, name):
+    values, command = motion()[0], motion(seed=1)[0]
+    channels = dict.fromkeys(("/joint_states", "/joint_command"), ("json", name, "jsonschema", "{}"))
+    messages = [
+        item
+        for row in range(len(values))
+        for item in (
+            ("/joint_states", START_NS + row * STEP_NS, json_state(values[row])),
+            ("/joint_command", START_NS + row * STEP_NS, json_state(command[row][::-1], JOINTS[::-1])),
+        )
+    ]
+    episode = load(mcap(tmp_path / "run.mcap", channels, messages))
+    np.testing.assert_array_equal(episode.measured["position"], values)
+    np.testing.assert_array_equal(episode.command.select(JOINTS)["position"], command)
+    np.testing.assert_allclose(episode.measured.time_s, 0.01 * np.arange(len(values)), atol=1e-9)
+
+
+@pytest.mark.parametrize("seconds", ["sec", "nanosec"])
+def test_stamps_in_json_count(tmp_path, seconds):
+    parts = {"sec": ("sec", "nsec"), "nanosec": ("sec", "nanosec")}[seconds]
+    messages = []
+    for row in range(10):
+        whole, rest = divmod(START_NS + 2 * row * STEP_NS, 10**9)
+        stamp = {"stamp": dict(zip(parts, (whole, rest), strict=True))}
+        messages.append(("/joint_states", START_NS + row * STEP_NS, json_state((row, 0, 0), header=stamp)))
+    episode = load(mcap(tmp_path / "run.mcap", {"/joint_states": ("json", "JointState", "jsonschema", "{}")}, messages))
+    np.testing.assert_allclose(episode.measured.time_s, 0.02 * np.arange(10), atol=1e-9)
+
+
+def test_topics_of_other_encodings_beside_those_of_ros_are_passed_over(tmp_path):
+    values = motion()
+    channels = {
+        "/scene": ("protobuf", "foxglove.SceneUpdate", "protobuf", b"\x0a\x00"),
+        "/joint_states": ("cdr", JOINT_STATE, "ros2msg", JOINT_STATE_TEXT),
+    }
+    messages = [("/joint_states", log_ns, raw) for log_ns, raw in states(ROS2, values)]
+    messages.insert(3, ("/scene", START_NS, b"\x0a\x00"))
+    episode = load(mcap(tmp_path / "run.mcap", channels, messages))
+    np.testing.assert_array_equal(episode.measured["position"], values[0])
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [
+        b"{",
+        b"{}x",
+        b'{"name": 3}',
+        b'{"position": ["a", "b", "c"]}',
+        b'{"header": 7}',
+        b'{"header": {"stamp": []}}',
+        b"{" * 9999,
+    ],
+)
+def test_json_that_is_no_message_is_refused(tmp_path, raw):
+    path = mcap(
+        tmp_path / "run.mcap",
+        {"/joint_states": ("json", "JointState", "jsonschema", "{}")},
+        [("/joint_states", START_NS, json_state((1, 2, 3))), ("/joint_states", START_NS + STEP_NS, raw)],
+    )
+    with pytest.raises(DataError, match=r"no sensor_msgs/JointState in JSON|ragged"):
+        load(path)
+
+
+IMU = "sensor_msgs/msg/Imu"
+
+
+def imu(stamp_ns, force, turned=(0.0, 0.0, 0.0, 1.0), frame="pelvis_imu", known=(0.0, 0.0)):
+    """A reading; `known` is the first number of the covariances of orientation and acceleration."""
+    vector, quaternion = ROS2.types["geometry_msgs/msg/Vector3"], ROS2.types["geometry_msgs/msg/Quaternion"]
+    own = header(ROS2, stamp_ns)
+    own.frame_id = frame
+    spread = [np.array([first, *[0.0] * 8]) for first in (known[0], 0.0, known[1])]
+    kind = ROS2.types[IMU]
+    message = kind(own, quaternion(*turned), spread[0], vector(0.0, 0.0, 0.0), spread[1], vector(*force), spread[2])
+    return serialize(ROS2, message, IMU)
+
+
+def turned_by(angle):
+    return (0.0, 0.0, np.sin(angle / 2), np.cos(angle / 2))
+
+
+def imus(count, *, step_ns=STEP_NS // 2, first=0, **more):
+    stamps = [START_NS + (first + k) * step_ns for k in range(count)]
+    return [(ns + LATE_NS, imu(ns, (0.1 * k, 0.0, 9.81), turned_by(0.01 * k), **more)) for k, ns in enumerate(stamps)]
+
+
+def test_what_an_imu_reads_is_a_signal_of_its_body(tmp_path):
+    values = motion()
+    topics = {"/joint_states": (JOINT_STATE, states(ROS2, values)), "/imu/data": (IMU, imus(100))}
+    episode = load(write_bag(tmp_path / "bag", topics))
+    measured = episode.measured
+    assert measured.bodies == ("pelvis_imu",)
+    rows = np.arange(len(measured))
+    # Twice as often as the joints: every second reading has the stamp of one of theirs.
+    np.testing.assert_allclose(measured["body.specific_force"][:, 0, 0], 0.2 * rows, atol=1e-7)
+    np.testing.assert_allclose(measured["body.specific_force"][:, 0, 2], 9.81)
+    angle = np.arctan2(measured["body.rotation"][:, 0, 1, 0], measured["body.rotation"][:, 0, 0, 0])
+    np.testing.assert_allclose(angle, 0.02 * rows, atol=1e-7)
+    np.testing.assert_array_equal(measured["position"], values[0])
+    assert "/imu/data as pelvis_imu" in flags(episode, "sensors")[0].detail
+
+
+def test_between_readings_they_are_interpolated_and_beyond_them_unknown(tmp_path):
+    topics = {
+        "/joint_states": (JOINT_STATE, states(ROS2, motion())),
+        "/imu/data": (IMU, imus(10, step_ns=3 * STEP_NS, first=1)),
+    }
+    force = load(write_bag(tmp_path / "bag", topics)).measured["body.specific_force"][:, 0, 0]
+    assert np.isnan(force[:3]).all()
+    np.testing.assert_allclose(force[3:31], (np.arange(3, 31) - 3) / 30, atol=1e-7)
+    assert np.isnan(force[31:]).all()
+
+
+@pytest.mark.parametrize(
+    ("known", "turned", "signals"),
+    [
+        ((-1.0, 0.0), (0.0, 0.0, 0.0, 1.0), {"body.specific_force"}),
+        ((0.0, 0.0), (0.0, 0.0, 0.0, 0.0), {"body.specific_force"}),
+        ((0.0, -1.0), (0.0, 0.0, 0.0, 1.0), set()),
+    ],
+)
+def test_what_a_sensor_does_not_measure_is_no_signal(tmp_path, known, turned, signals):
+    items = [
+        (START_NS + k * STEP_NS, imu(START_NS + k * STEP_NS, (1.0, 2.0, 3.0), turned, known=known)) for k in range(40)
+    ]
+    topics = {"/joint_states": (JOINT_STATE, states(ROS2, motion())), "/imu": (IMU, items)}
+    measured = load(write_bag(tmp_path / "bag", topics)).measured
+    assert {name for name in measured.signals if name.startswith("body.")} == signals
+
+
+def test_two_sensors_in_one_frame_are_told_apart_by_their_topics(tmp_path):
+    topics = {
+        "/joint_states": (JOINT_STATE, states(ROS2, motion())),
+        "/left/imu": (IMU, imus(100)),
+        "/right/imu": (IMU, imus(100)),
+        "/head/imu": (IMU, imus(100, frame="head", known=(-1.0, 0.0))),
+    }
+    measured = load(write_bag(tmp_path / "bag", topics)).measured
+    assert set(measured.bodies) == {"left/imu", "right/imu", "head"}
+    assert np.isnan(measured["body.rotation"][:, measured.bodies.index("head")]).all()

@@ -247,3 +247,11 @@ def test_the_so101_motions(so101_logs):
     stamps = np.array([float(row["timestamp"]) for row in rows]) / 1e6
     np.testing.assert_allclose(chirp.measured.time_s, stamps - stamps[0], atol=1e-9)
     assert chirp.command["position"][0].tolist() == [0.0, 0.129904, 0.629904, 0.0, -0.129904, 0.370096]
+
+
+@pytest.mark.parametrize("per_second", [1, 1e6])
+def test_a_simulator_counts_seconds_and_a_robot_microseconds(tmp_path, per_second):
+    stamps = tuple(per_second * stamp for stamp in (0.0, 0.005, 0.01, 0.015))
+    write_motion(tmp_path / "wave", stamps=stamps)
+    for series in (load(tmp_path).measured, load(tmp_path).command):
+        np.testing.assert_allclose(series.time_s, [0.0, 0.005, 0.01, 0.015], atol=1e-12)

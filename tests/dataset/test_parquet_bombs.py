@@ -10,7 +10,7 @@ import pytest
 
 from dataset.store_cases import INFO, make_episode
 from dataset.test_import_lerobot import ARM, foreign, load, values
-from trueup.dataset import Dataset, DatasetWriter, parquet_tables
+from trueup.dataset import Dataset, DatasetWriter
 from trueup.dataset.parquet_pages import pages
 from trueup.dataset.parquet_tables import believable, read_table
 from trueup.dataset.writer import dataset_spec
@@ -159,7 +159,7 @@ def test_pages_that_hold_more_than_the_description_says(tmp_path):
 
 
 def test_a_page_that_unpacks_to_much_more_than_the_file(tmp_path, monkeypatch):
-    monkeypatch.setattr(parquet_tables, "_FEW_BYTES", 1 << 20)
+    monkeypatch.setattr("trueup.core.unpacking.FEW_BYTES", 1 << 20)
     path = tmp_path / "a.parquet"
     pq.write_table(pa.table({"a": np.zeros(1 << 18)}), path, use_dictionary=False, compression="zstd")
     with pytest.raises(DataError, match=rf"{TOO_MUCH}.* bytes"):

@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -342,3 +343,25 @@ def test_an_interrupted_dataset_becomes_the_same_files(tmp_path, monkeypatch, ho
                     with (path / "journal.bin").open("ab") as torn:
                         torn.write(b"\xabEPI half a frame")
         assert files_of(path) == files_of(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("gone", ["moved", "deleted", "replaced"])
+@pytest.mark.parametrize("when", ["before an episode", "before the end"])
+def test_a_folder_that_goes_meanwhile_is_told(tmp_path, gone, when):
+    path = tmp_path / "data"
+    writer = DatasetWriter.create(path, INFO)
+    writer.append(make_episode(1))
+    path.rename(tmp_path / "elsewhere")
+    if gone == "deleted":
+        shutil.rmtree(tmp_path / "elsewhere")
+    if gone == "replaced":
+        with DatasetWriter.create(path, INFO) as other:
+            other.append(make_episode(2))
+    with pytest.raises(DataError, match="was moved or deleted"):
+        writer.append(make_episode(3)) if when == "before an episode" else writer.close()
+    writer.release()
+    if gone == "moved":
+        # Nothing that was written is lost.
+        with DatasetWriter.resume(tmp_path / "elsewhere") as resumed:
+            assert list(resumed.ids) == ["e001"]
+    assert path.exists() == (gone == "replaced")

@@ -97,6 +97,42 @@ def test_nothing_is_as_large_as_a_number_that_comes_in(nodes):
     )  # fmt: skip
 
 
+CUT = {
+    "NonZero": [helper.make_node("NonZero", ["x"], ["part"])],
+    "Compress": [
+        helper.make_node("Cast", ["flat"], ["mask"], to=TensorProto.BOOL),
+        helper.make_node("Compress", ["flat", "mask"], ["part"]),
+    ],
+    "Slice": [helper.make_node("Slice", ["many", "zero", "count"], ["part"])],
+    "TopK": [helper.make_node("TopK", ["many", "count"], ["part", "places"], axis=0)],
+    "Reshape": [helper.make_node("Reshape", ["many", "count"], ["part"])],
+    "through others": [helper.make_node("NonZero", ["x"], ["places"]), helper.make_node("Neg", ["places"], ["part"])],
+}
+
+
+@pytest.mark.parametrize("kind", CUT)
+def test_nothing_is_as_large_as_what_numbers_that_come_in_have_cut(kind):
+    """The shape of such a value is a number that comes in, too."""
+    constants = (("zero", np.array([0])), ("minus", np.array([-1])), ("many", np.zeros(1000, np.float32)))
+    made = [
+        helper.make_node("Reshape", ["x", "minus"], ["flat"]),
+        helper.make_node("Cast", ["flat"], ["whole"], to=TensorProto.INT64),
+        helper.make_node("ReduceMax", ["whole"], ["count"], keepdims=1),
+    ]
+    size = [helper.make_node("Shape", ["part"], ["size"]), helper.make_node("ConstantOfShape", ["size"], ["unused"])]
+    refused(model_of(*made, *CUT[kind], *size, constants=constants), "ConstantOfShape", "as large as its input says")
+
+
+def test_what_constants_cut_is_run():
+    constants = (("zero", np.array([0])), ("two", np.array([2])), ("many", np.zeros(9, np.float32)))
+    nodes = (
+        helper.make_node("Slice", ["many", "zero", "two"], ["part"]),
+        helper.make_node("Shape", ["part"], ["size"]),
+        helper.make_node("ConstantOfShape", ["size"], ["unused"]),
+    )
+    session_of(model_of(*nodes, constants=constants).SerializeToString(), "here")
+
+
 def test_sizes_from_shapes_are_run():
     nodes = (helper.make_node("Shape", ["x"], ["shape"]), helper.make_node("ConstantOfShape", ["shape"], ["unused"]))
     session_of(model_of(*nodes).SerializeToString(), "here")

@@ -30,6 +30,7 @@ ELSEWHERE = {
     "identification": {
         "import yaml": "tests/docs/test_identification_docs.py::test_the_lines_for_isaac_lab_are_those_of_the_report"
     },
+    "payload": {"payload by the motion": "tests/stages/test_weighing.py::test_the_page_shows_what_is_printed"},
     "policies": {"[python]": "tests/docs/test_policies.py::test_the_python_of_the_page_runs"},
     "realtime": {"[python]": "tests/deploy/test_realtime.py::test_the_python_of_the_page_runs"},
     "ros2": {
@@ -41,6 +42,7 @@ ELSEWHERE = {
         "trueup record --hardware ros2 --robot panda --plan": "tests/ros2/test_page.py::test_a_robot_of_ros2_control",
         "[python]": "tests/ros2/test_page.py::test_the_python_of_the_page_runs",
     },
+    "index": {"On 4 motions": "tests/docs/test_close_page.py::test_the_first_page_says_what_the_demo_ends_with"},
     "runtime": {"[python]": "tests/docs/test_runtime_docs.py::test_the_python_of_the_page_runs"},
     "start-here": {"│ parameter": "tests/docs/test_start_here.py::test_the_fitted_numbers_are_those_of_the_fit"},
 }

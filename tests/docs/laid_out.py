@@ -134,6 +134,20 @@ def demo_logs(shelf, path):
     run("export", shelf.demo, "--out", path)
 
 
+def demo_with(kg):
+    """Motions of the demo arm that carry this [kg], as a dataset under data/ and as logs elsewhere."""
+
+    def make(shelf, path):
+        whole, data = Dataset(shelf.demo), path if path.parts[0] == "data" else Path("small", path.name)
+        with DatasetWriter.create(data, whole.info) as writer:
+            for name in (own for own in whole.ids if whole.episode(own).meta.payload_kg == kg):
+                writer.append(whole.episode(name))
+        if data != path:
+            run("export", data, "--out", path)
+
+    return make
+
+
 def demo_robot(_, path):
     """The demo arm under another name, its model beside it, with limits to design motions within."""
     robot = load_robot("demo_arm")
@@ -209,6 +223,14 @@ LAID = {
     "identification": {"logs/arm": demo_logs, "runs/arm/dataset": demo_data, "arm.yaml": demo_robot},
     "index": {"logs/so101_sage": so101},
     "logs": {"logs/so101_sage": so101, "logs/run2": bag, "bag.yaml": of_the_page("logs", "command_joints:")},
+    "payload": {
+        "arm.yaml": demo_robot,
+        **{
+            f"{place}/{name}": demo_with(kg)
+            for place in ("data", "logs")
+            for name, kg in (("free", 0.0), ("loaded", 0.4))
+        },
+    },
     "policies": {
         "fit.yaml": of_the_page(
             "policies", "fit:", solver={"max_iterations": 4, "tolerance": 0.5}, data={"budget_s": 2.0}

@@ -67,6 +67,7 @@ TABLE = (
     ),
     Smaller("deploy run", {"--late-ms": "10000"}, "a machine that tests run on is late", has="--real-time"),
     Smaller("doctor", {"--seconds": "0.3"}, "5 seconds if not given", has="--realtime"),
+    Smaller("payload", {"--jobs": "1", "--config": "small/gains.yaml"}, "a fit takes minutes"),
     Smaller("selftest", {"--jobs": "1", "--config": "small/gains.yaml"}, "each is a fit"),
     Smaller("selftest", {"--seeds": "2"}, "as above", has="--seeds"),
     Smaller("design", {"--evaluations": "5", "--duration": "3", "--jobs": "1"}, "each simulates all parameters"),

@@ -42,7 +42,16 @@ def test_every_flag_that_is_named_exists():
     assert named - recorded - others <= quality_kinds()
     assert recorded <= named
     # Those of what spoils data; the others are notes about formats.
-    assert quality_kinds() - named <= {"about", "array", "publishers", "trajectory", "jittering_stamps"}
+    assert quality_kinds() - named <= {
+        "about",
+        "array",
+        "cut_file",
+        "motors",
+        "publishers",
+        "sensors",
+        "trajectory",
+        "jittering_stamps",
+    }
 
 
 def test_rests_are_as_long_as_they_have_to_be():

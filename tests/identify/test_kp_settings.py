@@ -13,7 +13,7 @@ from trueup.errors import ConfigError
 from trueup.identify import Nominal, Problem, SegmentRule, SolveSettings, identify, make_segments, solve
 from trueup.identify.causes import Motions
 from trueup.identify.config import make_parameters
-from trueup.identify.export import fitted_robot, robot_yaml, save_model
+from trueup.identify.export import fitted_robot, save_model
 from trueup.identify.regression import GrayboxSettings, fit_graybox, servo_start
 from trueup.identify.solution import fingerprint_of
 from trueup.identify.start import servo_regressed
@@ -30,6 +30,7 @@ from trueup.robots import (
     refuse_unknown_gains,
     setup_of,
 )
+from trueup.robots.written import robot_yaml
 from trueup.sim import make_simulator
 from trueup.stages import prepare, replay
 from trueup.stages.replaying import kp_factors

@@ -12,7 +12,7 @@ from trueup.dataset import Dataset
 from trueup.errors import ConfigError
 from trueup.identify import IdentifyConfig, Nominal, rehearse
 from trueup.identify.config import SolverChoice
-from trueup.identify.export import fitted_robot, robot_yaml, save_model
+from trueup.identify.export import fitted_robot, save_model
 from trueup.robots import (
     ControllerSpec,
     JointFriction,
@@ -27,6 +27,7 @@ from trueup.robots import (
     load_robot,
 )
 from trueup.robots.spec import COMMAND_SIGNAL
+from trueup.robots.written import robot_yaml
 from trueup.sim import MujocoSimulator
 from trueup.stages import identifying, import_logs
 

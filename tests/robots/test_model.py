@@ -1,10 +1,14 @@
+import os
+import struct
+
 import mujoco
 import numpy as np
 import pytest
 
+from trueup.draft import draft_robot
 from trueup.errors import ConfigError
 from trueup.robots import ControllerSpec, JointSpec, RobotSpec
-from trueup.robots.model import load_spec
+from trueup.robots.model import compile_spec, load_spec, load_whole_spec, lost_meshes
 from trueup.sim import MujocoSimulator
 
 URDF = """<?xml version="1.0"?>
@@ -45,6 +49,23 @@ def test_an_mjcf_without_its_meshes_moves_by_its_inertials(tmp_path):
     model = load_spec(path).compile()
     assert model.body("b").mass[0] == 2.0
     assert model.ngeom == 0
+
+
+def test_what_is_left_out_is_said_by_those_who_use_the_model(tmp_path):
+    urdf, mjcf = tmp_path / "arm.urdf", tmp_path / "arm.xml"
+    urdf.write_text(URDF)
+    meshes = "".join(f'<mesh name="m{number}" file="part{number}.stl"/>' for number in range(9))
+    shown = "".join(f'<geom type="mesh" mesh="m{number}"/>' for number in range(9))
+    mjcf.write_text(
+        f'<mujoco><asset>{meshes}</asset><worldbody><body name="b"><joint name="j"/>'
+        f'<inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/>{shown}</body></worldbody></mujoco>'
+    )
+    assert "arm.dae" in lost_meshes(urdf)
+    assert "arm.stl" in lost_meshes(urdf)
+    assert "part5.stl and 3 more" in lost_meshes(mjcf)
+    assert lost_meshes(mjcf) in draft_robot(mjcf).unsure
+    mjcf.write_text('<mujoco><worldbody><body name="b"><joint name="j"/><geom size="1"/></body></worldbody></mujoco>')
+    assert lost_meshes(mjcf) == ""
 
 
 def test_a_body_whose_mass_hangs_on_a_missing_mesh_is_refused(tmp_path):
@@ -196,3 +217,74 @@ def test_the_shipped_pendulum_swings_with_the_period_of_the_textbook(tmp_path):
         if before > 0 >= data.qpos[0]:
             crossings.append(data.time)
     assert np.diff(crossings).mean() == pytest.approx(2 * np.pi * np.sqrt(0.5 / 9.81), rel=1e-3)
+
+
+def png(width, height):
+    """The head of a picture of this size, without its pixels."""
+    sizes = struct.pack(">II", width, height)
+    return b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + b"IHDR" + sizes + bytes(5)
+
+
+@pytest.mark.parametrize(
+    "asset", ['<texture name="q" type="2d" file="b.png"/>', '<hfield name="q" size="1 1 1 1" file="b.png"/>']
+)
+def test_a_picture_that_unpacks_to_more_than_a_computer_has_is_refused_unread(tmp_path, asset):
+    (tmp_path / "b.png").write_bytes(png(30_000, 30_000))
+    path = tmp_path / "m.xml"
+    path.write_text(
+        f"<mujoco><asset>{asset}</asset><worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>"
+    )
+    for load in (load_spec, load_whole_spec):
+        with pytest.raises(ConfigError, match=r"b\.png is too large a picture: got 9e\+08 pixels"):
+            load(path)
+
+
+PARTS_THAT_ARE_PIPES = [
+    '<include file="pipe"/>',
+    '<asset><model name="q" file="pipe"/></asset>',
+    '<asset><mesh name="q" file="pipe.stl"/></asset>',
+    '<asset><texture name="q" type="2d" file="pipe.png"/></asset>',
+    '<asset><hfield name="q" size="1 1 1 1" file="pipe.png"/></asset>',
+    '<asset><skin name="q" file="pipe.skn"/></asset>',
+]
+
+
+@pytest.mark.parametrize("part", PARTS_THAT_ARE_PIPES)
+@pytest.mark.parametrize("load", [load_spec, load_whole_spec])
+def test_a_part_that_is_a_pipe_is_refused(tmp_path, part, load):
+    """MuJoCo would wait for it for good, and no signal ends it."""
+    for name in ("pipe", "pipe.stl", "pipe.png", "pipe.skn"):
+        os.mkfifo(tmp_path / name)
+    path = tmp_path / "m.xml"
+    path.write_text(f"<mujoco>{part}<worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>")
+    with pytest.raises(ConfigError, match="a pipe or a device"):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("joint", "name"),
+    [
+        ("armature='nan'", "dof_armature"),
+        ("damping='inf'", "dof_damping"),
+        ("axis='nan 0 1'", "jnt_axis"),
+        ("ref='nan'", "qpos0"),
+    ],
+)
+def test_numbers_that_are_not_finite_are_refused_by_name(tmp_path, joint, name):
+    """MuJoCo takes them; simulations then diverge, whatever their time step, and mass matrices have no inverse."""
+    path = tmp_path / "m.xml"
+    path.write_text(f"<mujoco><worldbody><body><joint {joint}/><geom size='1'/></body></worldbody></mujoco>")
+    with pytest.raises(ConfigError, match=f"{name} that is not finite"):
+        compile_spec(load_spec(path), path)
+
+
+@pytest.mark.parametrize("step", ["nan", "inf", "0", "-1", "2", "1e300"])
+def test_a_model_whose_time_step_makes_no_simulation_is_refused(tmp_path, step):
+    path = tmp_path / "m.xml"
+    path.write_text(
+        f"<mujoco><option timestep='{step}'/>"
+        "<worldbody><body><joint name='j'/><geom size='1'/></body></worldbody></mujoco>"
+    )
+    robot = RobotSpec("arm", (JointSpec("j"),), path.name, controller=ControllerSpec(kind="torque"))
+    with pytest.raises(ConfigError, match="time step"):
+        MujocoSimulator.from_robot(robot, path)

@@ -71,6 +71,8 @@ def test_a_measured_torque_stands_for_the_command_where_that_is_asked_for(tmp_pa
         ("scored: [c]", r"\['c'\] are not joints.*available: a, b"),
         ("controller: {kind: magic}", r"controller: kind is not a choice.*pid"),
         ("controller: {kind: torque, delay_s: -0.1}", "delay_s must be >= 0"),
+        ("controller: {kind: torque, delay_s: 1.0e+12}", "0 to 3600 s"),
+        ("replay: {settle_s: 1.0e+12}", "settle_s: got 1e\\+12; expected 0 to 3600 s"),
         ("controller: {kind: model}", "needs to know what it is told"),
         ("controller: {kind: pd, kp: 1, command: torque}", "'pd' follows position"),
         ("controller: {kind: position, kv: 2}", r"gains of joint 'a'.*kp > 0"),
@@ -103,8 +105,8 @@ def test_a_wrong_line_is_named(tmp_path, line, message):
 
 
 def test_an_unknown_robot_is_answered_with_the_shipped_ones():
-    with pytest.raises(ConfigError, match=r"'so100'.*demo_arm.*so101"):
-        load_robot("so100")
+    with pytest.raises(ConfigError, match=r"'so99'.*demo_arm.*so101"):
+        load_robot("so99")
 
 
 def test_the_model_is_looked_for_beside_the_data_first(tmp_path):

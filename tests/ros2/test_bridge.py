@@ -2,6 +2,7 @@
 
 import itertools
 import time
+from collections import Counter
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +17,9 @@ from trueup.dataset import Dataset
 from trueup.deploy import Stream
 from trueup.errors import ConfigError, MissingSignal
 from trueup.ros2 import Augmented, Float64MultiArray, JointState, Node, run_bridge
+from trueup.ros2.bridge import BridgeReport, _answer_all
 from trueup.ros2.messages import TYPE_HASHES, Header
+from trueup.ros2.node import Inbox, Outbox
 from trueup.stages import import_logs
 
 RATE_HZ = 100.0
@@ -308,3 +311,55 @@ def test_arrays_are_another_type(folder):
         assert [list(message.data) for message in received(numbers, other, 1)] == [[1.0, 2.0]]
         assert not states.writers
         assert not states.take()
+
+
+class Queue(Inbox):
+    """Messages that wait, without a network."""
+
+    def __init__(self, count):
+        sample = SimpleNamespace(source_timestamp=time.time_ns())
+        self.waiting = [SimpleNamespace(number=number, sample_info=sample) for number in range(count)]
+
+    def take(self, most):
+        taken, self.waiting = self.waiting[:most], self.waiting[most:]
+        return taken
+
+
+class Nowhere(Outbox):
+    """Takes all."""
+
+    def __init__(self):
+        pass
+
+    def send(self, message):
+        """Nothing."""
+
+
+@pytest.mark.parametrize(
+    ("waited_s", "each_s", "first", "dropped"),
+    [
+        (0.0, 0.0, 0, 0),  # nobody was late
+        (2.0, 0.0, 936, 936),  # the process had stood still
+        (0.0, 0.005, 0, 1000 - 4 * 64 - 64),  # answers take longer than messages do
+    ],
+)
+def test_what_has_waited_for_too_long_gives_way_to_what_is_new(monkeypatch, waited_s, each_s, first, dropped):
+    now = [100.0]
+    clock = SimpleNamespace(monotonic=lambda: now[0], time_ns=time.time_ns, perf_counter_ns=time.perf_counter_ns)
+    monkeypatch.setattr("trueup.ros2.bridge.time", clock)
+    answered, report = [], BridgeReport()
+
+    def to(message):
+        answered.append(message.number)
+        now[0] += each_s
+        return message
+
+    queue, empty_at = Queue(1000), now[0] - waited_s
+    answer = SimpleNamespace(to=to, counts=Counter(), flags=Counter(), others=(), rate_hz=np.nan)
+    while queue.waiting:
+        empty_at = _answer_all(report, queue, Nowhere(), answer, empty_at)
+    assert (answered[0], answered[-1]) == (first, 999)
+    assert answered == sorted(answered)
+    assert report.dropped == dropped
+    assert len(answered) == report.received == 1000 - dropped
+    assert report.to_json()["dropped"] == dropped

@@ -148,7 +148,7 @@ def test_what_is_no_network_or_has_no_model_is_said_with_what_to_give(tmp_path):
         assert "zoo:panda-realeasy-rt" in err
     code, _, err = ended(started("deploy", "serve", "--robot", "so101", domain=network().number))
     assert code == 2
-    assert err.strip().endswith("next: Give its path with --model.")
+    assert "next: Give its path with --model.\nIt is robotstudio_so101/so101.xml of MuJoCo Menagerie" in err
 
 
 def test_compensations_need_limits_and_correct_commands(tmp_path):

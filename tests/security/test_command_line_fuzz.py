@@ -15,6 +15,7 @@ from trueup.stages import demo_dataset
 BOUNDS = {
     "demo": ("--robot", "demo_arm", "--until", "replay", "--jobs", "1"),
     "doctor": ("--seconds", "0.1"),
+    "robots": (),
     "deploy serve": ("--seconds", "0.05", "--localhost", "--domain", "99"),
     "deploy ros2": ("--seconds", "0.05", "--localhost", "--domain", "99"),
     "policy train": ("--config", "SMALL", "--steps", "16", "--jobs", "1", "--out", "made"),

@@ -41,7 +41,9 @@ def started(*words):
 COMMANDS = {
     "close": ("DATA", "--robot", "demo_arm", "--until", "gap"),
     "identify": ("DATA", "--robot", "demo_arm"),
+    "torque": ("DATA", "--robot", "demo_arm"),
     "fleet": ("DATA", "--robot", "demo_arm", "--jobs", "1"),
+    "payload": ("DATA", "CSV", "--robot", "demo_arm"),
     "demo": ("--robot", "demo_arm", "--until", "gap"),
     "gap": ("DATA",),
     "design": ("--robot", "panda", "--count", "2"),
@@ -62,7 +64,7 @@ COMMANDS = {
 
 
 # A file is there whole, of one or of the other; an export appears as a whole, or is refused since another is there.
-ONE_FILE, WHOLE_OR_NOT = ("report", "experiment", "policy curves", "check", "selftest"), ("export",)
+ONE_FILE, WHOLE_OR_NOT = ("report", "experiment", "policy curves", "check", "selftest", "init"), ("export",)
 PATIENCE_S = 180  # with a machine that does other things
 
 

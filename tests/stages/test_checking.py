@@ -14,8 +14,8 @@ from trueup.core.check_result import CheckResult
 from trueup.core.close_result import CloseResult
 from trueup.dataset import Dataset, DatasetWriter
 from trueup.errors import DataError
-from trueup.identify.export import robot_yaml
 from trueup.robots import load_robot
+from trueup.robots.written import robot_yaml
 from trueup.stages import check_setup, close, close_steps
 
 PAGE = (Path(__file__).parent.parent.parent / "docs" / "check.md").read_text()

@@ -233,7 +233,7 @@ def test_what_is_wrong_with_the_question_is_said(data, make, tmp_path):
     twin = shift_folder(tmp_path / "twin", ModelCard.load(make()), (0.0, 0.0, 0.0))
     with pytest.raises(ConfigError, match="two networks are called 'shift'"):
         evaluate(data, [make(), twin], tmp_path / "out")
-    with pytest.raises(MissingSignal, match=r"no split 'tset': available: test, train, val, all"):
+    with pytest.raises(MissingSignal, match=r"no split 'tset': did you mean 'test'\? available: test, train, val, all"):
         evaluate(data, [make()], tmp_path / "out", split="tset")
     with pytest.raises(ConfigError, match="no label"):
         evaluate(data, [make("a b")], tmp_path / "out")

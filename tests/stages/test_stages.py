@@ -8,7 +8,7 @@ from dataset.store_cases import write_npz
 from trueup.core.episode import Episode, EpisodeMeta, Flag
 from trueup.core.results import Estimate, GapResult, MetricResult, Rung
 from trueup.core.timeseries import TimeSeries
-from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
+from trueup.dataset import Dataset, DatasetInfo, DatasetWriter, RunWriter
 from trueup.dataset.importers.base import ImportOptions
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, OutputExists, TrueupError
 from trueup.robots import ControllerSpec, JointSpec, find_model, load_robot
@@ -405,6 +405,18 @@ def test_a_run_that_is_half_done_is_said_to_be(demo):
     assert "lacks 7 of 12 motions" in warning
     with pytest.raises(MissingSignal, match="none of the motions"):
         gap(demo, split="test")
+
+
+def test_a_run_that_was_interrupted_before_its_first_motion_blocks_no_other(demo):
+    replay(demo, load_robot("demo_arm"))
+    with RunWriter(demo.path, "mujoco/begun", run_info=demo.run_info("mujoco/stock")):
+        pass
+    demo.reload()
+    measured = gap(demo).gap
+    assert {run for run in measured.runs if run != "command"} == {"mujoco/stock"}
+    assert measured.settings["warnings"] == ["the run mujoco/begun has none of these motions and is left out"]
+    with pytest.raises(MissingSignal, match="none of the motions"):
+        gap(demo, runs=["mujoco/begun"])
 
 
 def test_an_import_that_is_half_done_is_said_to_be(demo, tmp_path):

@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from trueup.check.evidence import Evidence, Score
+from trueup.check.evidence import ZERO, Evidence, Score, loss
 from trueup.check.reading import Columns, Reading, Side, Unit, units_of
 
 # A servo whose error is larger than this share of its motion does not follow its command.
@@ -24,8 +24,15 @@ _UNEXPLAINED = 0.8
 # A relation between two columns that explains this much is one.
 _RELATED = 0.85
 _MOST_PAIRS, _MOST_SUSPECTS = 120, 12
+# An order of all joints is looked for where so many are puzzling; each swap has to be worth so much.
+_FEWEST_PUZZLING, _WORTH_A_SWAP = 3, 0.3
 # A factor within this of a unit's is that unit's: a soft servo moves less than it is told. Within these it is soft.
 _NEAR_UNIT, _SOFT = 0.15, (0.7, 1.4)
+# A joint is out of its range for this share of the time, and in it where it is out for less; what a mirrored joint
+# beside a unit has to be better by.
+_OUTSIDE, _INSIDE, _EACH_MIRRORED = 0.3, 0.05, 0.5
+# Units that few logs have, and what one of them has to be better by.
+_RARELY, _RARE, _COUNTS = ("mrad", "rev", "cm"), 1.5, "encoder counts"
 # How far the measured velocity may be from the derivative of the position.
 _SAME_RATE, _OTHER_RATE = 0.05, 1.0
 # What a factor that is none of a unit has to be better by.
@@ -102,6 +109,12 @@ class Looked:
         return [joint for joint in self.moved if self.score.left[joint] > LOST]
 
     @property
+    def apart(self) -> list[int]:
+        """Joints that do not do what they are told, or stay as far from it on average as no servo sags."""
+        far = np.abs(self.score.zero) > 0.9 * ZERO
+        return [joint for joint in self.moved if self.score.left[joint] > LOST or (self.servo and far[joint])]
+
+    @property
     def puzzling(self) -> list[int]:
         """Joints of which the model does not explain what it could, or that are out of their range."""
         if not self.evidence.sure:
@@ -136,6 +149,7 @@ def swaps(looked: Looked) -> Iterator[Proposal]:
         sides: Sequence[Side] = ("both",) if looked.servo or not {one, other} <= set(lost) else _SIDES
         for side in sides:
             yield _swap(looked, {one: other, other: one}, side)
+    yield from _orders(looked)
 
 
 def units(looked: Looked) -> Iterator[Proposal]:
@@ -155,7 +169,9 @@ def units(looked: Looked) -> Iterator[Proposal]:
             own = {joint: unit for joint in hinges for unit in _units(looked, joint) if unit.name == name}
             if len(own) == len(hinges) > 1:
                 for side in _SIDES if looked.servo else sides:
-                    yield _unit(looked, hinges, own, side)
+                    whole = _unit(looked, hinges, own, side)
+                    yield whole
+                    yield from _with_mirrored(looked, whole)
 
 
 def relations(looked: Looked) -> Iterator[Proposal]:
@@ -163,7 +179,7 @@ def relations(looked: Looked) -> Iterator[Proposal]:
     if not looked.servo:
         return
     related = {}
-    for joint in looked.lost:
+    for joint in looked.apart:
         slope, offset, share = _line(looked, joint, joint)
         if share < _RELATED or slope == 0.0:
             continue
@@ -332,9 +348,31 @@ def _unit(looked: Looked, joints: tuple[int, ...], own: dict[int, Unit], side: S
         units={(one, joint): unit for one in sides for joint, unit in own.items()},
         freedom=0.3
         + max(_against(looked, joint, unit) for joint, unit in own.items())
-        + _of_range(next(iter(own.values()))),
+        + max(_seldom(looked, joint, unit) for joint, unit in own.items()),
         value=next(iter(own.values())).si,
     )
+
+
+def _with_mirrored(looked: Looked, whole: Proposal) -> Iterator[Proposal]:
+    """The same unit, and joints that are out of their range with it and in it the other way round are mirrored."""
+    evidence = looked.evidence.coarse
+    outside = evidence.score(whole.reading).outside
+    far = [joint for joint in whole.joints if outside[joint] > _OUTSIDE]
+    if not far or whole.side == "command":
+        return
+
+    def flip(columns: Columns, joints: Sequence[int]) -> Columns:
+        for joint in joints:
+            columns = columns.changed(joint, factor=-1.0)
+        return columns
+
+    turned = evidence.score(whole.reading.with_columns("both", lambda columns: flip(columns, far))).outside
+    mirrored = [joint for joint in far if turned[joint] < _INSIDE]
+    if mirrored:
+        reading = whole.reading.with_columns("both", lambda columns: flip(columns, mirrored))
+        count = f"{len(mirrored)} of them count" if len(mirrored) > 1 else "one of them counts"
+        says = f"{whole.says}, and {count} the other way round"
+        yield replace(whole, reading=reading, says=says, freedom=whole.freedom + _EACH_MIRRORED * len(mirrored))
 
 
 def _against(looked: Looked, joint: int, unit: Unit) -> float:
@@ -345,9 +383,10 @@ def _against(looked: Looked, joint: int, unit: Unit) -> float:
     return _OTHER_RATE
 
 
-def _of_range(unit: Unit) -> float:
-    """A plain unit is likelier than counts and shares of a range, which may come to the same number."""
-    return 0.0 if unit.scale == 1.0 else 0.1
+def _seldom(looked: Looked, joint: int, unit: Unit) -> float:
+    """Degrees are likelier than shares of a range, and these than what few logs have, or counts that are not whole."""
+    counts = unit.name.startswith(_COUNTS) and not looked.evidence.whole[joint]
+    return _RARE if unit.name in _RARELY or counts else 0.0 if unit.scale == 1.0 else 0.1
 
 
 def _scaled(looked: Looked, joint: int, slope: float) -> Iterator[Proposal]:
@@ -377,7 +416,7 @@ def _scaled(looked: Looked, joint: int, slope: float) -> Iterator[Proposal]:
                 units={(side, joint): unit},
                 freedom=(0.2 if sign > 0 else 0.5)
                 + (_against(looked, joint, unit) if side == "measured" else 0.0)
-                + _of_range(unit),
+                + _seldom(looked, joint, unit),
                 value=sign * unit.si,
             )
 
@@ -465,6 +504,34 @@ def _permutations(looked: Looked) -> Iterator[Proposal]:
     yield _swap(looked, order, "command")
     # The measured columns in the order of the commands.
     yield _swap(looked, {source: joint for joint, source in order.items()}, "measured")
+
+
+def _orders(looked: Looked) -> Iterator[Proposal]:
+    """All joints in an order that is found swap by swap, each the best of all: names that say nothing."""
+    evidence = looked.evidence.coarse
+    joints = [joint for joint in looked.moved if looked.length_units[joint] == "rad"]
+    if len(looked.puzzling) < _FEWEST_PUZZLING or not 3 <= len(joints) <= _MOST_SUSPECTS:
+        return
+    base = evidence.score(looked.reading)
+    order = np.arange(len(looked.length_units))
+
+    def misses(own: np.ndarray) -> float:
+        changed = looked.reading.with_columns("both", lambda columns: columns.permuted(dict(enumerate(own.tolist()))))
+        return float(loss(evidence.score(changed), base).sum())
+
+    least, swaps = misses(order), 0
+    while swaps < len(joints):
+        tried = []
+        for one, other in combinations(joints, 2):
+            own = order.copy()
+            own[[one, other]] = own[[other, one]]
+            tried.append((misses(own), tuple(own.tolist())))
+        best, found = min(tried)
+        if best > least - _WORTH_A_SWAP:
+            break
+        least, order, swaps = best, np.array(found), swaps + 1
+    if swaps > 1:
+        yield _swap(looked, {joint: int(own) for joint, own in enumerate(order) if joint != own}, "both")
 
 
 def follows(looked: Looked, joint: int) -> float:

@@ -24,7 +24,7 @@ from trueup.check.samples import Motion
 _ROWS, _COARSE_ROWS, _CHUNKS = 1200, 300, 6
 # A servo may be this much softer than the model says, and lag by this part of what the model does at least; a torque
 # may be this much off, a zero this far [rad].
-_SOFTER, _LAGS, _GAIN, _ZERO = 6.0, 0.4, 3.0, 0.1
+_SOFTER, _LAGS, _GAIN, ZERO = 6.0, 0.4, 3.0, 0.1
 # Below these a joint is not moved by its command [rad or m; rad/s or m/s].
 _LEAST_MOTION = {"position": 0.03, "velocity": 0.03, "torque": 1e-9}
 _FLOOR, _SMALL = 1e-7, 0.02
@@ -119,6 +119,11 @@ class Evidence:
         """Position gains at all rows, per those of the description."""
         factors = [motion.setup.kp_factor for motion in self.motions]
         return np.repeat(factors, [rows.size for rows in self._rows])
+
+    @property
+    def whole(self) -> np.ndarray:
+        """Whether positions are whole numbers as robot.yaml has them now, (J,)."""
+        return np.asarray(np.all([motion.whole for motion in self.motions], axis=0))
 
     @property
     def joints(self) -> int:
@@ -233,7 +238,7 @@ class Evidence:
                 size = float(np.var(actual))
                 lag = dynamics.damping[joint] / stiffness
                 slowest = _LAGS * lag if signal == "position" and np.isfinite(lag) else 0.0
-                limits = (0.0, softest, slowest, _ZERO if signal == "position" else 0.0)
+                limits = (0.0, softest, slowest, ZERO if signal == "position" else 0.0)
                 moves = np.ptp(actual) > _LEAST_MOTION[signal] or np.ptp(command[:, joint]) > _LEAST_MOTION[signal]
             if not moves:
                 continue

@@ -143,9 +143,11 @@ def units_of(unit: str, low: float, high: float) -> tuple[Unit, ...]:
             found.append(Unit(f"encoder counts, {counts} per turn", "1", step, step))
         step = 2.0 * math.pi * 300.0 / 360.0 / 1023.0
         found.append(Unit("encoder counts, 1023 per 300 degrees, centre 511.5", "1", step, step, -511.5 * step))
+    if unit == "rad" and not math.isfinite(high - low):
+        low, high = -math.pi, math.pi  # what turns without end is calibrated over a turn
     if math.isfinite(low) and math.isfinite(high) and high > low:
         width, middle = high - low, 0.5 * (high + low)
-        found.append(Unit("percent of the range, -100 to 100", "%", 50.0 * width, 0.005 * width, middle))
+        found.append(Unit("percent of the range, -100 to 100", "%", 0.5 * width, 0.005 * width, middle))
         found.append(Unit("percent of the range, 0 to 100", "%", width, 0.01 * width, low))
         found.append(Unit("part of the range, -1 to 1", "1", 0.5 * width, 0.5 * width, middle))
         found.append(Unit("part of the range, 0 to 1", "1", width, width, low))
@@ -192,7 +194,7 @@ def _resolved(robot: RobotSpec, columns: Columns, index: int, side: str, unit: U
     offset = factor * rule["offset"] + float(columns.offset[index])
     sign = rule["sign"] * (-1 if factor < 0 else 1)
     scale, log_unit = rule["scale"] * abs(factor), rule["log_unit"]
-    if unit is not None and rule["scale"] == 1.0 and rule["log_unit"] is None:
+    if unit is not None and rule["scale"] == 1.0 and rule["log_unit"] in (None, "rad", "m"):
         scale, log_unit = unit.scale * abs(factor) / unit.si, unit.log_unit
     scale, offset = _rounded(scale), _rounded(offset)
     return {"log": rule["log"], "sign": sign, "scale": scale, "offset": offset, "log_unit": log_unit}

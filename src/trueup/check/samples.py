@@ -36,6 +36,7 @@ class Motion:
         torque: measured torque, (N, J); None without.
         known: whether a command was there and the filter had data on both sides, (N,).
         edge_s: how far the filter reaches [s].
+        whole: whether all positions are whole numbers, as counts are, (J,).
     """
 
     id: str
@@ -49,6 +50,7 @@ class Motion:
     torque: Float64[np.ndarray, "N J"] | None
     known: np.ndarray
     edge_s: float
+    whole: np.ndarray
 
     @property
     def step_s(self) -> float:
@@ -138,6 +140,7 @@ def motion_of(
         torque=further["torque"],
         known=known,
         edge_s=reach_s,
+        whole=np.all(np.abs(raw - np.round(raw)) < 1e-6 * np.maximum(np.abs(raw), 1.0), axis=0),
     )
 
 

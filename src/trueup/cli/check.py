@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +10,7 @@ from typing import Annotated
 import typer
 
 from trueup.cli import options
-from trueup.cli.console import note, out, problem, warning
+from trueup.cli.console import note, out, problem, track, warning
 from trueup.core.check_result import SEVERITIES, CheckResult, CheckSeverity, Finding
 from trueup.errors import OutputExists
 
@@ -22,10 +23,15 @@ def register(app: typer.Typer) -> None:
 
 
 def check(
-    dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
+    data: Annotated[Path, typer.Argument(help="Dataset, or logs of any known format.")],
     robot: options.Robot,
     out_file: Annotated[Path | None, typer.Option("--out", help="JSON file for the findings.")] = None,
     model: options.Model = None,
+    format: options.Format = None,
+    mapping: options.Mapping = None,
+    unit: options.Units = None,
+    command_topic: options.CommandTopic = None,
+    measured_topic: options.MeasuredTopic = None,
     overwrite: options.Overwrite = False,
 ) -> int:
     """Look whether logs, robot.yaml and model fit together.
@@ -34,13 +40,17 @@ def check(
 
     Exit code 3 if something is certainly wrong.
     """
-    from trueup.dataset import Dataset
-    from trueup.robots import load_robot
     from trueup.stages import check_setup as run
+    from trueup.stages.importing import dataset_of
 
     if out_file is not None and out_file.exists() and not overwrite:
         raise OutputExists(f"{out_file} exists", hint="Give --overwrite, or choose another --out.")
-    checked = run(Dataset(dataset), load_robot(robot), model=model)
+    choices, spec = options.reading(mapping, unit, command_topic, measured_topic), options.robot_of(robot, data)
+    with contextlib.ExitStack() as stack:
+        dataset, notes = dataset_of(data, stack, robot=spec, format=format, options=choices, track=track)
+        checked = run(dataset, spec, model=model)
+    for line in notes:
+        note(line)
     show_findings(checked)
     for line in checked.unseen:
         note(line)

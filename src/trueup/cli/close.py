@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -20,7 +22,6 @@ from trueup.cli.identify import UNUSABLE
 from trueup.cli.tables import ladder_table, steps_table, verdicts
 from trueup.core.close_result import StepName
 from trueup.core.results import GapResult
-from trueup.dataset.importers.base import ImportOptions
 from trueup.errors import ConfigError, TrueupError
 
 if TYPE_CHECKING:
@@ -29,10 +30,8 @@ if TYPE_CHECKING:
     from trueup.stages import Closed, Watch
 
 # A literal that typer can read; the same as `StepName`.
-UntilStep = Annotated[
-    Literal["import", "replay", "gap", "check", "explain", "identify", "augment"],
-    typer.Option("--until", help="The last step."),
-]
+Step = Literal["import", "replay", "gap", "check", "explain", "identify", "augment"]
+UntilStep = Annotated[Step, typer.Option("--until", help="The last step.")]
 _BEGINS: dict[StepName, str] = {
     "import": "import: logs to a dataset",
     "replay": "replay: the commands through the simulator as it came",
@@ -54,8 +53,8 @@ def register(app: typer.Typer) -> None:
 
 def close(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset, or logs of any known format.")],
-    robot: options.Robot,
     out_dir: Annotated[Path, typer.Option("--out", help="Folder for the results.")],
+    robot: options.RobotOrModel = None,
     until: UntilStep = "augment",
     budget: Annotated[
         str, typer.Option("--budget", help="Time for all steps together, e.g. 90s, 10m, 1h; `none` for no limit.")
@@ -93,7 +92,9 @@ def close(
     from trueup.measure import parse_bar, refuse_unknown
     from trueup.robots import load_robot
     from trueup.stages import close as run
+    from trueup.stages import keep_draft
     from trueup.stages.close_networks import METHODS, possible_runs
+    from trueup.stages.drafting import MAPPING_NAME
 
     bars = [parse_bar(text) for text in fail_above or []]
     if bars and until in _BEFORE_GAP:
@@ -102,19 +103,21 @@ def close(
         )
     methods = tuple(method or METHODS)
     refuse_unknown(bars, runs=possible_runs(until, methods))
-    with watching() as watch:
+    choices = options.reading(mapping, unit, command_topic, measured_topic)
+    known = options.robot_or_model(robot, model)
+    drafted = options.drafted_of(known, dataset, format, choices)
+    described = load_robot(known) if drafted is None else drafted.robot
+    with watching() as watch, tempfile.TemporaryDirectory() as place:
+        if drafted is not None and drafted.mapping:
+            choices = replace(choices, mapping=Path(place) / MAPPING_NAME)
+            (Path(place) / MAPPING_NAME).write_text(drafted.mapping)
         closed = run(
             dataset,
-            load_robot(robot),
+            described,
             out_dir,
             model=model,
             format=format,
-            options=ImportOptions(
-                mapping=mapping,
-                units=options.unit_choices(unit),
-                command_topic=command_topic,
-                measured_topic=measured_topic,
-            ),
+            options=choices,
             splits=options.splits_choice(splits),
             drop_flagged=drop_flagged,
             until=until,
@@ -129,6 +132,8 @@ def close(
             track=track,
             watch=watch,
         )
+    if drafted is not None:
+        keep_draft(drafted, out_dir)
     show(closed, out_dir)
     if closed.measurement is not None:
         hold_bars(closed.measurement.gap, bars)

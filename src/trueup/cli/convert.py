@@ -11,7 +11,6 @@ from trueup.cli import options
 from trueup.cli.console import note, out, problem, track
 from trueup.core.episode import warning_kinds
 from trueup.core.quality import Quality
-from trueup.dataset.importers.base import ImportOptions
 
 if TYPE_CHECKING:
     from trueup.stages import ImportSummary
@@ -42,15 +41,9 @@ def import_(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only list what would be imported.")] = False,
 ) -> int:
     """Read logs of any known format into a dataset."""
-    from trueup.robots import load_robot
     from trueup.stages import import_logs, plan_import
 
-    choices = ImportOptions(
-        mapping=mapping,
-        units=options.unit_choices(unit),
-        command_topic=command_topic,
-        measured_topic=measured_topic,
-    )
+    choices = options.reading(mapping, unit, command_topic, measured_topic)
     if dry_run:
         plan = plan_import(source, format=format, options=choices)
         for item in plan.episodes:
@@ -64,7 +57,7 @@ def import_(
         out_dir,
         format=format,
         options=choices,
-        robot=load_robot(robot) if robot else None,
+        robot=options.robot_of(robot, source) if robot else None,
         splits=options.splits_choice(splits),
         seed=seed,
         overwrite=overwrite,

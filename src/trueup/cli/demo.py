@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from trueup.cli import options
-from trueup.cli.close import UntilStep, exit_code, show, watching
+from trueup.cli.close import Step, exit_code, show, watching
 from trueup.cli.console import err, out, track
 
 
@@ -19,44 +19,59 @@ def register(app: typer.Typer) -> None:
 
 def demo(
     out_dir: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("runs/demo"),
+    full: Annotated[
+        bool, typer.Option("--full", help="A virtual Panda with payloads, networks included; needs more packages.")
+    ] = False,
     robot: Annotated[
-        Literal["panda", "demo_arm"],
-        typer.Option("--robot", help="panda, or demo_arm: three joints, simulated and fitted in seconds."),
-    ] = "panda",
+        Literal["panda", "demo_arm"] | None,
+        typer.Option("--robot", help="panda is --full; demo_arm: the small arm, which carries something now and then."),
+    ] = None,
     seed: options.Seed = 0,
     jobs: options.Jobs = None,
-    until: UntilStep = "augment",
+    until: Annotated[
+        Step | None, typer.Option("--until", help="Last step: identify; augment with --robot or --full.")
+    ] = None,
     budget: Annotated[
         str, typer.Option("--budget", help="Time for all of it, e.g. 5m; `none` for as long as it takes.")
     ] = "5m",
     overwrite: options.Overwrite = False,
     resume: options.Resume = False,
 ) -> int:
-    """Record virtual hardware, and close on the recording.
+    """Close the gap of a small virtual arm, as a first look.
 
-    Its model does not know its physics.
+    A small arm is recorded whose gains, friction and delay its model does not know; they are identified, and tested
+    on motions that were not used.
 
     Exit code 3 if a step failed or the fit is of no use.
     """
+    from trueup.robots import load_robot
     from trueup.stages.demonstrating import demo as run
+    from trueup.stages.demonstrating import told
 
+    chosen: Literal["panda", "demo_arm"] = "panda" if full else robot or "demo_arm"
+    first = not full and robot is None
     with watching() as watch:
         closed = run(
             out_dir,
-            robot=robot,
+            robot=chosen,
+            loads=not first,
             seed=seed,
             jobs=jobs,
             overwrite=overwrite,
             resume=resume,
-            until=until,
+            until=until or ("identify" if first else "augment"),
             budget_s=options.budget_s(budget),
             # Before the first motion come processes that start and plans that are made.
-            on_begin=lambda: err.print(f"planning and recording motions of a virtual {robot}", markup=False),
+            on_begin=lambda: err.print(f"planning and recording motions of a virtual {chosen}", markup=False),
             track=track,
             watch=watch,
         )
     out.print(
-        f"{len(closed.dataset)} motions of a virtual {robot}, whose physics its model does not know", markup=False
+        f"{len(closed.dataset)} motions of a virtual {chosen}, whose physics its model does not know", markup=False
     )
     show(closed, out_dir)
+    for line in told(closed, load_robot(chosen)):
+        out.print(line, markup=False)
+    if first:
+        out.print("With your own robot: trueup close LOGS --model MODEL.xml", markup=False)
     return exit_code(closed)

@@ -35,8 +35,8 @@ def design(
     ] = None,
     model: Annotated[Path | None, typer.Option("--model", help="MJCF or URDF, if it is elsewhere.")] = None,
     workspace: Annotated[
-        str, typer.Option("--workspace", help="floor, empty, cell, or a YAML with floor_m and boxes.")
-    ] = "floor",
+        str | None, typer.Option("--workspace", help="floor, empty, cell, or a YAML with floor_m and boxes.")
+    ] = None,
     duration_s: Annotated[float, typer.Option("--duration", help="Length of a motion without rest [s].")] = 10.0,
     evaluations: Annotated[int, typer.Option("--evaluations", help="Motions that are tried for each.")] = 300,
     velocity_limit: Annotated[
@@ -61,10 +61,9 @@ def design(
     from trueup.core.fit_result import FitResult
     from trueup.identify import IdentifyConfig
     from trueup.record import DesignSettings, load_workspace
-    from trueup.robots import load_robot
     from trueup.stages import design as run
 
-    spec = load_robot(robot)
+    spec = options.robot_of(robot)
     designed = run(
         spec,
         out_dir,
@@ -72,7 +71,7 @@ def design(
         config=IdentifyConfig.load(config) if config else None,
         fit=FitResult.load(fit) if fit else None,
         model=model,
-        workspace=load_workspace(workspace),
+        workspace=None if workspace is None else load_workspace(workspace),
         velocity_limits=_limits(spec, velocity_limit, "--velocity-limit"),
         acceleration_limits=_limits(spec, acceleration_limit, "--acceleration-limit"),
         noise=noise,
@@ -89,6 +88,8 @@ def design(
 def show(designed: Designed, out_dir: Path) -> None:
     """What each parameter's standard deviation will be, and where the motions are."""
     out.print(table_of(designed))
+    for line in designed.notes:
+        note(line)
     if designed.gain is None:
         note("there is no room for random motions to compare with")
     else:

@@ -31,6 +31,7 @@ EXTRAS = {
     "ros2": ("live bridge", [("cyclonedds", "cyclonedds")]),
     "warp": ("MuJoCo on a GPU", [("mujoco-warp", "mujoco_warp"), ("warp-lang", "warp")]),
     "ray": ("work on many machines", [("ray", "ray")]),
+    "excel": ("logs in workbooks", [("openpyxl", "openpyxl")]),
     "report-test": ("browser tests", [("selenium", "selenium")]),
 }  # fmt: skip
 _BASE = ("numpy", "scipy", "pyarrow", "h5py", "rosbags", "mujoco", "pyyaml", "typer", "rich", "jinja2", "plotly")

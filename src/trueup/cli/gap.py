@@ -67,7 +67,6 @@ def gap(
     from trueup.measure import parse_bar, refuse_unknown
     from trueup.report import write_report
     from trueup.report.body_units import gap_for_people
-    from trueup.robots import load_robot
     from trueup.stages import explain as attribute
     from trueup.stages import folder
     from trueup.stages import gap as measure
@@ -83,6 +82,7 @@ def gap(
     if out_dir is not None and (out_dir / "gap.json").exists() and not overwrite:
         raise OutputExists(f"{out_dir / 'gap.json'} exists", hint="Give --overwrite, or choose another --out.")
     data = Dataset(dataset)
+    described = options.robot_of(robot, dataset) if robot else None
     refuse_unknown(
         bars, runs=_list(runs) or data.runs, splits=[split] if split else sorted({*data.splits.values()} - {""})
     )
@@ -92,7 +92,7 @@ def gap(
     measurement = measure(
         data,
         runs=_list(runs),
-        robot=load_robot(robot) if robot else None,
+        robot=described,
         split=split,
         drop_flagged=drop_flagged,
         cut_resting=cut_rest,
@@ -118,11 +118,11 @@ def gap(
         measurement.save(out_dir)
         folder.forget_other_ladder(out_dir)
         report = write_report(out_dir)
-    if explain and robot is not None:
+    if explain and described is not None:
         with iterations() as (begin, on_progress):
             begin()
             attribution = attribute(
-                data, load_robot(robot), model=model, config=chosen, seed=seed, jobs=jobs, on_progress=on_progress
+                data, described, model=model, config=chosen, seed=seed, jobs=jobs, on_progress=on_progress
             )
         out.print(attribution_table(attribution))
         for line in attribution.statements:

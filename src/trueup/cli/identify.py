@@ -61,7 +61,6 @@ def identify(
     from trueup.dataset import Dataset
     from trueup.identify import IdentifyConfig
     from trueup.identify.config import SolverChoice
-    from trueup.robots import load_robot
     from trueup.stages import check_setup, refuse_wrong
     from trueup.stages import fit as run
 
@@ -69,7 +68,7 @@ def identify(
     if solver is not None:
         name = build(SolverChoice, {"name": solver}, "--solver").name
         chosen = replace(chosen, solver=replace(chosen.solver, name=name))
-    data, description = Dataset(dataset), load_robot(robot)
+    data, description = Dataset(dataset), options.robot_of(robot, dataset)
     if not force:
         checked = check_setup(data, description, model=model)
         show_findings(checked, only=("certain", "likely"))

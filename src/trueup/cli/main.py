@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import errno
+import os
 import sys
+import traceback
 from collections.abc import Sequence
 from importlib import metadata
 from typing import Annotated, Any
@@ -24,11 +26,15 @@ from trueup.cli import (
     fleet,
     gap,
     identify,
+    info,
+    init,
+    payload,
     policy,
     record,
     replay,
     report,
     selftest,
+    torque,
 )
 from trueup.cli.console import out, problem
 from trueup.core.workers import wait_briefly
@@ -40,15 +46,20 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 for module in (
+    info,
+    init,
     convert,
     record,
     replay,
     gap,
     check,
     identify,
+    payload,
     selftest,
+    torque,
     augment,
     compensate,
     policy,
@@ -66,11 +77,16 @@ for module in (
 
 # Letters of a file's name that are shown.
 _NAME = 200
+# What MuJoCo draws with, which it looks at when it is loaded, if only to compute.
+_WINDOWS = "MUJOCO_GL"
+# What pathlib says of links that lead to themselves, before Python 3.13.
+_LOOP = "Symlink loop"
 _INTERRUPTED = 130  # typer's code for Ctrl-C, too
 # What to do about what the machine refuses.
 _REMEDIES = {
     errno.ENAMETOOLONG: "Give a shorter name.",
     errno.ENOTDIR: "A part of this path is a file and no folder: give another path.",
+    errno.ELOOP: "This path is a link that leads to itself: give another one.",
     errno.EEXIST: "Give another name.",
     errno.ENOENT: "Look whether the path is right.",
     errno.EISDIR: "It is a folder: give a file.",
@@ -115,6 +131,11 @@ def main(argv: Sequence[str] | None = None) -> None:
         code = _INTERRUPTED
     except BrokenPipeError:
         code = 0  # the reader, e.g. head, has seen enough
+    except MemoryError as error:
+        if debug:
+            raise
+        problem(f"this machine has too little memory: got {str(error) or 'no room'}", _REMEDIES[errno.ENOMEM])
+        code = 2
     except OSError as error:
         if debug:
             raise
@@ -132,6 +153,16 @@ def main(argv: Sequence[str] | None = None) -> None:
         if debug:
             raise
         extra = _extra_of(error)
+        if isinstance(error, RuntimeError) and str(error).startswith(_LOOP):
+            problem(f"this machine refuses a path: got {error}", _REMEDIES[errno.ELOOP])
+            raise SystemExit(2) from None
+        if _WINDOWS in str(error) or _is_of_windows(error):
+            said = os.environ.get(_WINDOWS, "")
+            problem(
+                f"MuJoCo cannot be loaded with {_WINDOWS}={said[:_NAME]}: got {error}",
+                f"Unset {_WINDOWS}, or set it to one of egl, osmesa and glfw that is installed here.",
+            )
+            raise SystemExit(2) from None
         if extra is None:
             problem(
                 f"this is a bug in trueup: {type(error).__name__}: {error}",
@@ -165,6 +196,13 @@ def _misused(error: Any) -> int:
     else:
         problem(message, f"{own} lists the options.")
     return 2
+
+
+def _is_of_windows(error: Exception) -> bool:
+    """Whether what MuJoCo draws with cannot be loaded, of which it says nothing itself."""
+    frames = traceback.walk_tb(error.__traceback__)
+    modules = [str(frame.f_globals.get("__name__", "")).partition(".")[0] for frame, _ in frames]
+    return _WINDOWS in os.environ and "OpenGL" in modules
 
 
 def _extra_of(error: Exception) -> str | None:

@@ -5,14 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from trueup.dataset.importers.base import ImportOptions
 from trueup.dataset.importers.detect import FORMATS
 from trueup.errors import ConfigError
 
-Robot = Annotated[str, typer.Option("--robot", help="Name of a shipped robot, or path of a robot.yaml.")]
+if TYPE_CHECKING:
+    from trueup.robots import RobotSpec
+    from trueup.stages import Drafted
+
+Robot = Annotated[
+    str, typer.Option("--robot", help="Name of a shipped robot, path of a robot.yaml, or of an MJCF or URDF.")
+]
+RobotOrModel = Annotated[
+    str | None,
+    typer.Option("--robot", help="As for other commands; may be left out where --model is given."),
+]
 Model = Annotated[
     Path | None,
     typer.Option("--model", exists=True, dir_okay=False, help="MJCF or URDF; else looked for in the dataset's model/."),
@@ -88,6 +99,64 @@ SkipBad = Annotated[bool, typer.Option("--skip-bad", help="Exit with 0 even if s
 _SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}
 
 
+_MODELS = (".xml", ".mjcf", ".urdf")
+
+
+def robot_or_model(robot: str | None, model: Path | None) -> str:
+    """What is known of the robot.
+
+    Raises:
+        ConfigError: nothing.
+    """
+    if robot is None and model is None:
+        raise ConfigError(
+            "nothing says which robot this is",
+            expected="--robot NAME, --robot robot.yaml, or --model arm.urdf",
+            hint="`trueup init MODEL LOGS` writes a robot.yaml.",
+        )
+    return str(model) if robot is None else robot
+
+
+def robot_of(text: str, logs: Path | None = None) -> RobotSpec:
+    """What --robot names; of a model file, the description that `trueup init` would write.
+
+    Args:
+        text: name of a shipped robot, path of a robot.yaml or of a model.
+        logs: of the robot, or a dataset: what they say counts where only a model is given.
+
+    Raises:
+        TrueupError: there is none, or model and logs do not fit together.
+    """
+    from trueup.robots import load_robot
+
+    drafted = drafted_of(text, logs)
+    return load_robot(text) if drafted is None else drafted.robot
+
+
+def drafted_of(
+    text: str, logs: Path | None = None, format: str | None = None, choices: ImportOptions | None = None
+) -> Drafted | None:
+    """What `trueup init` would write for a model and logs, which is said; None for what is no model.
+
+    Args:
+        text: see `robot_of`.
+        logs: see `robot_of`.
+        format: of the logs.
+        choices: how they are read.
+    """
+    from trueup.cli.console import note
+
+    if Path(text).suffix.lower() not in _MODELS:
+        return None
+    from trueup.stages import draft
+
+    drafted = draft(text, logs, format=format, options=choices)
+    for line in drafted.unsure:
+        note(line)
+    note(f"--robot is a model: the robot is described as `trueup init {text}{f' {logs}' if logs else ''}` would do it")
+    return drafted
+
+
 def budget_s(text: str) -> float | None:
     """`90s`, `10m`, `1.5h` in seconds; None for `none`.
 
@@ -139,6 +208,22 @@ def names_among(text: str, known: Sequence[str]) -> list[str]:
         names.append(",".join(parts[:end]).strip())
         parts = parts[end:]
     return [name for name in names if name]
+
+
+def reading(
+    mapping: Path | None, unit: list[str] | None, command_topic: str | None, measured_topic: str | None
+) -> ImportOptions:
+    """How logs are read.
+
+    Raises:
+        ConfigError: a unit is not said as it has to be.
+    """
+    return ImportOptions(
+        mapping=mapping,
+        units=unit_choices(unit),
+        command_topic=command_topic,
+        measured_topic=measured_topic,
+    )
 
 
 def unit_choices(items: list[str] | None) -> dict[str, str]:

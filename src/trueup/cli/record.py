@@ -33,9 +33,11 @@ def record(
     plan: Annotated[
         str,
         typer.Option(
-            "--plan", help="Name of a shipped set, a YAML file that describes motions, or the folder of a plan set."
+            "--plan",
+            help="A shipped set, a YAML that describes motions, the folder of a plan set, or files of joint angles.",
         ),
     ] = "paper",
+    plan_hz: Annotated[float, typer.Option("--plan-hz", help="Rows per second of files of joint angles.")] = 50.0,
     scale: Annotated[float, typer.Option("--scale", help="Share of the motions of each group.")] = 1.0,
     payload_kg: Annotated[
         list[float] | None,
@@ -115,7 +117,7 @@ def record(
     if hardware not in (*HARDWARE, "ros2"):
         raise ConfigError(f"there is no hardware {hardware!r}", available=(*HARDWARE, "ros2"))
     spec = load_robot(robot)
-    plans = plans_named(plan, scale=scale, seed=seed)
+    plans = plans_named(plan, scale=scale, seed=seed, robot=spec, model=model, rate_hz=plan_hz)
     if seed is None:  # a stored plan set says nothing of the days on which it is executed
         seed = 0 if isinstance(plans, PlanSet) else plans.seed
     rigs: list[Rig]

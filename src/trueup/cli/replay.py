@@ -33,12 +33,11 @@ def replay(
 ) -> int:
     """Replay logged commands in a simulator. The answer is stored beside the measurement."""
     from trueup.dataset import Dataset
-    from trueup.robots import load_robot
     from trueup.stages import replay as run
 
     summary = run(
         Dataset(dataset),
-        load_robot(robot),
+        options.robot_of(robot, dataset),
         model=model,
         engine=engine,
         label=label,

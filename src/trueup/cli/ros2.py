@@ -235,6 +235,8 @@ def _show(done: Bridged) -> None:
         f"at most {report.most_waiting} waited",
         markup=False,
     )
+    if report.dropped:
+        warning(f"{report.dropped} messages were not answered: they had waited for too long, and newer ones were there")
     if report.received:
         out.print(_histogram(report))
 

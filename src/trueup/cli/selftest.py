@@ -14,7 +14,6 @@ from trueup.cli import options
 from trueup.cli.console import iterations, note, out, problem, track
 from trueup.core.parameters import split_name
 from trueup.core.selftest_result import SELFTEST_VERDICTS, DrawnNumber, DrawnRobot, SelftestResult
-from trueup.dataset.importers.base import ImportOptions
 from trueup.errors import OutputExists
 
 _STYLE = {"recovered": "", "open": "yellow", "missed": "red"}
@@ -82,12 +81,7 @@ def selftest(
             budget_s=options.budget_s(budget),
             seeds=seeds,
             format=format,
-            options=ImportOptions(
-                mapping=mapping,
-                units=options.unit_choices(unit),
-                command_topic=command_topic,
-                measured_topic=measured_topic,
-            ),
+            options=options.reading(mapping, unit, command_topic, measured_topic),
             seed=seed,
             jobs=jobs,
             track=track,

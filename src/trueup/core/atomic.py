@@ -44,9 +44,11 @@ def replacing(path: Path) -> Iterator[Path]:
     new file is there, and the folder after it, so that it is the new one once the block has ended.
 
     Raises:
-        DataError: the disk is full or not writable.
+        DataError: the disk is full or not writable; it is a folder, or a link to one, whose place the file would take.
     """
     make_folder(path.parent)
+    if path.is_dir():
+        raise DataError(f"cannot write {path}", got="a folder", expected="a name for a file")
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
     except OSError as error:

@@ -146,10 +146,12 @@ class StoreWriter:
             series: name -> series.
 
         Raises:
-            DataError: the id is taken, a series cannot be stored, the disk is full, or the writer is closed.
+            DataError: the id is taken, a series cannot be stored, the disk is full, the folder was moved meanwhile, or
+                the writer is closed.
         """
         if self._closed:
             raise DataError(f"the writer of {self.spec.folder} is closed")
+        self._lock.refuse_moved()
         if row["id"] in self._ids:
             raise DataError(f"episode {row['id']!r} is there already", hint="ids are unique; skip those in `.ids`")
         layouts = {name: layout_of(values) for name, values in series.items()}
@@ -188,10 +190,12 @@ class StoreWriter:
         """Move what is in the journal into shards and the index.
 
         Raises:
-            DataError: the disk is full or not writable; the journal still has everything.
+            DataError: the disk is full or not writable, or the folder was moved; the journal still has everything.
         """
+        self._lock.refuse_moved()
         if self._pending:
             self._settle()
+            self._lock.refuse_moved()
             self._journal.remove()
 
     def _settle(self) -> None:

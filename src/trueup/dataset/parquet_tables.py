@@ -14,12 +14,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from trueup.core import unpacking
 from trueup.dataset.parquet_pages import pages
 from trueup.dataset.shards import refuse_values, row_groups
 from trueup.errors import DataError
 
 _FEW_ROWS = 100_000
-_FEW_BYTES = 256 << 20
 _BYTES_PER_BYTE = 200
 
 
@@ -87,7 +87,7 @@ def _is_of(path: str, columns: Collection[str]) -> bool:
 
 
 def _refuse_bytes(path: Path, unpacked: int, size: int) -> None:
-    if unpacked > max(_FEW_BYTES, _BYTES_PER_BYTE * size):
+    if unpacked > max(unpacking.FEW_BYTES, _BYTES_PER_BYTE * size):
         raise DataError(f"{path} claims more than a file of its size can hold", got=f"{unpacked} bytes")
 
 

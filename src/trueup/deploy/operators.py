@@ -5,7 +5,8 @@ and attributes. What is no such message to the letter is refused: nothing means 
 
 Operators are those of a list, not all but those of another list: each version of onnxruntime brings some that run a
 graph of their own (beam search, say), and what is not known can be bounded by nobody. None of these calls a graph, and
-how large their results are follows from the shapes of the inputs alone: so what `trial` finds out once stays true.
+how large their results are follows from the shapes of the inputs alone, or is no more than an input was cut to: so what
+`trial` finds out once bounds all that follows.
 
 Tensors are within the graph. Of one that says that its numbers are in another file, or at an address in memory, which
 onnxruntime knows, too, it depends on onnxruntime's version what is read: here, none is.
@@ -21,6 +22,21 @@ from trueup.errors import DataError
 
 # Results that grow with numbers, not with shapes only, and from which input on the numbers are.
 SIZED = {"ConstantOfShape": 0, "Expand": 1, "OneHot": 1, "Pad": 1, "Range": 0, "Tile": 1}
+# Results whose size is within that of an input, but follows from numbers, from which input on.
+_CUT = {
+    "NonZero": 0,
+    "Compress": 1,
+    "Reshape": 1,
+    "Slice": 1,
+    "Split": 1,
+    "Squeeze": 1,
+    "TopK": 1,
+    "Unsqueeze": 1,
+    **dict.fromkeys(
+        ("ReduceL1", "ReduceL2", "ReduceLogSum", "ReduceLogSumExp", "ReduceMax", "ReduceMean", "ReduceMin"), 1
+    ),
+    **dict.fromkeys(("ReduceProd", "ReduceSum", "ReduceSumSquare"), 1),
+}
 _NAMES = """
     Abs Acos Acosh Add And ArgMax ArgMin Asin Asinh Atan Atanh Attention AveragePool BatchNormalization BitShift
     BitwiseAnd BitwiseNot BitwiseOr BitwiseXor Cast CastLike Ceil Celu Clip Compress Concat Constant Conv ConvInteger
@@ -104,19 +120,24 @@ def check_operators(data: bytes, where: str) -> None:
 
 
 def _check_sizes(parts: _Parts, where: str) -> None:
-    """No result is as large as a number that depends on what comes in."""
+    """No result is as large as a number that depends on what comes in, nor as the shape of one that was cut by it."""
     known = {"", *parts.constants}
+    loose: set[str] = set()  # values whose shapes follow from numbers that come in
     for node in parts.nodes:  # in an order in which each can be computed, or onnxruntime refuses them
         if not (known - {""}).isdisjoint(node.outputs):
             raise DataError(f"onnxruntime cannot run {where}", got=f"two values named {node.outputs}")
-        first = SIZED.get(node.operator)
+        first, cut = SIZED.get(node.operator), _CUT.get(node.operator)
         if first is not None and not known.issuperset(node.inputs[first:]):
             raise DataError(
                 f"{where} is not run: {node.operator} makes something as large as its input says",
                 got=[name for name in node.inputs[first:] if name not in known],
                 expected="sizes from constants and shapes",
             )
-        if node.operator in ("Shape", "Size") or known.issuperset(node.inputs):
+        if known.issuperset(node.inputs):
+            known.update(node.outputs)
+        elif not loose.isdisjoint(node.inputs) or (cut is not None and not known.issuperset(node.inputs[cut:])):
+            loose.update(node.outputs)
+        elif node.operator in ("Shape", "Size"):
             known.update(node.outputs)
 
 

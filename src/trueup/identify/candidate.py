@@ -124,6 +124,7 @@ class Nominal:
         path: MJCF or URDF.
         hard_friction: let the constraint solver hold dry friction as if it were rigid. MuJoCo's default is soft: a
             joint creeps under a load that it should hold, and standing errors disappear that a robot has.
+        payload_at: body or site that carries what a fit hangs on; the site `payload`, or the last body, if empty.
 
     Attributes:
         robot: the description, with controller kind `model`.
@@ -133,10 +134,11 @@ class Nominal:
         hard_friction: as given.
     """
 
-    def __init__(self, robot: RobotSpec, path: Path, *, hard_friction: bool = True) -> None:
+    def __init__(self, robot: RobotSpec, path: Path, *, hard_friction: bool = True, payload_at: str = "") -> None:
         self.path = path
         self.given = robot
         self.hard_friction = hard_friction
+        self.payload_at = payload_at
         self.spec = load_spec(path, shapes=robot.simulation.contacts)
         name_bodies(self.spec)
         self.simulator = MujocoSimulator.from_spec(self.spec, robot, origin=path)
@@ -251,15 +253,32 @@ class Nominal:
     @property
     def _payload_site(self) -> int:
         """The site that says where a payload hangs; -1 without."""
-        return int(mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, "payload"))
+        name = self.payload_at or "payload"
+        if name in self.bodies:
+            return -1
+        return int(mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SITE, name))
 
     @cached_property
     def payload_place(self) -> tuple[str, tuple[float, float, float]]:
-        """Body that carries the payload and where in its frame: the site `payload`, or the last body's origin."""
+        """Body that carries the payload and where in its frame: the site `payload`, or the last body's origin.
+
+        Raises:
+            ConfigError: no body moves, or nothing that moves has the name that was given.
+        """
         model, site = self.model, self._payload_site
-        if site >= 0:
+        if self.payload_at in self.bodies:
+            return self.payload_at, (0.0, 0.0, 0.0)
+        body = model.body(int(model.site_bodyid[site])).name if site >= 0 else ""
+        if site >= 0 and (not self.payload_at or body in self.bodies):
             x, y, z = map(float, model.site_pos[site])
-            return model.body(int(model.site_bodyid[site])).name, (x, y, z)
+            return body, (x, y, z)
+        if self.payload_at:
+            sites = [model.site(number).name for number in range(model.nsite)]
+            raise ConfigError(
+                f"{self.path}: nothing that moves can carry a payload at {self.payload_at!r}",
+                expected="a body or site of the model that moves with a joint of the robot",
+                available=[*self.bodies, *(name for name in sites if name and not name.startswith("trueup."))],
+            )
         if not self.bodies:
             raise ConfigError(f"{self.path}: no body moves, so nothing can carry a payload")
         return self.bodies[-1], (0.0, 0.0, 0.0)

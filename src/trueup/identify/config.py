@@ -8,7 +8,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
 
-from trueup.core.config import build, read_yaml
+from trueup.core.config import as_number, build, read_yaml
 from trueup.core.parameters import Parameter, ParameterSet
 from trueup.errors import ConfigError
 from trueup.identify.candidate import Nominal
@@ -282,12 +282,9 @@ def _chosen(kind: Quantity, choice: Any, nominal: Nominal, motions: Sequence[str
 
 
 def _number(kind: Quantity, key: str, value: Any) -> float:
+    value = as_number(value) if isinstance(value, str) else value
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ConfigError(
-            f"fit: {kind.name}: {key} must be a number",
-            got=repr(value),
-            hint="YAML reads 1e-3 as text; write 1.0e-3." if isinstance(value, str) else None,
-        )
+        raise ConfigError(f"fit: {kind.name}: {key} must be a number", got=repr(value))
     return float(value)
 
 

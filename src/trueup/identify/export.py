@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from trueup.identify.uncertainty import rounded
 from trueup.robots import JointFriction, JointGains, RobotSpec, load_robot
 from trueup.robots.extent import folders_of
 from trueup.robots.model import compile_spec, state_files
+from trueup.robots.written import robot_yaml
 from trueup.sim import MujocoSimulator, friction_of
 
 MODEL_FILE = "model.fitted.xml"
@@ -190,22 +190,6 @@ def fitted_robot(candidate: Candidate) -> RobotSpec:
     )
 
 
-def robot_yaml(robot: RobotSpec) -> str:
-    """A robot description as YAML, without what is default anyway."""
-    plain = _without_defaults(robot.to_dict(), RobotSpec(robot.name, robot.joints, robot.model).to_dict())
-    joints = [{key: value for key, value in joint.items() if _worth(key, value)} for joint in robot.to_dict()["joints"]]
-    controller = {"kind": robot.controller.kind, "command": robot.controller.signal, **plain.pop("controller", {})}
-    tree = {
-        "schema": robot.schema,
-        "name": robot.name,
-        "model": robot.model,
-        "joints": joints,
-        "controller": controller,
-    }
-    tree |= plain
-    return yaml.safe_dump(_lists(tree), sort_keys=False, allow_unicode=True)
-
-
 def isaac_yaml(candidate: Candidate) -> str:
     """Actuator settings in the names of Isaac Lab: stiffness, damping, armature, friction, effort limits.
 
@@ -255,34 +239,3 @@ def save_samples(found: Identification, path: Path, *, seed: int) -> None:
     drawn = found.posterior.draw(_SAMPLES, np.random.default_rng(seed))
     with replacing(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **drawn)
-
-
-def _without_defaults(tree: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
-    kept = {}
-    for key, value in tree.items():
-        if key in ("joints", "schema", "name", "model") or value == defaults.get(key):
-            continue
-        if isinstance(value, Mapping) and isinstance(defaults.get(key), Mapping) and defaults[key]:
-            value = _without_defaults(value, defaults[key])
-        elif isinstance(value, Mapping):
-            value = {name: _without_none(own) for name, own in value.items()}
-        kept[key] = value
-    return kept
-
-
-def _without_none(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: own for key, own in value.items() if own is not None}
-    return value
-
-
-def _worth(key: str, value: Any) -> bool:
-    plain = {"log": "", "sign": 1, "scale": 1.0, "offset": 0.0}
-    return value is not None and not (key in plain and value == plain[key])
-
-
-def _lists(tree: Any) -> Any:
-    """Tuples as lists: YAML's safe dumper knows no tuples."""
-    if isinstance(tree, Mapping):
-        return {str(key): _lists(value) for key, value in tree.items()}
-    return [_lists(value) for value in tree] if isinstance(tree, list | tuple) else tree

@@ -86,7 +86,7 @@ class Knowledge:
         config = _config_of(fit, nominal)
         parameters = ParameterSet(
             (
-                *(_parameter(item) for item in fit.parameters),
+                *(parameter_of(item) for item in fit.parameters),
                 *make_parameters(_of_recordings(config), nominal, (PLANNED,)),
             )
         )
@@ -152,7 +152,8 @@ def _of_recordings(config: IdentifyConfig) -> dict[str, Any]:
     return {name: choice for name, choice in config.fit.items() if quantity(name).of == "motion"}
 
 
-def _parameter(item: FittedParameter) -> Parameter:
+def parameter_of(item: FittedParameter) -> Parameter:
+    """What was fitted, as a parameter that starts at its fitted value, without a prior."""
     value = item.value if item.frozen else min(max(item.value, item.low), item.high)
     return Parameter(
         name=item.name,
@@ -180,7 +181,7 @@ def _precision(fit: FitResult) -> Float64[np.ndarray, "P P"]:
 
 def _std(item: FittedParameter) -> float:
     """Standard deviation in z; of an interval that ends on a bound, from its other half."""
-    parameter = _parameter(item)
+    parameter = parameter_of(item)
     low, high = (
         parameter.to_z(max(end, 1e-300)) if item.transform == "log" else parameter.to_z(end) for end in item.interval
     )

@@ -236,6 +236,7 @@ def posterior_of(
     z: Float64[np.ndarray, "P"],
     residual: Float64[np.ndarray, "N"],
     jacobian: Float64[np.ndarray, "P N"],
+    precision: Float64[np.ndarray, "P P"] | None = None,
 ) -> Posterior:
     """Covariance of a least-squares estimate whose residuals differ in size and have a memory.
 
@@ -244,9 +245,16 @@ def posterior_of(
     with the memory of the residuals in place of their neighbours' products. That takes them for alike wherever they
     are. What a model lacks is not: it comes where a parameter shows, too. D, diagonal and no less than one, makes each
     number no more certain than the pieces of the motions agree about it (`_disagreement`).
+
+    Args:
+        problem: that was solved.
+        z: best estimate, (P,).
+        residual: there, (N,).
+        jacobian: there, (P, N).
+        precision: of what was known before, in z, (P, P); that of the parameters' priors if None.
     """
     noise = noise_of(problem, residual)
-    precision = precision_of(problem.parameters)
+    precision = precision_of(problem.parameters) if precision is None else precision
     weight = noise.weight
     data = jacobian @ jacobian.T
     bread = data + weight * precision

@@ -80,22 +80,24 @@ _MOTIONS = (
 )
 
 
-def record_demo(*, seed: int = 0, hardware: DemoHardware | None = None) -> Iterator[Episode]:
+def record_demo(*, seed: int = 0, hardware: DemoHardware | None = None, loads: bool = True) -> Iterator[Episode]:
     """Twelve motions of the demo arm's hardware: 10 s each at 100 Hz, at rest at both ends.
 
     Args:
         seed: of the motions and the sensor noise.
         hardware: what differs from the model; the default if None.
+        loads: whether some motions carry something that the model does not know.
 
     Yields:
         Episodes with `command` (position) and `measured` (position, velocity, torque); 6 train, 2 val, 4 test,
-        payloads 0 and 0.4 kg.
+        payloads 0 and, with `loads`, 0.4 kg.
     """
     hardware = hardware or DemoHardware()
     robot = load_robot("demo_arm")
     settings = ReplaySettings(delay_s=hardware.delay_s)
     simulators = {payload: hardware.simulator(robot, payload_kg=payload) for payload in (0.0, 0.4)}
-    for index, (name, split, payload_kg) in enumerate(_MOTIONS):
+    for index, (name, split, carried_kg) in enumerate(_MOTIONS):
+        payload_kg = carried_kg if loads else 0.0
         rng = np.random.default_rng([seed, index])
         time_s = np.arange(round(-_SETTLE_S * _RATE_HZ), round(_MOTION_S * _RATE_HZ) + 1) / _RATE_HZ
         command = TimeSeries(

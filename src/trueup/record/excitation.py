@@ -119,8 +119,9 @@ def design_excitation(
     if not search.executable:
         raise NoPlan(
             "something is in the way of every motion that was tried",
-            got=f"{evaluations} motions",
-            hint="Move fewer joints, or correct the workspace.",
+            got=f"{evaluations} motions"
+            + ("" if scene.free(scene.home) else f"; at home, {scene.touching(scene.home)}"),
+            hint="Move fewer joints, or say with --workspace what stands around the robot.",
         )
     if not np.isfinite(best.log_det):
         raise NotIdentifiable(
@@ -238,3 +239,7 @@ def _log_det(matrix: Float64[np.ndarray, "..."]) -> float:
     if values[0] <= len(values) * np.finfo(float).eps * values[-1]:
         return float("-inf")
     return float(np.log(values).sum())
+
+
+def _at_home(scene: Scene) -> str:
+    return "" if scene.free(scene.home) else f"; at home, {scene.touching(scene.home)} touch"

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 _HORIZON_M = 0.10
 # Along an edge, contact is never looked for more finely than this [m].
 _LEAST_STEP_M = 1e-3
+# At home, links may overlap by so much, and stand so deep in the floor; and so many joints apart are neighbours.
+_OVERLAP_M, _STANDS_M, _NEIGHBOURS = 0.01, 0.005, 2
 # Names of the geoms that the workspace adds begin so.
 _WORKSPACE = "workspace/"
 
@@ -99,8 +101,8 @@ class Scene:
             self._rest_pose = self._model.qpos0.copy()
             self.home = (self.limits.low + self.limits.high) / 2
         self._data.qpos[:] = self._rest_pose
-        self._joined: frozenset[tuple[int, int]] = frozenset()
-        self._joined = self._joined_geoms()
+        self._at_rest: frozenset[tuple[int, int]] = frozenset()
+        self._at_rest = self._touching_at_rest()
         self.site = _site(self._model, site, path)
 
     @property
@@ -131,29 +133,45 @@ class Scene:
         self._place(position)
         contact = self._data.contact
         distances, pairs = contact.dist, contact.geom
-        if self._joined and distances.size:
-            counted = [tuple(sorted(pair)) not in self._joined for pair in pairs.tolist()]
+        if self._at_rest and distances.size:
+            counted = [tuple(sorted(pair)) not in self._at_rest for pair in pairs.tolist()]
             distances, pairs = distances[counted], pairs[counted]
         return distances, pairs
 
-    def _joined_geoms(self) -> frozenset[tuple[int, int]]:
-        """Pairs of geoms that touch because a joint holds them together: a first link in the base that carries it.
+    def _touching_at_rest(self) -> frozenset[tuple[int, int]]:
+        """Pairs of geoms that are near each other at home because they are made so.
 
-        MuJoCo leaves out what a link and its parent do to each other, but not where the parent is fixed to the world.
+        These are a first link and the base that carries it, which MuJoCo leaves out where the base moves only; other
+        links at most two joints apart; neighbours that overlap a little, such as fingers; and what stands on the floor.
         """
         model = self._model
         distances, pairs = self._near(self.home)
         found = set()
         for distance, (one, other) in zip(distances, np.sort(pairs, axis=1).tolist(), strict=True):
-            bodies = [int(model.geom_bodyid[geom]) for geom in (one, other)]
-            fixed = [body for body in bodies if model.body_weldid[body] == 0]
-            moving = [body for body in bodies if model.body_weldid[body] != 0]
-            placed = any(model.geom(geom).name.startswith(_WORKSPACE) for geom in (one, other))
-            if fixed and moving and not placed and distance <= self.clearance_m:
-                root = int(model.body_weldid[moving[0]])
-                if model.body_weldid[model.body_parentid[root]] == 0:
-                    found.add((one, other))
+            if distance > self.clearance_m:
+                continue
+            bodies = [int(model.body_weldid[model.geom_bodyid[geom]]) for geom in (one, other)]
+            if any(self._is_placed(geom) for geom in (one, other)):
+                made = distance > -_STANDS_M
+            else:
+                made = distance > -_OVERLAP_M or _joints_between(model, *bodies) <= _NEIGHBOURS
+            if made:
+                found.add((one, other))
         return frozenset(found)
+
+    def _is_placed(self, geom: int) -> bool:
+        return str(self._model.geom(geom).name).startswith(_WORKSPACE)
+
+    @property
+    def in_workspace(self) -> str:
+        """What of the robot is in the floor or a box at home, and what it is in; empty if nothing is."""
+        distances, pairs = self._near(self.home)
+        inside = [
+            (float(distance), pair)
+            for distance, pair in zip(distances, pairs.tolist(), strict=True)
+            if distance <= 0.0 and any(map(self._is_placed, pair))
+        ]
+        return " and ".join(map(self._thing, min(inside)[1])) if inside else ""
 
     def distance_m(self, position: Float[np.ndarray, "J"]) -> float:
         """The smallest distance between things that must not touch [m], negative in contact.
@@ -286,6 +304,20 @@ def _furnish(spec: mujoco.MjSpec, workspace: Workspace) -> None:
         geom.size, geom.pos = [length / 2 for length in box.size_m], list(box.center_m)
         geom.quat = [np.cos(box.yaw_rad / 2), 0.0, 0.0, np.sin(box.yaw_rad / 2)]
         geom.contype = geom.conaffinity = 1
+
+
+def _joints_between(model: mujoco.MjModel, one: int, other: int) -> int:
+    """Moving bodies on the way from one body to another through the tree."""
+
+    def above(body: int) -> list[int]:
+        chain = [int(model.body_weldid[body])]
+        while chain[-1]:
+            chain.append(int(model.body_weldid[model.body_parentid[chain[-1]]]))
+        return chain
+
+    chains = above(one), above(other)
+    shared = set(chains[0]) & set(chains[1])
+    return sum(body not in shared for chain in chains for body in chain)
 
 
 def _reach(model: mujoco.MjModel, joint: int) -> float:

@@ -209,10 +209,27 @@ def _is_xacro(name: str, value: str) -> bool:
 
 
 def _first(*paths: Path) -> Path | None:
-    """That is a file; MuJoCo looks for them in this order."""
+    """That is a file; MuJoCo looks for them in this order.
+
+    Raises:
+        ConfigError: one is a pipe, for which MuJoCo would wait, or a device.
+    """
     with contextlib.suppress(OSError):  # a name that no file can have
-        return next((path for path in paths if path.is_file()), None)
+        for path in paths:
+            refuse_pipe(path)
+            if path.is_file():
+                return path
     return None
+
+
+def refuse_pipe(path: Path) -> None:
+    """Refuse what is there and neither a file nor a folder: whoever opens it waits, or never comes to its end.
+
+    Raises:
+        ConfigError: it is a pipe, a socket or a device.
+    """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise ConfigError(f"{path} cannot be read", got="a pipe or a device", expected="a file")
 
 
 def _alone(tag: str, said: Mapping[str, str]) -> _Extent:

@@ -15,6 +15,7 @@ from trueup.core.atomic import is_inside, where_missing
 from trueup.core.config import build, read_yaml
 from trueup.errors import ConfigError
 from trueup.robots.friction import JointFriction
+from trueup.robots.known import GRIPPERS, NAMESAKES, where_model_is
 
 ControllerKind = Literal["model", "position", "pd", "pid", "servo", "torque", "velocity", "velocity-integrator"]
 CommandSignal = Literal["position", "velocity", "torque"]
@@ -30,6 +31,10 @@ COMMAND_SIGNAL: Mapping[str, CommandSignal] = {
     "velocity": "velocity",
     "velocity-integrator": "velocity",
 }
+
+
+# No robot waits longer for its motion, and no command arrives later [s].
+_LONGEST_S = 3600.0
 
 
 @dataclass(frozen=True)
@@ -93,6 +98,8 @@ class JointSpec:
             gripper in 0..1 of its range.
         position_limits: range [rad or m] that the quality checks hold the log against; not checked if absent.
         torque_limit: largest torque [Nm or N]; limits the controller and the quality checks.
+        torque_constant_nm_a: torque of the joint per current of its motor, gear included [Nm/A, of a slide N/A]; that
+            of `motor` if absent.
         command: what differs in the logs' commands of this joint.
     """
 
@@ -105,6 +112,14 @@ class JointSpec:
     position_limits: tuple[float, float] | None = None
     torque_limit: float | None = None
     command: CommandSpec | None = None
+    torque_constant_nm_a: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a motor that does nothing."""
+        if self.torque_constant_nm_a is not None and not 0 < self.torque_constant_nm_a < float("inf"):
+            raise ConfigError(
+                f"torque_constant_nm_a of joint {self.name!r}", got=self.torque_constant_nm_a, expected="above 0"
+            )
 
 
 @dataclass(frozen=True)
@@ -488,14 +503,15 @@ class RobotSpec:
                     expected=f"{needed} > 0, none negative" if needed else "none negative",
                 )
         delays = np.append(self.delay_s, self.controller.delay_s)
-        if not np.all((delays >= 0) & np.isfinite(delays)):
-            raise ConfigError(f"robot {self.name!r}: delay_s must be >= 0", got=delays.tolist())
+        if not np.all((delays >= 0) & (delays <= _LONGEST_S)):
+            got = ", ".join(f"{delay:g}" for delay in delays)
+            raise ConfigError(f"robot {self.name!r}: delay_s must be >= 0", got=got, expected=f"0 to {_LONGEST_S:g} s")
         for label, value in (("timestep_s", self.simulation.timestep_s), ("window_s", self.replay.window_s)):
-            if value is not None and value <= 0:
+            if value is not None and not 0 < value < np.inf:
                 raise ConfigError(f"robot {self.name!r}: {label} must be positive", got=value)
         for label, value in (("settle_s", self.replay.settle_s), ("command_shift_s", self.replay.command_shift_s)):
-            if not 0 <= value < np.inf:
-                raise ConfigError(f"robot {self.name!r}: {label} must be >= 0", got=value)
+            if not 0 <= value <= _LONGEST_S:
+                raise ConfigError(f"robot {self.name!r}: {label}", got=f"{value:g}", expected=f"0 to {_LONGEST_S:g} s")
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -516,6 +532,11 @@ class RobotSpec:
     def scored_joints(self) -> tuple[str, ...]:
         """The joints that enter the mean."""
         return self.scored or self.joint_names
+
+    def torque_constant_nm_a(self, joint: str) -> float | None:
+        """Torque of a joint per current of its motor [Nm/A or N/A]; None where nobody says."""
+        own = next(item.torque_constant_nm_a for item in self.joints if item.name == joint)
+        return own if own is not None or self.motor is None else self.motor.torque_constant_nm_a
 
     def carried_kg(self, payload_kg: float | None) -> float:
         """What of a log's payload simulations carry [kg]: none where nobody has said where it hangs."""
@@ -562,6 +583,8 @@ class RobotSpec:
         if self.clock == ClockSpec():
             del tree["clock"]
         for joint in tree["joints"]:
+            if joint["torque_constant_nm_a"] is None:
+                del joint["torque_constant_nm_a"]
             if joint["command"] is None:
                 del joint["command"]
             else:
@@ -577,16 +600,30 @@ def load_robot(name_or_path: str | Path) -> RobotSpec:
     """
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
-        shipped = {file.stem: file for file in shipped_robots()}
-        if str(name_or_path) not in shipped:
-            raise ConfigError(
-                f"{str(name_or_path)!r} is no shipped robot and no .yaml file",
-                available=sorted(shipped),
-                hint="Give one of these names, or the path of a robot.yaml, which names the model (docs/robots.md).",
-            )
-        path = shipped[str(name_or_path)]
+        return _shipped(str(name_or_path))
     spec = build(RobotSpec, read_yaml(path), str(path))
     return replace(spec, folder=path.parent.resolve())
+
+
+def _shipped(name: str) -> RobotSpec:
+    files = {file.stem: file for file in shipped_robots()}
+    if name in files:
+        return load_robot(files[name])
+    if name not in NAMESAKES:
+        raise ConfigError(
+            f"{name!r} is no shipped robot and no .yaml file",
+            available=sorted((*files, *NAMESAKES)),
+            hint="Give one of these names, or the path of a robot.yaml, which names the model (docs/robots.md).",
+        )
+    other = NAMESAKES[name]
+    spec = load_robot(files[other.description])
+    joints = spec.joints
+    if other.degrees:
+        joints = tuple(
+            joint if (joint.log or joint.name) in GRIPPERS else replace(joint, log_unit="deg", scale=1.0)
+            for joint in joints
+        )
+    return replace(spec, name=name, model=other.model or spec.model, joints=joints)
 
 
 def shipped_robots() -> list[Path]:
@@ -620,5 +657,6 @@ def find_model(spec: RobotSpec, *, given: Path | None = None, folder: Path | Non
     raise ConfigError(
         f"the model {spec.model!r} of robot {spec.name!r} was not found in {', '.join(map(str, folders))}",
         hint="Give its path with --model"
-        + ("." if folder is None else ", or put it into the folder `model/` of the dataset."),
+        + ("." if folder is None else ", or put it into the folder `model/` of the dataset.")
+        + (f"\n{known}" if (known := where_model_is(spec.model)) else ""),
     )

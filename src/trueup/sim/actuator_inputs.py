@@ -83,6 +83,11 @@ def inputs_of(
     )
 
 
+def followed_signals(actuator: mujoco.MjsActuator) -> tuple[CommandSignal, ...]:
+    """The commands that an actuator follows as far as anybody can tell, the likeliest first."""
+    return tuple(_kind(actuator, measured=False).inputs)
+
+
 def pid_instance(spec: mujoco.MjSpec, actuator: str) -> mujoco.MjsPlugin | None:
     """The named instance of MuJoCo's PID plugin behind an actuator; None if there is none."""
     # The handle that an actuator holds knows no more than the name: reading its numbers crashes MuJoCo 3.

@@ -22,6 +22,9 @@ from trueup.sim.payload import PREFIX, attach_payload
 # A motion beyond this has diverged [rad, m, rad/s or m/s]; MuJoCo itself gives up at accelerations of 1e10.
 ABSURD = 1e6
 
+# No motion of a robot is simulated in steps like these: what comes out is a straight line, without a word.
+_LONGEST_STEP_S = 1.0
+
 
 class CompiledRobot:
     """The base of simulators: the same model, channels and limits, whichever engine steps it.
@@ -180,6 +183,13 @@ def compile_robot(
     _set_options(spec, robot.simulation)
     holding = Holding() if moves else Holding.of(spec, robot, origin=origin)
     model = compile_spec(holding.applied(spec), origin)
+    if not 0.0 < model.opt.timestep <= _LONGEST_STEP_S:
+        raise ConfigError(
+            f"{origin}: the time step makes no simulation",
+            got=f"{model.opt.timestep} s",
+            expected=f"above 0, and at most {_LONGEST_STEP_S:g} s",
+            hint="Mend <option timestep> of the model, or state simulation: {timestep_s: 0.002} in robot.yaml.",
+        )
     if setup.kp_factor != 1.0:
         scale_kp(spec, channels, setup.kp_factor, model=model)
         model = compile_spec(holding.applied(spec), origin)

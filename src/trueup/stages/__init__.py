@@ -8,6 +8,7 @@ from trueup.stages.compensated_replaying import compensated_replay
 from trueup.stages.compensating import Compensated, Prepared, compensate, prepare
 from trueup.stages.demonstrating import demo, demo_dataset
 from trueup.stages.designing import Designed, Foreseen, design
+from trueup.stages.drafting import Drafted, draft, keep_draft
 from trueup.stages.evaluating import Evaluated, evaluate
 from trueup.stages.experimenting import experiment
 from trueup.stages.exporting import export_dataset
@@ -21,6 +22,8 @@ from trueup.stages.rigs import CompensatedRig, EngineRig, LabRig, make_rig
 from trueup.stages.selftesting import selftest
 from trueup.stages.sweeping import sweep
 from trueup.stages.timing import time_steps
+from trueup.stages.torques import Explained, torque
+from trueup.stages.weighing import payload
 
 __all__ = [
     "FITTED",
@@ -30,8 +33,10 @@ __all__ = [
     "Compensated",
     "CompensatedRig",
     "Designed",
+    "Drafted",
     "EngineRig",
     "Evaluated",
+    "Explained",
     "Foreseen",
     "Identified",
     "ImportSummary",
@@ -49,6 +54,7 @@ __all__ = [
     "demo",
     "demo_dataset",
     "design",
+    "draft",
     "evaluate",
     "experiment",
     "explain",
@@ -56,7 +62,9 @@ __all__ = [
     "fit",
     "gap",
     "import_logs",
+    "keep_draft",
     "make_rig",
+    "payload",
     "plan_import",
     "plans_named",
     "prepare",
@@ -67,4 +75,5 @@ __all__ = [
     "selftest",
     "sweep",
     "time_steps",
+    "torque",
 ]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,14 +14,8 @@ from trueup.errors import TrueupError
 from trueup.measure import executed_of
 from trueup.stages.comparing import Frame
 
-if TYPE_CHECKING:
-    from trueup.identify.regression import GrayboxSettings
-
 # Rows that are held at once take some 800 bytes for ten joints; of a longer dataset every n-th motion is used.
 _MOST_SAMPLES = 400_000
-_MOST_FOR_DELAY = 12
-_COARSE_S = (0.0, 0.01, 0.02, 0.03, 0.04)
-_FINE_S = (0.005, 0.0025)
 _NEEDED = "It needs measured torque and position, and the commanded position, of whole motions."
 
 
@@ -40,18 +33,18 @@ def blocks_of(dataset: Dataset, names: Sequence[str], frame: Frame) -> tuple[Gra
     Returns:
         The result and an empty text, or None and a sentence that says why there is none and what it needs.
     """
-    from trueup.identify.regression import GrayboxSettings, fit_graybox
+    from trueup.identify.regression import GrayboxSettings, best_delay, fit_graybox, spread
 
     metas = {meta.id: meta for meta in dataset.metas}
-    chosen = _thinned(dataset, [metas[name] for name in names])
+    chosen = thinned(dataset, [metas[name] for name in names])
     refused: dict[str, str] = {}
     limits = frame.torque_limits or {}
     settings = GrayboxSettings(torque_limits=limits)
     try:
-        few = list(_episodes(dataset, _spread(chosen), frame, refused))
+        few = list(_episodes(dataset, spread(chosen), frame, refused))
         if not few:
             return None, f"Torque was not taken apart: {next(iter(refused.values()), 'no motion is left')}. {_NEEDED}"
-        settings = replace(settings, delay_s=_delay(few, frame, settings))
+        settings = replace(settings, delay_s=best_delay(few, settings, joints=frame.scored))
         result = fit_graybox(_episodes(dataset, chosen, frame, refused), settings=settings, joints=frame.scored)
     except TrueupError as error:
         return None, f"Torque was not taken apart: {error.what}. {_NEEDED}"
@@ -68,16 +61,12 @@ def blocks_of(dataset: Dataset, names: Sequence[str], frame: Frame) -> tuple[Gra
     return replace(result, notes=tuple(notes)), ""
 
 
-def _thinned(dataset: Dataset, metas: Sequence[EpisodeMeta]) -> list[str]:
+def thinned(dataset: Dataset, metas: Sequence[EpisodeMeta]) -> list[str]:
     """Every n-th executed motion with all its repetitions, so that the samples can be held at once."""
     samples = dict(zip(dataset.ids, dataset.index.column("measured_samples").to_pylist(), strict=True))
     total = sum(samples[meta.id] for meta in metas)
     every = max(1, -(-total // _MOST_SAMPLES))
     return [meta.id for meta, motion in zip(metas, executed_of(metas), strict=True) if motion % every == 0]
-
-
-def _spread(names: Sequence[str]) -> Sequence[str]:
-    return names[:: max(1, len(names) // _MOST_FOR_DELAY)]
 
 
 def _episodes(dataset: Dataset, names: Sequence[str], frame: Frame, refused: dict[str, str]) -> Iterator[Episode]:
@@ -97,27 +86,3 @@ def _episodes(dataset: Dataset, names: Sequence[str], frame: Frame, refused: dic
             refused[name] = "no position was commanded"
         else:
             yield episode
-
-
-def _delay(episodes: Sequence[Episode], frame: Frame, settings: GrayboxSettings) -> float:
-    """The delay of the command [s] with the least error of the servo on the motions that are fitted.
-
-    Beside friction, viscous terms can stand for a delay, so that every delay would do.
-    """
-    from trueup.identify.regression import fit_graybox
-
-    errors: dict[float, float] = {}
-
-    def error(delay_s: float) -> float:
-        delay_s = round(max(delay_s, 0.0), 6)
-        if delay_s not in errors:
-            chosen = replace(settings, delay_s=delay_s, blocks=("pd",))
-            total = fit_graybox(episodes, settings=chosen, joints=frame.scored).total
-            last = [block for block in total if not block.left_out]
-            errors[delay_s] = last[-1].splits["train"].rmse.value if last else np.inf
-        return errors[delay_s]
-
-    best = min(_COARSE_S, key=error)
-    for step in _FINE_S:
-        best = min((best, best - step, best + step), key=error)
-    return round(max(best, 0.0), 6)

@@ -126,7 +126,7 @@ def compensated_replay(
     if not done:
         name, first = next(iter(failed.items()))
         raise DataError(f"no episode could be replayed, {name!r} because: {first.summary}", hint=first.hint)
-    return ReplaySummary(label, done, 0, failed, time.perf_counter() - began, held_notes=held)
+    return ReplaySummary(label, done, 0, failed, time.perf_counter() - began, model_notes=held)
 
 
 def _simulated(

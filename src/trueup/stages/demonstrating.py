@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from trueup.core.close_result import STEPS, StepName
+from trueup.core.interpolation import columns_at
 from trueup.core.provenance import provenance
 from trueup.core.sole_writer import writes_alone
 from trueup.core.time_limit import TimeLimit
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter, is_dataset
 from trueup.errors import ConfigError, OutputExists
-from trueup.robots import load_robot
+from trueup.robots import RobotSpec, find_model, load_robot
 from trueup.stages.close_folder import CloseFolder, may_begin
 from trueup.stages.close_steps import Closed, Watch
+from trueup.stages.close_words import shares
 from trueup.stages.closing import close
 from trueup.stages.importing import checked
 from trueup.stages.progress import Track, silent
@@ -31,13 +36,20 @@ _PAYLOADS_KG = (0.0, 2.0)
 
 
 def demo_dataset(
-    out: Path | str, *, seed: int = 0, overwrite: bool = False, resume: bool = False, track: Track = silent
+    out: Path | str,
+    *,
+    seed: int = 0,
+    loads: bool = True,
+    overwrite: bool = False,
+    resume: bool = False,
+    track: Track = silent,
 ) -> Path:
     """Record twelve motions of the three-joint demo arm's hardware into a dataset (see `lab.record_demo`).
 
     Args:
         out: the dataset's folder.
         seed: of motions and noise.
+        loads: whether some motions carry something that the model does not know.
         overwrite: replace what is there.
         resume: keep a recording that is whole, and begin again with one that was interrupted.
         track: shows progress.
@@ -62,7 +74,7 @@ def demo_dataset(
         overwrite = True
     info = DatasetInfo(robot="demo_arm", licence="Apache-2.0", provenance=provenance(config={}, seed=seed))
     with DatasetWriter.create(out, info, overwrite=overwrite) as writer:
-        for episode in track(record_demo(seed=seed), "record", _DEMO_MOTIONS):
+        for episode in track(record_demo(seed=seed, loads=loads), "record", _DEMO_MOTIONS):
             writer.append(checked(episode))
     return out
 
@@ -72,6 +84,7 @@ def demo(
     out: Path | str,
     *,
     robot: Literal["panda", "demo_arm"] = "panda",
+    loads: bool = True,
     seed: int = 0,
     jobs: int | None = None,
     overwrite: bool = False,
@@ -88,6 +101,7 @@ def demo(
         out: folder for the results.
         robot: `panda`: planned motions of a virtual Panda (extra `plan`); `demo_arm`: twelve motions of an arm of three
             joints, which is simulated and fitted in seconds.
+        loads: whether some motions carry something; of the arm, its model does not know it.
         seed: of motions and noise.
         jobs: processes and threads; the number of cores if None.
         overwrite: replace what is in `out`.
@@ -115,7 +129,9 @@ def demo(
         out, until=until, budget_s=budget_s, overwrite=overwrite, provenance=provenance(config={}, seed=seed)
     ).replacing():
         if robot == "demo_arm":
-            data = demo_dataset(out / "dataset", seed=seed, overwrite=overwrite, resume=resume, track=track)
+            data = demo_dataset(
+                out / "dataset", seed=seed, loads=loads, overwrite=overwrite, resume=resume, track=track
+            )
         else:
             threads = jobs or os.cpu_count() or 1
             data = _panda(out / "dataset", seed=seed, jobs=threads, overwrite=overwrite, resume=resume, track=track)
@@ -133,6 +149,56 @@ def demo(
         track=track,
         watch=watch,
     )
+
+
+def told(closed: Closed, robot: RobotSpec) -> tuple[str, ...]:
+    """What came of a demo in plain sentences: how far off before and after, on motions that were not fitted, and why.
+
+    Distances of the tool are root mean squares over all samples of these motions, by forward kinematics of measured and
+    simulated positions; the last body of the model is the tool.
+    """
+    rungs = {rung.name: rung.splits.get("test", {}).get("position", {}).get("rmse") for rung in closed.ladder.rungs}
+    before, after = rungs.get("stock"), rungs.get("fitted")
+    if before is None or after is None:
+        return ()
+    tests = [id for id, split in closed.dataset.splits.items() if split == "test"]
+    offs = [_tool_mm(closed.dataset, robot, tests, label) for label in ("mujoco/stock", "mujoco/fitted")]
+    turns = [math.degrees(own.total.value) for own in (before, after)]
+    less = 100.0 * (1.0 - after.total.value / before.total.value)
+    how = f"{less:.0f} % less" if less > 0 else f"{-less:.0f} % more"
+    was, now = (f"{turn:.2g}° per joint and {off:.2g} mm at the tool" for turn, off in zip(turns, offs, strict=True))
+    lines = [
+        f"On {len(tests)} motions that the fit has not seen, the simulator was off by {was}; fitted, by {now}: {how}."
+    ]
+    if closed.attribution is not None:
+        lines.append(f"Where the error came from: {shares(closed.attribution)}.")
+    return tuple(lines)
+
+
+def _tool_mm(dataset: Dataset, robot: RobotSpec, ids: Sequence[str], label: str) -> float:
+    import mujoco
+
+    from trueup.robots.model import load_spec
+
+    model = load_spec(find_model(robot)).compile()
+    data, tool = mujoco.MjData(model), model.nbody - 1
+    columns = [int(model.joint(name).qposadr[0]) for name in robot.joint_names]
+
+    def track(positions: np.ndarray) -> np.ndarray:
+        found = np.empty((len(positions), 3))
+        for row, pose in enumerate(positions):
+            data.qpos[columns] = pose
+            mujoco.mj_kinematics(model, data)
+            found[row] = data.xpos[tool]
+        return found
+
+    squares = []
+    for id in ids:
+        episode = dataset.episode(id, runs=[label])
+        done, simulated = episode.measured.select(robot.joint_names), episode.simulated[label]
+        at = columns_at(done.time_s, simulated.time_s, simulated.select(robot.joint_names)["position"])
+        squares.append(np.sum((track(done["position"]) - track(at)) ** 2, axis=1))
+    return 1000.0 * float(np.sqrt(np.mean(np.concatenate(squares))))
 
 
 def _panda(out: Path, *, seed: int, jobs: int, overwrite: bool, resume: bool, track: Track) -> Path:

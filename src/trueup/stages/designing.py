@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,11 +44,13 @@ class Designed:
         plans: in order.
         parameters: what they promise.
         seconds: wall-clock time [s].
+        notes: what somebody should know.
     """
 
     plans: tuple[Plan, ...]
     parameters: tuple[Foreseen, ...]
     seconds: float
+    notes: tuple[str, ...] = ()
 
     @property
     def gain(self) -> float | None:
@@ -88,7 +91,7 @@ def design(
         config: what will be fitted; the default for the robot's controller if None.
         fit: an earlier fit of this robot and model, in place of a configuration.
         model: MJCF or URDF; looked for in the package and beside the robot's description if None.
-        workspace: what stands around the robot; a floor if None.
+        workspace: what stands around the robot; if None, a floor at height 0, unless the robot at home is in it.
         velocity_limits: joint -> largest speed, where the model has none [rad/s or m/s].
         acceleration_limits: joint -> largest acceleration, where the model has none [rad/s^2 or m/s^2].
         velocity_share: share of the velocity limits, above 0, up to 1.
@@ -115,13 +118,13 @@ def design(
         raise ConfigError("give a configuration or a fit, not both")
     settings = settings or DesignSettings()
     path = find_model(robot, given=model)
-    scene = Scene(
-        robot,
-        workspace=workspace or Workspace(),
-        model=path,
-        velocity=velocity_limits,
-        acceleration=acceleration_limits,
-    )
+    around, notes = workspace or Workspace(), list[str]()
+    make = partial(Scene, robot, model=path, velocity=velocity_limits, acceleration=acceleration_limits)
+    scene = make(workspace=around)
+    if workspace is None and (inside := scene.in_workspace):
+        around = Workspace(floor_m=None)
+        scene = make(workspace=around)
+        notes.append(f"no floor is looked out for: at home, {inside} overlap (--workspace says what is there)")
     nominal = Nominal(robot, path)
     if fit is not None:
         known = Knowledge.of_fit(fit, nominal, noise=noise, rate_hz=settings.rate_hz)
@@ -143,7 +146,7 @@ def design(
         "noise": dict(known.noise),
         "window_s": known.window_s,
         "robot": robot.to_dict(),
-        "workspace": asdict(workspace or Workspace()),
+        "workspace": asdict(around),
         "limits": {name: getattr(scene.limits, name).tolist() for name in ("low", "high", "velocity", "acceleration")},
         "velocity_share": velocity_share,
         "design": asdict(settings),
@@ -161,7 +164,7 @@ def design(
         overwrite=overwrite,
         progress=progress,
     )
-    found = Designed(plans, designer.foreseen(plans), time.perf_counter() - began)
+    found = Designed(plans, designer.foreseen(plans), time.perf_counter() - began, tuple(notes))
     DesignResult(found.parameters, provenance(config=origin, seed=seed)).save(out / DESIGN_NAME)
     return found
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,8 +10,9 @@ import yaml
 
 from trueup.core.atomic import as_read_back, write_text
 from trueup.core.fit_result import FIT_CONFIG, STOCK_ROBOT
-from trueup.errors import ConfigError
-from trueup.robots import RobotSpec, find_model
+from trueup.robots import RobotSpec
+from trueup.robots.written import robot_yaml
+from trueup.stages.robot_model import model_beside
 
 if TYPE_CHECKING:
     from trueup.identify import IdentifyConfig
@@ -28,19 +28,7 @@ def keep_given(folder: Path, robot: RobotSpec, model: Path, config: IdentifyConf
         config: as it was given; the default if None.
     """
     from trueup.identify import IdentifyConfig
-    from trueup.identify.export import robot_yaml
 
-    write_text(folder / STOCK_ROBOT, robot_yaml(replace(robot, model=_place(robot, model, folder), folder=None)))
+    write_text(folder / STOCK_ROBOT, robot_yaml(replace(robot, model=model_beside(robot, model, folder), folder=None)))
     plain = as_read_back((config or IdentifyConfig()).to_json())
     write_text(folder / FIT_CONFIG, yaml.safe_dump(plain, sort_keys=False))
-
-
-def _place(robot: RobotSpec, model: Path, folder: Path) -> str:
-    """The model as seen from the folder, so that both can be moved together; by its name where it is the package's."""
-    try:
-        shipped = find_model(replace(robot, folder=None)).samefile(model)
-    except ConfigError:
-        shipped = False
-    # Of a link the place of the link counts: names of meshes are seen from there.
-    place = model.parent.resolve() / model.name
-    return robot.model if shipped else Path(os.path.relpath(place, folder.resolve())).as_posix()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import re
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -30,6 +31,7 @@ from trueup.dataset import (
 )
 from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
 from trueup.dataset.importers.detect import find_importer
+from trueup.dataset.importers.packed import opened
 from trueup.errors import ConfigError, DataError, NameMismatch, OutputExists, TrueupError
 from trueup.robots import RobotSpec
 from trueup.stages.progress import Track, silent
@@ -72,10 +74,12 @@ def plan_import(source: Path, *, format: str | None = None, options: ImportOptio
         TrueupError: the format is unknown, nothing can be imported, or it is a folder of results.
     """
     refuse_results(source)
-    plan = find_importer(source, format).scan(source, options or ImportOptions())
+    options = options or ImportOptions()
+    logs = opened(source)
+    plan = find_importer(logs.path, format, options.mapping).scan(logs.path, options)
     if not plan.episodes:
         raise DataError(f"{source} holds no episodes", got=f"format {plan.format}", hint="; ".join(plan.notes) or None)
-    return plan
+    return replace(plan, kept=logs.kept)
 
 
 def _refuse_other_robot(plan: ImportPlan, robot: RobotSpec) -> None:
@@ -95,6 +99,35 @@ def _refuse_other_robot(plan: ImportPlan, robot: RobotSpec) -> None:
             first = first or error
     if first is not None:
         raise first
+
+
+def dataset_of(
+    source: Path,
+    stack: contextlib.ExitStack,
+    *,
+    robot: RobotSpec,
+    format: str | None = None,
+    options: ImportOptions | None = None,
+    track: Track = silent,
+) -> tuple[Dataset, list[str]]:
+    """The dataset; of logs, one that is gone with the stack. And what was left out.
+
+    Raises:
+        ConfigError: it is a dataset, and options of an import are given.
+        TrueupError: what an import raises.
+    """
+    refuse_results(source)
+    if is_dataset(source):
+        if format is not None or (options or ImportOptions()) != ImportOptions():
+            raise ConfigError(
+                f"{source} is a dataset, and options of an import are given",
+                hint="Leave them out, or give the logs that it was imported from.",
+            )
+        return Dataset(source), []
+    out = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="trueup-"))) / "dataset"
+    imported = import_logs(source, out, format=format, options=options, robot=robot, refuse_others=True, track=track)
+    refused = [f"{name} was not imported: {error.summary}" for name, error in imported.refused.items()]
+    return Dataset(out), refused
 
 
 def import_logs(
@@ -230,6 +263,11 @@ def checked(episode: Episode, robot: RobotSpec | None = None) -> Episode:
     episode = _without_empty(episode)
     if robot is None:
         return episode.with_flags(check_quality(episode))
+    if all(joint.log_unit for joint in robot.joints):  # what the importer assumed does not count
+        episode = replace(
+            episode,
+            meta=replace(episode.meta, flags=tuple(flag for flag in episode.meta.flags if flag.kind != "unit")),
+        )
     joint_map = JointMap.from_dict(robot.joint_rules())
     if not set(joint_map.log_joints) <= set(episode.measured.joints):
         joint_map = JointMap.identity(robot.joint_names)  # in the robot's own words already

@@ -148,8 +148,12 @@ def gap(
     # The stock model is what the others are compared with, whatever their names.
     known = sorted(dataset.runs, key=lambda label: (not label.endswith("/stock"), label))
     labels = tuple(known if runs is None else (label for label in runs if label != COMMAND_RUN))
-    frame = frame_of(dataset, labels, robot)
     kept = dataset.select(split=split, drop_flagged=drop_flagged)
+    # A replay that was interrupted before its first motion is no reason to measure nothing.
+    empty = [label for label in labels if runs is None and not {*dataset.run_ids(label)} & {*kept}]
+    if len(empty) < len(labels):
+        labels = tuple(label for label in labels if label not in empty)
+    frame = frame_of(dataset, labels, robot)
     if not kept:
         raise DataError(
             f"no episode of {dataset.path} is left to measure",
@@ -191,7 +195,9 @@ def gap(
         )
     source = dataset.info.provenance.get("config", {}).get("source")
     names = {"robot": frame.robot or dataset.info.robot, "dataset": source or dataset.path.resolve().name}
-    result = replace(result, settings={**result.settings, **names, "warnings": motions.warnings(signals)})
+    warnings = [f"the run {label} has none of these motions and is left out" for label in empty]
+    warnings += motions.warnings(signals)
+    result = replace(result, settings={**result.settings, **names, "warnings": warnings})
     return motions.measurement(result, split, blocks=blocks and (signals is None or "torque" in signals))
 
 

@@ -6,7 +6,9 @@ import contextlib
 import hashlib
 import itertools
 import shutil
+import tempfile
 import time
+import weakref
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -68,29 +70,61 @@ class _Task:
     payload_kg: float
 
 
-def plans_named(name: str, *, scale: float = 1.0, seed: int | None = None) -> PlanSetSpec | PlanSet:
-    """The motions to record: those of a stored plan set as they are, or a description of motions to plan.
+def plans_named(
+    name: str,
+    *,
+    scale: float = 1.0,
+    seed: int | None = None,
+    robot: RobotSpec | None = None,
+    model: Path | None = None,
+    rate_hz: float = 50.0,
+) -> PlanSetSpec | PlanSet:
+    """The motions to record: those of a stored plan set or of files as they are, or a description of motions to plan.
 
     Args:
-        name: `paper`, a YAML file that describes motions, or the folder of a plan set.
+        name: `paper`, a YAML file that describes motions, the folder of a plan set, or a file of joint angles (or a
+            folder of such files) as SAGE has them.
         scale: share of the motions of each group.
         seed: of the planning; the description's own if None.
+        robot: whose motions they are; files need it.
+        model: its MJCF or URDF; found as for replay if None.
+        rate_hz: rows per second of files [Hz].
 
     Raises:
-        ConfigError: there is no such description, or a stored plan set is to be scaled.
+        ConfigError: there is no such description, or what is recorded as it is is to be scaled.
+        NameMismatch: a file names no joint of the robot.
+        NoPlan: a motion of a file breaks a limit, or something is in its way.
     """
     from trueup.record import PLANS_NAME, PlanSet, load_plans
+    from trueup.record.motion_files import motion_files
 
-    if (Path(name) / PLANS_NAME).exists():
-        if scale != 1.0:
-            raise ConfigError(
-                "a stored plan set is recorded as it is",
-                got=f"--scale {scale:g}",
-                hint="Leave --scale out, or describe a smaller set in a YAML file.",
-            )
+    stored, files = (Path(name) / PLANS_NAME).exists(), () if robot is None else motion_files(Path(name))
+    if (stored or files) and scale != 1.0:
+        raise ConfigError(
+            "a stored plan set is recorded as it is" if stored else "motions of files are recorded as they are",
+            got=f"--scale {scale:g}",
+            hint="Leave --scale out, or describe a smaller set in a YAML file.",
+        )
+    if stored:
         return PlanSet(name)
+    if robot is not None and files:
+        return _of_files(files, robot, model, rate_hz)
     described = load_plans(name)
     return replace(described, seed=described.seed if seed is None else seed).scaled(scale)
+
+
+def _of_files(files: Sequence[Path], robot: RobotSpec, model: Path | None, rate_hz: float) -> PlanSet:
+    """A plan set of motion files, in a folder that goes with it."""
+    from trueup.record.motion_files import plans_of_files
+
+    folder = Path(tempfile.mkdtemp(prefix="trueup-"))
+    try:
+        plans = plans_of_files(files, robot, folder, model=model, rate_hz=rate_hz)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    weakref.finalize(plans, shutil.rmtree, folder, ignore_errors=True)
+    return plans
 
 
 def record(

@@ -39,7 +39,7 @@ class ReplaySummary:
         failed: episode id -> why it could not be replayed.
         seconds: wall-clock time that it took to make the run, earlier calls included [s].
         replaced: whether there was a run of this label that was made of something else.
-        held_notes: what of the model is held in the simulation, or swings in it.
+        model_notes: what of the model is held in the simulation, swings in it, or is left out.
         command_notes: what is done with commands that might be meant otherwise, which `gap` does not say.
     """
 
@@ -49,13 +49,13 @@ class ReplaySummary:
     failed: Mapping[str, TrueupError] = field(default_factory=dict)
     seconds: float = 0.0
     replaced: bool = False
-    held_notes: tuple[str, ...] = ()
+    model_notes: tuple[str, ...] = ()
     command_notes: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """All that a user should know of how the model is simulated."""
-        return (*self.held_notes, *self.command_notes)
+        return (*self.model_notes, *self.command_notes)
 
 
 def replay(
@@ -126,8 +126,11 @@ def replay(
         "settings": settings.to_dict(),
         "provenance": provenance(config={"robot": robot.to_dict(), "model": path.name}, data_hash=dataset.hash),
     }
-    if simulator.holding.notes:
-        info["notes"] = list(simulator.holding.notes)
+    from trueup.robots.model import lost_meshes
+
+    model_notes = (*simulator.holding.notes, *filter(None, [lost_meshes(path)]))
+    if model_notes:
+        info["notes"] = list(model_notes)
     refuse_run(dataset.path, label, allowed=overwrite or resume)
     earlier_s = 0.0
     keeping = label in dataset.runs and resume and not overwrite
@@ -186,8 +189,7 @@ def replay(
         name, first = next(iter(failed.items()))
         raise DataError(f"no episode could be replayed, {name!r} because: {first.summary}", hint=first.hint)
     kept = len(wanted) - len(missing)
-    held_notes, command_notes = simulator.holding.notes, simulator.notes
-    return ReplaySummary(label, done, kept, failed, seconds, held_notes=held_notes, command_notes=command_notes)
+    return ReplaySummary(label, done, kept, failed, seconds, model_notes=model_notes, command_notes=simulator.notes)
 
 
 def replay_unless_same(

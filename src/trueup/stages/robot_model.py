@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 from trueup.core.atomic import replacing
 from trueup.dataset import Dataset, DatasetInfo
+from trueup.errors import ConfigError
 from trueup.robots import RobotSpec, find_model
 
 # A model folder with meshes is copied whole; beyond this size it is somebody's asset library.
@@ -54,3 +56,21 @@ def copy_model(folder: Path, out: Path, info: DatasetInfo) -> DatasetInfo:
     info = replace(info, model="model")
     info.save(out)
     return info
+
+
+def model_beside(robot: RobotSpec, model: Path, folder: Path) -> str:
+    """The model as seen from a folder, so that both can be moved together.
+
+    By its name where it is the package's, and by its whole path where the two have no folder in common.
+    """
+    try:
+        shipped = not Path(robot.model).is_absolute() and find_model(replace(robot, folder=None)).samefile(model)
+    except ConfigError:
+        shipped = False
+    # Of a link the place of the link counts: names of meshes are seen from there.
+    place = model.parent.resolve() / model.name
+    if shipped:
+        return robot.model
+    if os.path.commonpath([place, folder.resolve()]) == place.anchor:
+        return place.as_posix()
+    return Path(os.path.relpath(place, folder.resolve())).as_posix()

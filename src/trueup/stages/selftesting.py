@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -19,12 +18,12 @@ from trueup.core.provenance import provenance
 from trueup.core.quality import left_out
 from trueup.core.selftest_result import DrawnRobot, SelftestResult
 from trueup.core.time_limit import TimeLimit
-from trueup.dataset import Dataset, is_dataset, refuse_results
+from trueup.dataset import Dataset
 from trueup.dataset.importers.base import ImportOptions
 from trueup.errors import ConfigError, DataError, NotIdentifiable, TrueupError
 from trueup.record import Springs
 from trueup.robots import RobotSpec, find_model, refuse_unknown_gains
-from trueup.stages.importing import import_logs
+from trueup.stages.importing import dataset_of
 from trueup.stages.motions import motions_of
 from trueup.stages.progress import Track, silent
 from trueup.stages.robot_model import model_file
@@ -118,7 +117,7 @@ def selftest(
         dataset: Dataset | None = None
         notes: list[str] = []
         if source is not None:
-            dataset, notes = _dataset(Path(source), stack, robot, format, options, track)
+            dataset, notes = dataset_of(Path(source), stack, robot=robot, format=format, options=options, track=track)
         elif format is not None or (options or ImportOptions()) != ImportOptions():
             raise ConfigError("options of an import are given, and there are no logs", hint="Give the logs, too.")
         path = find_model(robot, given=model) if dataset is None else model_file(robot, dataset, given=model)
@@ -156,29 +155,6 @@ def selftest(
             data_hash=None if dataset is None else dataset.hash,
         ),
     )
-
-
-def _dataset(
-    source: Path,
-    stack: contextlib.ExitStack,
-    robot: RobotSpec,
-    format: str | None,
-    options: ImportOptions | None,
-    track: Track,
-) -> tuple[Dataset, list[str]]:
-    """The dataset; of logs, one that is gone with the stack. And what was left out."""
-    refuse_results(source)
-    if is_dataset(source):
-        if format is not None or (options or ImportOptions()) != ImportOptions():
-            raise ConfigError(
-                f"{source} is a dataset, and options of an import are given",
-                hint="Leave them out, or give the logs that it was imported from.",
-            )
-        return Dataset(source), []
-    out = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="trueup-"))) / "dataset"
-    imported = import_logs(source, out, format=format, options=options, robot=robot, refuse_others=True, track=track)
-    refused = [f"{name} was not imported: {error.summary}" for name, error in imported.refused.items()]
-    return Dataset(out), refused
 
 
 def _asked(

@@ -7,6 +7,7 @@ its decompressors up in tables of its modules, and finds these ones there.
 from __future__ import annotations
 
 import bz2
+import io
 import os
 from collections.abc import Callable
 from typing import IO, Any
@@ -16,18 +17,12 @@ from rosbags.rosbag1 import reader as reader1
 from rosbags.rosbag2 import reader as reader2
 from rosbags.rosbag2 import storage_mcap
 
+from trueup.core.unpacking import most_bytes
 from trueup.errors import DataError
 
-# Chunks have some megabytes; samples hardly shrink to a tenth. As for npz files.
-_LARGEST_SMALL = 1 << 28
-_LARGEST_RATIO = 100
 _PIECE = 1 << 20
+_SCHEMAS = ("ros2msg", "ros2idl", "omgidl", "")
 _ZSTD = vars(reader2)["zstd"]  # the standard library's, or what stands in for it before Python 3.14
-
-
-def largest(packed: int) -> int:
-    """How many bytes so many may unpack to."""
-    return max(_LARGEST_SMALL, _LARGEST_RATIO * packed)
 
 
 def refuse_more(unpacked: int, packed: int) -> None:
@@ -36,9 +31,10 @@ def refuse_more(unpacked: int, packed: int) -> None:
     Raises:
         DataError: that is so.
     """
-    if unpacked > largest(packed):
+    if unpacked > most_bytes(packed):
         raise DataError(
-            f"{packed} bytes of a bag unpack to more than {largest(packed)}", expected="samples, not one byte repeated"
+            f"{packed} bytes of a bag unpack to more than {most_bytes(packed)}",
+            expected="samples, not one byte repeated",
         )
 
 
@@ -81,7 +77,7 @@ class _Stream:
 
     def read(self, size: int = -1) -> bytes:
         """The next bytes."""
-        data: bytes = self._stream.read(size if size >= 0 else largest(self._packed) + 1)
+        data: bytes = self._stream.read(size if size >= 0 else most_bytes(self._packed) + 1)
         self._size += len(data)
         refuse_more(self._size, self._packed)
         return data
@@ -100,8 +96,27 @@ class _Zstd:
     open = _Stream
 
 
+_read_string = storage_mcap.read_string
+
+
+def _read_profile(file: Any) -> str:
+    """A string; of a header, which begins with the profile, that of ROS 2 where none is named."""
+    first = isinstance(file, io.BytesIO) and file.tell() == 0
+    return _read_string(file) or ("ros2" if first else "")
+
+
+_definition = storage_mcap.get_msgdef
+
+
+def _known_definition(schema: Any) -> Any:
+    """What a schema says; nothing where it is in another language than ROS's: other topics can be read all the same."""
+    return _definition(None if schema is not None and schema.encoding not in _SCHEMAS else schema)
+
+
 def guard() -> None:
-    """Let the bag library unpack with these."""
+    """Let the bag library unpack with these, and read MCAP files without a profile: their schemas say what they are."""
+    vars(storage_mcap)["read_string"] = _read_profile
+    vars(storage_mcap)["get_msgdef"] = _known_definition
     storage_mcap.DECOMPRESSORS["zstd"] = lambda data, _: unpack_zstd(data)
     storage_mcap.DECOMPRESSORS["lz4"] = lambda data, _: unpack_lz4(data)
     reader1.decompressors["bz2"] = unpack_bz2

@@ -85,6 +85,7 @@ class ImportPlan:
         splits: episode id -> `train`, `val` or `test`, from the format or a `split.json` beside the data.
         model_dir: folder with the robot's model beside the data, copied into the dataset.
         notes: what a person should know (assumed units, skipped files).
+        kept: what was unpacked for these episodes; it goes when nobody holds the plan any more.
     """
 
     format: str
@@ -94,6 +95,7 @@ class ImportPlan:
     splits: Mapping[str, str] = field(default_factory=dict)
     model_dir: Path | None = None
     notes: tuple[str, ...] = ()
+    kept: object = None
 
 
 @runtime_checkable

@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+from trueup.core.atomic import regular
 from trueup.dataset.importers.base import EpisodeSource, ImportPlan
-from trueup.dataset.importers.files import inside, read_bytes, unique_ids
+from trueup.dataset.importers.files import inside, unique_ids
 from trueup.dataset.splits import match_splits, read_split
+from trueup.errors import DataError
+
+_LONGEST_TITLE = 4096
 
 
 def plan_with(
@@ -81,11 +85,19 @@ def licence_beside(root: Path) -> str:
     for name in ("LICENSE", "LICENCE", "LICENSE.txt", "LICENSE.md", "COPYING"):
         path = root / name
         if path.is_file():
-            text = read_bytes(inside(root, path))[:4096].decode("utf-8-sig", errors="replace")
+            text = _begin(inside(root, path)).decode("utf-8-sig", errors="replace")
             lines = [line.strip(" #\t") for line in text.splitlines() if line.strip(" #\t")]
             title = " ".join(lines[:2] if len(lines) > 1 and lines[1].startswith("Version") else lines[:1])
             return title[:200]
     return ""
+
+
+def _begin(path: Path) -> bytes:
+    try:
+        with regular(path).open("rb") as file:
+            return file.read(_LONGEST_TITLE)
+    except OSError as error:
+        raise DataError(f"cannot read {path}", got=error.strerror or str(error)) from error
 
 
 def model_beside(root: Path) -> Path | None:

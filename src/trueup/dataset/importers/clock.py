@@ -16,6 +16,9 @@ from trueup.core.episode import Flag
 from trueup.core.timeseries import TimeSeries
 from trueup.errors import DataError
 
+_SHORTEST_S = 1e-9
+# A log that repeats more of its stamps has lost its clock.
+_LEAST_KEPT = 0.2
 _LATEST_S = 1e11  # 3,000 years; milliseconds since 1970 read as seconds are beyond it
 
 
@@ -33,7 +36,8 @@ def usable_clock(
         Numbers of the rows to keep, (K,), K <= N, and a flag `repeated_stamps` if K < N.
 
     Raises:
-        DataError: there is no stamp, one is not finite or beyond 1e11 s, or the clock runs backwards.
+        DataError: there is no stamp, one is not finite or beyond 1e11 s, nearly all repeat the one before, or the clock
+            runs backwards.
     """
     if time_s.size == 0:
         raise DataError(f"{source} has no samples", expected="at least one row")
@@ -54,12 +58,27 @@ def usable_clock(
         raise DataError(
             f"the clock of {source} runs backwards",
             got=f"{time_s[row]:.9f} s after {time_s[row - 1]:.9f} s in row {row + 1}",
-            hint="Cut the log at this row, or sort it by time if rows were written out of order.",
+            hint="If another motion begins there, `split: {back: true}` in a mapping takes the file apart; else sort "
+            "the log by time.",
         )
     rows = np.concatenate(([0], np.flatnonzero(time_s[1:] > time_s[:-1]) + 1))
+    if rows.size > 1 and (step := float(np.median(np.diff(time_s[rows])))) < _SHORTEST_S:
+        raise DataError(
+            f"{source} has stamps that no clock shows",
+            got=f"steps of {step:.3g} s",
+            expected=f"at least {_SHORTEST_S:g} s",
+            hint="Is the unit of the time column right?",
+        )
     repeated = time_s.size - rows.size
     if not repeated:
         return rows, ()
+    if rows.size < _LEAST_KEPT * time_s.size:
+        raise DataError(
+            f"{source}: nearly all samples have the stamp of the one before",
+            got=f"{rows.size} stamps in {time_s.size} rows",
+            hint="Is a part of the stamp missing? A mapping reads seconds and nanoseconds as `time: {columns: [sec, "
+            "nanosec]}`, and a log without a clock by `time: {rate_hz: …}`. Stamps since 1970 need 64 bits.",
+        )
     again = time_s[1:][time_s[1:] == time_s[:-1]]
     flag = Flag(
         kind="repeated_stamps",

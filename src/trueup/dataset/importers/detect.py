@@ -8,17 +8,21 @@ from typing import cast
 
 from trueup.core.atomic import where_missing
 from trueup.dataset.importers.base import Importer
+from trueup.dataset.importers.files import refuse_pickle
+from trueup.dataset.importers.mapping_file import is_table_mapping
 from trueup.errors import ConfigError, DataError, FormatError, MissingDependency
 
-# One module each. Any folder may hold a few CSV files too, so that the last one counts only when no other does.
+# One module each. Any folder may hold a few tables, too, so that the last one counts only when no other does.
 FORMATS = (
     "sage",
     "lerobot",
     "rosbag",
     "hdf5",
     "npz",
-    "csv",
+    "table",
 )
+# What formats were called before.
+_FORMER = {"csv": "table"}
 # What is said of a folder of no known format: so many names, each of so many letters.
 _NAMES, _NAME = 4, 24
 
@@ -37,12 +41,13 @@ def importer(name: str) -> Importer:
         ) from error
 
 
-def find_importer(path: Path, name: str | None = None) -> Importer:
+def find_importer(path: Path, name: str | None = None, mapping: Path | None = None) -> Importer:
     """The importer for a file or folder.
 
     Args:
         path: what is to be imported.
         name: take this one, whatever the path looks like.
+        mapping: that the user gives: one of tables says that these are tables, as does one beside the logs.
 
     Raises:
         ConfigError: there is no importer of this name.
@@ -50,12 +55,15 @@ def find_importer(path: Path, name: str | None = None) -> Importer:
         FormatError: no format, or more than one, is recognized.
         MissingDependency: the importer needs a package that is not installed.
     """
+    name = None if name is None else _FORMER.get(name, name)
     if name is not None and name not in FORMATS:
         raise ConfigError(f"there is no format {name!r}", available=FORMATS)
     if not path.exists():
         raise DataError(f"{path} does not exist", hint=where_missing(path))
     if name is not None:
         return importer(name)
+    if is_table_mapping(mapping or (path.parent if path.is_file() else path) / "mapping.yaml"):
+        return importer("table")
     missing: list[str] = []
     found: list[str] = []
     for candidate in FORMATS:
@@ -74,6 +82,8 @@ def find_importer(path: Path, name: str | None = None) -> Importer:
             available=found,
             hint="Choose one with --format, or import a subfolder.",
         )
+    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+        refuse_pickle(file)
     content = _content(path)
     if not content:
         raise FormatError(f"{path} is empty", hint="Give the folder or file that holds the logs.")

@@ -12,6 +12,8 @@ from trueup.core.atomic import is_inside, regular
 from trueup.errors import DataError
 
 _CHUNK = 1 << 20
+_TORCH = (".pt", ".pth")
+_PICKLES = (*_TORCH, ".pkl", ".pickle")
 
 
 def files_hash(paths: Iterable[Path]) -> str:
@@ -60,6 +62,24 @@ def read_bytes(path: Path) -> bytes:
         return regular(path).read_bytes()
     except OSError as error:
         raise DataError(f"cannot read {path}", got=error.strerror or str(error)) from error
+
+
+def refuse_pickle(path: Path) -> None:
+    """Refuse what Python or PyTorch has pickled, with the line that makes arrays of it: a pickle may run code.
+
+    Raises:
+        DataError: its name says that it is one.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in _PICKLES:
+        return
+    load = "torch.load(FILE)" if suffix in _TORCH else "pickle.load(open(FILE, 'rb'))"
+    save = f"numpy.savez('{path.stem}.npz', **{{k: numpy.asarray(v) for k, v in d.items()}})"
+    raise DataError(
+        f"{path} is a pickle, which may run code: it is not opened",
+        expected="arrays, such as .npz",
+        hint=f"If you trust it: d = {load}; {save}",
+    )
 
 
 def read_text(path: Path) -> str:

@@ -28,3 +28,19 @@ def kp_setting_of(value: object, where: str, *, error: type[ConfigError] | type[
     if not 0 < setting < math.inf:
         raise error(f"{where} is no setting of a gain", got=repr(value), expected="a finite number above 0, or nothing")
     return setting
+
+
+def agreed_kp_setting(said: float | None, stated: float | None, source: str) -> float | None:
+    """The setting that a log says, or else the mapping.
+
+    Raises:
+        ConfigError: they say different ones.
+    """
+    if said is not None and stated not in (None, said):
+        raise ConfigError(
+            f"{source} says another kp_setting than the mapping",
+            got=f"{said:g}",
+            expected=f"{stated:g}",
+            hint="Leave `kp_setting` out of the mapping: each file then has its own.",
+        )
+    return stated if said is None else said

@@ -15,15 +15,13 @@ import h5py
 import numpy as np
 from jaxtyping import Shaped
 
+from trueup.core import unpacking
 from trueup.errors import DataError, TrueupError
 
 # Deflate, the best of the usual filters, cannot shrink data further than about 1030 to 1.
 _LARGEST_RATIO = 1100
 _LONGEST_TEXT = 4096
 _MOST_TEXTS = 10_000
-# A file may unpack to so many times its size, or to so many bytes.
-_LARGEST_EXPANSION = 100
-_FEW_BYTES = 256 << 20
 # lzf stays below 100 to 1; what others unpack to stands in the file, whatever they hold.
 _DEFLATE, _LZF = h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_LZF
 _FILTERS = frozenset({_DEFLATE, _LZF, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32})
@@ -50,13 +48,55 @@ class H5File:
             return ()
         return tuple(name if isinstance(name, str) else name.decode(errors="replace") for name in found)
 
+    def arrays(self, deepest: int, most: int) -> tuple[str, ...]:
+        """Paths of all datasets.
+
+        A group is entered once, whatever leads to it: groups that lead to each other have paths without end.
+
+        Args:
+            deepest: groups in groups that are entered.
+            most: names that are looked at.
+
+        Raises:
+            DataError: there are more, or one is a link.
+        """
+        found: list[str] = []
+        entered: set[int] = set()
+        waiting = [("", 0)]
+        count = 0
+        while waiting:
+            above, depth = waiting.pop()
+            group = self._find(above)
+            address = h5py.h5o.get_info(group.id).addr
+            if address in entered:
+                continue
+            entered.add(address)
+            inside = []
+            for name in self.names(above or "/"):
+                count += 1
+                if count > most:
+                    raise DataError(f"{self.source} has too many arrays and groups", expected=f"at most {most}")
+                path = f"{above}/{name}" if above else name
+                one = self._find(path)
+                if isinstance(one, h5py.Dataset) and one.shape is not None:
+                    found.append(path)
+                elif isinstance(one, h5py.Group) and depth < deepest:
+                    inside.append((path, depth + 1))
+            waiting += reversed(inside)
+        return tuple(found)
+
     def shape(self, name: str) -> tuple[int, ...] | None:
         """The shape that a dataset claims to have; None if there is no such dataset."""
         dataset = self._find(name)
         return dataset.shape if isinstance(dataset, h5py.Dataset) else None
 
-    def numbers(self, name: str) -> Shaped[np.ndarray, "..."] | None:
-        """A numeric dataset as it is stored; None if there is no such dataset.
+    def fields(self, name: str) -> tuple[str, ...]:
+        """Names of the fields of a structured dataset; empty for any other."""
+        dataset = self._find(name)
+        return tuple(dataset.dtype.names or ()) if isinstance(dataset, h5py.Dataset) else ()
+
+    def numbers(self, name: str, field: str = "") -> Shaped[np.ndarray, "..."] | None:
+        """A numeric dataset, or a field of a structured one, as it is stored; None if there is no such dataset.
 
         Raises:
             DataError: it is no array of real numbers, lies in another file, or claims more data than the file holds.
@@ -67,10 +107,11 @@ class H5File:
         where = f"{self.source}: {name}"
         if not isinstance(dataset, h5py.Dataset):
             raise DataError(f"{where} is no dataset", got=type(dataset).__name__)
-        if dataset.dtype.kind not in "fiu":
-            raise DataError(f"{where} holds no numbers", got=dataset.dtype, expected="an array of floats or integers")
+        kind = dataset.dtype[field] if field else dataset.dtype
+        if kind.kind not in "fiu":
+            raise DataError(f"{where} holds no numbers", got=kind, expected="an array of floats or integers")
         self._check_storage(dataset, where)
-        return np.asarray(dataset[()])
+        return np.asarray(dataset[field] if field else dataset[()])
 
     def texts(self, name: str) -> tuple[str, ...]:
         """Texts of a dataset, or of an attribute of the group before the last `/`; empty if there are none.
@@ -153,7 +194,7 @@ class H5File:
             raise DataError(f"{where} holds no text", got=about.dtype)
         count = math.prod(about.shape or ())
         longest = self._longest if about.dtype.hasobject else about.dtype.itemsize
-        if count > _MOST_TEXTS or count * longest > _FEW_BYTES:
+        if count > _MOST_TEXTS or count * longest > unpacking.FEW_BYTES:
             raise DataError(
                 f"{where} claims more text than names can have", got=f"{count} texts of up to {longest} bytes"
             )
@@ -162,7 +203,7 @@ class H5File:
         if dataset.is_virtual or dataset.external:
             raise DataError(f"{where} lies in other files, which are not opened")
         stored = dataset.id.get_storage_size()
-        packed = min(stored * _LARGEST_RATIO, max(self._size * _LARGEST_EXPANSION, _FEW_BYTES))
+        packed = min(stored * _LARGEST_RATIO, unpacking.most_bytes(self._size))
         most = stored if dataset.chunks is None else packed
         if dataset.nbytes > most or stored > self._size:
             raise DataError(
@@ -195,11 +236,11 @@ def _check_chunks(dataset: Any, where: str) -> None:
     odd: list[Any] = []
 
     def note(chunk: Any) -> None:
-        if chunk.size > room or (_DEFLATE in filters and chunk.size * _LARGEST_RATIO > _FEW_BYTES):
+        if chunk.size > room or (_DEFLATE in filters and chunk.size * _LARGEST_RATIO > unpacking.FEW_BYTES):
             odd.append(chunk)
 
     dataset.id.chunk_iter(note)
-    if whole > max(dataset.nbytes, _FEW_BYTES) or any(_bursts(dataset, chunk, filters, room) for chunk in odd):
+    if whole > max(dataset.nbytes, unpacking.FEW_BYTES) or any(_bursts(dataset, chunk, filters, room) for chunk in odd):
         raise DataError(
             f"{where} unpacks to more than it says", got=f"chunks of {dataset.chunks}", expected=f"{whole} bytes each"
         )

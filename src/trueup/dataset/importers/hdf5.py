@@ -27,7 +27,7 @@ from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPl
 from trueup.dataset.importers.beside import plan_with
 from trueup.dataset.importers.clock import common_origin, shifted, usable_clock
 from trueup.dataset.importers.files import data_files, episode_id, files_hash
-from trueup.dataset.importers.gain_setting import kp_setting_of
+from trueup.dataset.importers.gain_setting import agreed_kp_setting, kp_setting_of
 from trueup.dataset.importers.h5file import H5File, open_h5
 from trueup.dataset.importers.h5names import ANGLES, LAYOUT, find_groups, joint_names
 from trueup.dataset.importers.parts import on_one_clock
@@ -113,7 +113,8 @@ def _load(root: Path, path: Path, name: str, stated: Stated) -> Episode:
         raw = [_read(file, group, joints, stated) for group, joints in zip(groups, names, strict=True)]
         command = _read_command(file, [joint for part in names for joint in part], stated)
         about = {key: file.scalar(key) for key in _ABOUT}
-        payload_kg, kp_setting = _payload(file, stated), _kp_setting(file, stated)
+        said = kp_setting_of(file.number("kp_setting"), f"{file.source}: kp_setting")
+        payload_kg, kp_setting = _payload(file, stated), agreed_kp_setting(said, stated.kp_setting, str(file.source))
         condition = stated.condition or file.scalar("condition")
     origin = common_origin(*(part.series.time_s for part in (*raw, command)))
     parts = [shifted(part.series, part.flags, origin=origin) for part in raw]
@@ -162,24 +163,6 @@ def _payload(file: H5File, stated: Stated) -> float | None:
             hint="Leave `payload_kg` out of the mapping: each file then has its own.",
         )
     return said
-
-
-def _kp_setting(file: H5File, stated: Stated) -> float | None:
-    """What the file says, or else the mapping.
-
-    Raises:
-        DataError: it is no gain.
-        ConfigError: they say different ones.
-    """
-    said = kp_setting_of(file.number("kp_setting"), f"{file.source}: kp_setting")
-    if said is not None and stated.kp_setting not in (None, said):
-        raise ConfigError(
-            f"{file.source} says another kp_setting than the mapping",
-            got=f"{said:g}",
-            expected=f"{stated.kp_setting:g}",
-            hint="Leave `kp_setting` out of the mapping: each file then has its own.",
-        )
-    return stated.kp_setting if said is None else said
 
 
 def _notes(first: TimeSeries, merged: TimeSeries, groups: Sequence[str], about: dict[str, str]) -> list[Flag]:

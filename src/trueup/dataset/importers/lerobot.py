@@ -1,4 +1,4 @@
-"""LeRobot datasets, version 3: `observation.state` is measured, `action` is the command.
+"""LeRobot datasets, versions 2 and 3: `observation.state` is measured, `action` is the command.
 
 Joint names come from the features' `names`; endings such as `.pos` and `.vel` say the signal. Videos are not read.
 """
@@ -27,7 +27,7 @@ from trueup.errors import MissingSignal, NameMismatch
 
 NAME = "lerobot"
 LOOKS_FOR = f"a folder with {INFO}"
-EPISODE = "an episode, of version 3"
+EPISODE = "an episode"
 ASSUMES = "SI unless stated: **check this**"
 
 # LeRobot's own tolerance between a stamp and frame_index / fps [s].
@@ -48,7 +48,7 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
     """List the episodes of the dataset in `path`.
 
     Raises:
-        FormatError: the dataset is of another version than 3.
+        FormatError: the dataset is of another version than 2 and 3.
         DataError: the metadata are missing or damaged.
         ConfigError: an option that is not read, the mapping file is wrong, or joints have no names and none are stated.
         NameMismatch: state and action have no joint in common.

@@ -15,8 +15,8 @@ from trueup.errors import DataError, FormatError
 
 INFO = "meta/info.json"
 
-# LeRobot's templates are Python format strings; only these two fields, so that a template can do nothing else.
-_FIELD = re.compile(r"\{(chunk_index|file_index)(?::0?([1-9])d)?\}")
+# LeRobot's templates are Python format strings; only these fields, so that a template can do nothing else.
+_FIELD = re.compile(r"\{(chunk_index|file_index|episode_chunk|episode_index)(?::0?([1-9])d)?\}")
 _SPLIT_NAMES = {"train": "train", "val": "val", "valid": "val", "validation": "val", "test": "test"}
 
 
@@ -49,6 +49,8 @@ class LeRobotInfo:
         features: feature name -> feature.
         data_path: template of the files with the rows.
         splits: split name -> ranges of episode numbers, as written.
+        version: 3, or 2, in which each episode has a file of its own.
+        chunk_size: of version 2, episodes in a folder.
     """
 
     fps: float
@@ -56,15 +58,20 @@ class LeRobotInfo:
     features: Mapping[str, Feature]
     data_path: str
     splits: Mapping[str, str]
+    version: int = 3
+    chunk_size: int = 1000
 
-    def data_file(self, root: Path, chunk_index: int, file_index: int) -> Path:
-        """The file with the rows of these indices.
+    def data_file(self, root: Path, chunk: int, number: int) -> Path:
+        """The file with the rows of a chunk and a file, or in version 2 of an episode.
 
         Raises:
             FormatError: the template has other fields, or leads out of the dataset.
         """
-        numbers = {"chunk_index": chunk_index, "file_index": file_index}
-        name = _FIELD.sub(lambda found: f"{numbers[found[1]]:0{found[2] or 1}d}", self.data_path)
+        fields = ("chunk_index", "file_index") if self.version == 3 else ("episode_chunk", "episode_index")
+        numbers = dict(zip(fields, (chunk, number), strict=True))
+        name = _FIELD.sub(
+            lambda found: f"{numbers[found[1]]:0{found[2] or 1}d}" if found[1] in numbers else found[0], self.data_path
+        )
         path = PurePosixPath(name)
         if "{" in name or "}" in name or "\x00" in name:
             raise FormatError(f"`data_path` in {INFO} cannot be read", got=self.data_path, expected=_FIELD.pattern)
@@ -78,13 +85,16 @@ def read_info(root: Path) -> LeRobotInfo:
     """Read info.json of the dataset in `root`.
 
     Raises:
-        FormatError: another version than 3.
+        FormatError: another version than 2 and 3.
         DataError: the file is missing, not JSON, or has values of the wrong kind.
     """
     content = read_json(root / INFO)
     if not isinstance(content, dict):
         raise DataError(f"{root / INFO} holds no object", got=type(content).__name__)
-    _check_version(root, content.get("codebase_version"))
+    version = _version(root, content.get("codebase_version"))
+    chunk_size = content.get("chunks_size", 1000)
+    if type(chunk_size) is not int or not 0 < chunk_size < 1 << 40:
+        raise DataError(f"`chunks_size` in {root / INFO} is no count", got=chunk_size)
     fps = content.get("fps")
     if isinstance(fps, bool) or not isinstance(fps, int | float) or not math.isfinite(fps) or fps <= 0:
         raise DataError(f"`fps` in {root / INFO} is no rate", got=fps, expected="frames per second")
@@ -104,6 +114,8 @@ def read_info(root: Path) -> LeRobotInfo:
         features={name: _feature(name, item) for name, item in features.items()},
         data_path=data_path,
         splits=splits,
+        version=version,
+        chunk_size=chunk_size,
     )
 
 
@@ -136,19 +148,17 @@ def read_splits(info: LeRobotInfo, episodes: Sequence[int]) -> tuple[dict[int, s
     return result, tuple(notes)
 
 
-def _check_version(root: Path, version: Any) -> None:
+def _version(root: Path, version: Any) -> int:
+    """2 or 3."""
     found = re.match(r"v?(\d+)(\.\d+)*", version) if isinstance(version, str) else None
-    if found is not None and int(found[1][:9]) == 3:
-        return
-    old = found is not None and int(found[1][:9]) < 3
+    number = 0 if found is None else int(found[1][:9])
+    if number in (2, 3):
+        return number
     raise FormatError(
         f"{root} is a LeRobot dataset of another version",
         got=version,
-        expected="v3.0",
-        hint="Convert it with `python -m lerobot.datasets.v30.convert_dataset_v21_to_v30 --repo-id=...` "
-        "(`lerobot.scripts.convert_dataset_v21_to_v30` in newer releases)."
-        if old
-        else None,
+        expected="v3.0, v2.1 or v2.0",
+        hint="Convert it with LeRobot's own scripts, step by step." if number == 1 else None,
     )
 
 

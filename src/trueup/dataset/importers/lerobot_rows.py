@@ -1,9 +1,10 @@
-"""Rows of a LeRobot v3 dataset: which file holds an episode, and its frames."""
+"""Rows of a LeRobot dataset: which file holds an episode, and its frames."""
 
 from __future__ import annotations
 
 import contextlib
 import itertools
+import json
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,12 +18,12 @@ import pyarrow.parquet as pq
 from jaxtyping import Float
 
 from trueup.core.atomic import regular
-from trueup.dataset.importers.files import files_hash
+from trueup.dataset.importers.files import files_hash, read_text
 from trueup.dataset.importers.lerobot_info import LeRobotInfo
 from trueup.dataset.parquet_tables import believable, is_list, read_table
 from trueup.errors import DataError, TrueupError
 
-EPISODES = "meta/episodes"
+EPISODES, LINES = "meta/episodes", "meta/episodes.jsonl"
 OWN = "trueup/"
 
 _NEEDED = ("episode_index", "data/chunk_index", "data/file_index", "length")
@@ -54,6 +55,42 @@ def read_episodes(root: Path, info: LeRobotInfo) -> list[EpisodeRow]:
     Raises:
         DataError: the table of episodes is missing or damaged, or an episode occurs twice.
     """
+    rows = _rows_of_lines(root, info) if info.version == 2 else _rows_of_tables(root, info)
+    rows.sort(key=lambda row: row.number)
+    twice = [row.number for row, following in itertools.pairwise(rows) if row.number == following.number]
+    if twice:
+        raise DataError(f"{root / EPISODES} lists episodes twice", got=twice[:8])
+    ends: dict[Path, int] = {}
+    for k, row in enumerate(rows):
+        rows[k] = replace(row, start=ends.get(row.file, 0))
+        ends[row.file] = rows[k].start + row.length
+    return rows
+
+
+def _rows_of_lines(root: Path, info: LeRobotInfo) -> list[EpisodeRow]:
+    """Version 2: a line of JSON for each episode, which has a file of its own."""
+    path = root / LINES
+    rows = []
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        if not line.strip():
+            continue
+        try:
+            about = json.loads(line)
+            index, length = about["episode_index"], about["length"]
+        except (ValueError, RecursionError, LookupError, TypeError) as error:
+            raise DataError(f"{path}, line {number} is no episode", got=error) from error
+        if not all(type(value) is int and 0 <= value < 1 << 40 for value in (index, length)):
+            raise DataError(f"{path} has an episode with numbers that make no sense", got=[index, length])
+        file = info.data_file(root, index // info.chunk_size, index)
+        known = {name: about[name] for name in _OPTIONAL if about.get(name) is not None}
+        rows.append(EpisodeRow(index, file, 0, length, known))
+    if not rows:
+        raise DataError(f"{path} lists no episode")
+    return rows
+
+
+def _rows_of_tables(root: Path, info: LeRobotInfo) -> list[EpisodeRow]:
+    """Version 3: tables of episodes, which share files."""
     files = sorted((root / EPISODES).glob("*/*.parquet"))
     if not files:
         raise DataError(f"{root / EPISODES} holds no table of episodes", expected="chunk-000/file-000.parquet")
@@ -71,14 +108,6 @@ def read_episodes(root: Path, info: LeRobotInfo) -> list[EpisodeRow]:
                 number, chunk, file, length = numbers
                 about = {name: row[name] for name in _OPTIONAL if row.get(name) is not None}
                 rows.append(EpisodeRow(number, info.data_file(root, chunk, file), 0, length, about))
-    rows.sort(key=lambda row: row.number)
-    twice = [row.number for row, following in itertools.pairwise(rows) if row.number == following.number]
-    if twice:
-        raise DataError(f"{root / EPISODES} lists episodes twice", got=twice[:8])
-    ends: dict[Path, int] = {}
-    for k, row in enumerate(rows):
-        rows[k] = replace(row, start=ends.get(row.file, 0))
-        ends[row.file] = rows[k].start + row.length
     return rows
 
 

@@ -24,7 +24,9 @@ from trueup.dataset.importers.beside import plan_with
 from trueup.dataset.importers.clock import usable_clock
 from trueup.dataset.importers.files import bytes_hash, data_files, episode_id, inside, read_bytes
 from trueup.dataset.importers.gain_setting import kp_setting_of
+from trueup.dataset.importers.headers import suggest
 from trueup.dataset.importers.mapping import COMPONENTS
+from trueup.dataset.importers.tables import ArrayTable
 from trueup.dataset.importers.units import override_units
 from trueup.errors import DataError, FormatError, NameMismatch, TrueupError, UnitError
 
@@ -82,6 +84,7 @@ def _load(root: Path, path: Path, id: str, options: ImportOptions) -> Episode:
             got=", ".join(strange or sorted(arrays))[:200],
             expected="measured.time_s, measured.SIGNAL, measured.SIGNAL.unit, the same with command. or "
             f"simulated/LABEL., and {', '.join((*_NAMES, *_TEXTS, *_NUMBERS))}; SIGNAL is one of {', '.join(SI_UNIT)}",
+            hint=_mapping_hint(path, arrays) if "measured" not in labels else None,
         )
     done = {label: _series(path, arrays, label, options) for label in labels}
     numbers = {key: float(_numbers(path, key, arrays[key], ndim=0)) for key in _NUMBERS if key in arrays}
@@ -103,6 +106,14 @@ def _load(root: Path, path: Path, id: str, options: ImportOptions) -> Episode:
         command=done["command"][0] if "command" in done else None,
         simulated={label.partition("/")[2]: one[0] for label, one in done.items() if label.startswith("simulated/")},
     )
+
+
+def _mapping_hint(path: Path, arrays: dict[str, Shaped[np.ndarray, "..."]]) -> str:
+    """What reads the arrays of other programs."""
+    suggestion = suggest(ArrayTable(path, list(arrays), arrays.__getitem__))
+    if suggestion is None:
+        return "A mapping file reads the arrays of other programs: docs/logs.md#tables."
+    return f"A mapping reads it. If this is right, save it as mapping.yaml beside the logs:\n{suggestion.text}"
 
 
 def _series(

@@ -10,17 +10,14 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
-from jaxtyping import Float64
 
 from trueup.core.episode import Episode, EpisodeMeta, Flag
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
 from trueup.dataset.importers.beside import plan_with
 from trueup.dataset.importers.clock import common_origin, shifted, usable_clock
-from trueup.dataset.importers.columns import TextTable
 from trueup.dataset.importers.files import bytes_hash, episode_id, inside, read_bytes, read_text
+from trueup.dataset.importers.text_table import TextTable
 from trueup.dataset.importers.units import override_units
 from trueup.errors import DataError, FormatError, NameMismatch
 
@@ -34,6 +31,10 @@ _SIGNALS = {"positions": "position", "velocities": "velocity", "torques": "torqu
 _UNITS = {"position": "rad", "velocity": "rad/s", "torque": "Nm"}
 _REQUIRED = {"command": ("positions",), "measured": ("positions", "velocities", "torques")}
 _TICKS_PER_SECOND = 1e6
+_LONGEST_STEP_S = 0.5
+
+# What a number in a list is about.
+_JOINT = "joint of joint_list.txt"
 
 
 def detects(path: Path) -> bool:
@@ -135,35 +136,15 @@ def _series(
     table = TextTable(path, data)
     wanted = [column for column in _SIGNALS if column in table.names or column in _REQUIRED[series]]
     text = table.read(["timestamp", *wanted])
-    time_s = table.floats("timestamp", text["timestamp"]) / _TICKS_PER_SECOND
+    ticks = table.floats("timestamp", text["timestamp"])
+    # Robots' logs count microseconds, and SAGE's simulator seconds.
+    in_seconds = ticks.size > 1 and float(np.median(np.diff(ticks))) < _LONGEST_STEP_S
+    time_s = ticks if in_seconds else ticks / _TICKS_PER_SECOND
     rows, flags = usable_clock(time_s, source=str(path), series=series)
-    signals = {_SIGNALS[column]: _vectors(table, column, text[column], len(joints))[rows] for column in wanted}
+    signals = {
+        _SIGNALS[column]: table.vectors(column, text[column], width=len(joints), of=_JOINT)[rows] for column in wanted
+    }
     units = same_units({signal: _UNITS[signal] for signal in signals}, joints)
     return TimeSeries(
         time_s=time_s[rows], joints=joints, signals=signals, units=override_units(units, joints, overrides)
     ), flags
-
-
-def _vectors(table: TextTable, column: str, text: pa.StringArray, width: int) -> Float64[np.ndarray, "T J"]:
-    """JSON lists of `width` numbers, one a row, parsed as one flat column: six times as fast as a JSON parser.
-
-    Raises:
-        DataError: a row is not a list, has another length than there are joints, or a value that is not finite.
-    """
-    trimmed = pc.ascii_trim_whitespace(text)
-    is_list = pc.and_(pc.starts_with(trimmed, "["), pc.ends_with(trimmed, "]"))
-    if not pc.all(is_list).as_py():
-        row = pc.index(is_list, value=False).as_py()
-        table.refuse(column, row, text[row].as_py(), expected="a JSON list in quotes")
-    parts = pc.split_pattern(pc.utf8_slice_codeunits(trimmed, 1, -1), ",")
-    lengths = pc.list_value_length(parts).to_numpy()
-    ragged = lengths != width
-    if ragged.any():
-        row = int(np.argmax(ragged))
-        table.refuse(column, row, f"{lengths[row]} values", expected=f"{width}, one for each joint of joint_list.txt")
-    values = table.cast(column, pc.ascii_trim_whitespace(parts.flatten()), per_row=width).reshape(-1, width)
-    finite = np.isfinite(values).all(axis=1)
-    if not finite.all():
-        row = int(np.argmin(finite))
-        table.refuse(column, row, text[row].as_py(), expected="finite numbers")
-    return values

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from trueup.core.config import parse_yaml
+from trueup.core.config import parse_yaml, refuse_large_yaml
 from trueup.core.timeseries import TimeSeries
 from trueup.core.units import SI_UNIT, UNITS
 from trueup.dataset.importers.base import ImportOptions
@@ -43,6 +43,16 @@ _KEYS = (
     "kp_setting",
     "condition",
 )
+
+
+class UnnamedCommand(ConfigError):
+    """Commands in arrays without names of joints.
+
+    Attributes:
+        count: of joints.
+    """
+
+    count = 0
 
 
 @dataclass(frozen=True)
@@ -126,6 +136,7 @@ def with_units(series: TimeSeries, units: Mapping[str, str], joints: Collection[
 
 
 def _read_yaml(path: Path) -> dict[Any, Any]:
+    refuse_large_yaml(path)
     try:
         text = read_text(path)
     except DataError as error:

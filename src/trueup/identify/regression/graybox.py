@@ -18,6 +18,7 @@ from trueup.identify.regression.graybox_scores import Sums, block_scores, sums_o
 from trueup.identify.regression.graybox_terms import BLOCKS, JointRows
 from trueup.identify.regression.samples import CommandVelocity, Motion, Samples, SampleSettings, gather
 from trueup.identify.regression.torque_limit import AT_LIMIT, apparent_limit
+from trueup.robots.spec import CommandSignal
 
 _FEWEST = 50  # samples
 _FOLDS = 10
@@ -41,6 +42,7 @@ class GrayboxSettings:
         torque_limits: joint -> largest torque; samples beyond 98 % of it say nothing about gains and are left out.
             Where no limit is given, one is looked for.
         kp_setting: of the drives' position gain, at which `K_p` holds; the largest one of motions with several if None.
+        follows: what the drives are told. The block `pd` has `K_d` and `K_i` for a velocity, `K_u` for a torque.
     """
 
     blocks: tuple[str, ...] = tuple(BLOCKS)
@@ -51,6 +53,7 @@ class GrayboxSettings:
     derive_velocity: bool = False
     torque_limits: Mapping[str, float] = field(default_factory=dict)
     kp_setting: float | None = None
+    follows: CommandSignal = "position"
 
     def __post_init__(self) -> None:
         """Refuse what cannot be fitted."""
@@ -61,6 +64,17 @@ class GrayboxSettings:
         if not 0.0 < self.epsilon < np.inf:
             raise ConfigError("epsilon must be above 0", got=self.epsilon)
 
+    @property
+    def samples(self) -> SampleSettings:
+        """How rows are made of episodes."""
+        return SampleSettings(
+            delay_s=self.delay_s,
+            cutoff_hz=self.cutoff_hz,
+            command_velocity=self.command_velocity,
+            derive_velocity=self.derive_velocity,
+            follows=self.follows,
+        )
+
 
 class _Data(NamedTuple):
     """The complete rows of one joint, and what they belong to."""
@@ -68,7 +82,7 @@ class _Data(NamedTuple):
     rows: JointRows
     motion: Int[np.ndarray, "N"]
     train: Bool[np.ndarray, "N"]
-    columns: Float64[np.ndarray, "N 10"]
+    columns: Float64[np.ndarray, "N 12"]
 
 
 class _Fit(NamedTuple):
@@ -95,30 +109,24 @@ def fit_graybox(
     motions cannot tell is left out with the reason, and so is a block of which nothing is left.
 
     Args:
-        episodes: in the joint names and units of the robot, with measured position and torque and a commanded
-            position. Without any split all of them are fitted and nothing is held out.
+        episodes: in the joint names and units of the robot, with measured position and torque, and a command of what
+            the drives follow. Without any split all of them are fitted and nothing is held out.
         settings: blocks, delay, filter and sources.
         joints: the joints to fit; all if None.
 
     Raises:
         DataError: no episode, or none to fit.
-        MissingSignal: no torque, or no commanded position.
+        MissingSignal: no torque, or no such command.
         NameMismatch: an episode lacks a joint.
         UnitError: a signal is not in SI.
     """
     settings = settings or GrayboxSettings()
-    samples = gather(
-        episodes,
-        SampleSettings(
-            delay_s=settings.delay_s,
-            cutoff_hz=settings.cutoff_hz,
-            command_velocity=settings.command_velocity,
-            derive_velocity=settings.derive_velocity,
-        ),
-        joints=joints,
-    )
+    samples = gather(episodes, settings.samples, joints=joints)
     if not np.isfinite(samples.command).any():
-        raise MissingSignal("the episodes have no commanded position", hint="For torque-driven logs, fit the dynamics.")
+        raise MissingSignal(
+            f"the episodes have no commanded {settings.follows}",
+            hint="Say what the drives follow, or fit the dynamics.",
+        )
     notes, splits = _splits(samples)
     folds = _folds(samples)
     fits, sums = {}, []
@@ -131,6 +139,29 @@ def fit_graybox(
         notes=notes,
         total=_total(samples, splits, sums, fits),
     )
+
+
+def predict_graybox(
+    episodes: Iterable[Episode], fitted: GrayboxResult, settings: GrayboxSettings, blocks: Mapping[str, str]
+) -> Float64[np.ndarray, "T J"]:
+    """The torque that a gray box predicts at all stamps, one motion after the other [Nm or N]; NaN where it cannot.
+
+    Args:
+        episodes: as of `fit_graybox`.
+        fitted: to other motions.
+        settings: with which it was; `kp_setting` says at which setting `K_p` holds, also of these motions.
+        blocks: joint -> block up to which its model goes; of other joints nothing is predicted.
+    """
+    samples = gather(episodes, settings.samples, joints=tuple(fitted.joints))
+    result = np.full(samples.torque.shape, np.nan)
+    for number, joint in enumerate(samples.joints):
+        if joint not in blocks:
+            continue
+        table = terms.columns(_raw_rows(samples, number, settings), settings.epsilon)
+        known = fitted.joints[joint].block(blocks[joint]).coefficients
+        used = {name: item.value for name, item in known.items() if item.value is not None}
+        result[:, number] = table[:, _index(tuple(used))] @ np.array(list(used.values()))
+    return result
 
 
 def _kp_factors(motions: Sequence[Motion], settings: GrayboxSettings) -> Float64[np.ndarray, "E"]:
@@ -198,7 +229,7 @@ def _fit_joint(
     motions = np.unique(data.motion[data.train])
     why = terms.unusable(fitted)
     if why:
-        nothing = tuple(_left_out(block, length_unit, {}, why) for block in settings.blocks)
+        nothing = tuple(_left_out(block, settings.follows, length_unit, {}, why) for block in settings.blocks)
         return JointFit(nothing, "none", motions.size, int(data.train.sum()), (*notes, why)), {}
     loads = np.array([samples.motions[motion].payload_kg for motion in motions])
     payload_motions = {float(load): int((loads == load).sum()) for load in np.unique(loads)}
@@ -212,12 +243,13 @@ def _fit_joint(
     unseen = _held_out(constant, data, folds)
     errors: dict[str, _Sums] = {}
     for block in settings.blocks:
-        names = terms.term_names(settings.blocks[: settings.blocks.index(block) + 1])
+        names = terms.term_names(settings.blocks[: settings.blocks.index(block) + 1], settings.follows)
         present = tuple(name for name in names if name not in reasons)
         reasons |= terms.dependent(triangle[:, _index(present)], present)
-        if all(name in reasons for name in BLOCKS[block]):
-            why = "; ".join(dict.fromkeys(reasons[name] for name in BLOCKS[block]))
-            fits.append(_left_out(block, length_unit, reasons, f"not identifiable: {why}"))
+        own = terms.blocks_of(settings.follows)[block]
+        if all(name in reasons for name in own):
+            why = "; ".join(dict.fromkeys(reasons[name] for name in own))
+            fits.append(_left_out(block, settings.follows, length_unit, reasons, f"not identifiable: {why}"))
             continue
         used = tuple(name for name in names if name not in reasons)
         fit = _least_squares(data, triangle, used)
@@ -264,42 +296,56 @@ def _held_out(table: Float64[np.ndarray, "N K"], data: _Data, folds: Int[np.ndar
 def _joint_data(
     samples: Samples, number: int, splits: tuple[str, ...], settings: GrayboxSettings
 ) -> tuple[_Data, list[str]]:
-    kp_factor = _kp_factors(samples.motions, settings)[samples.motion]
-    raw = {
-        "error": kp_factor * (samples.command[:, number] - samples.position[:, number]),
-        "velocity_error": samples.command_velocity[:, number] - samples.velocity[:, number],
-        "command": samples.command[:, number],
-        "command_velocity": samples.command_velocity[:, number],
-        "position": samples.position[:, number],
-        "velocity": samples.velocity[:, number],
-        "acceleration": samples.acceleration[:, number],
-        "payload_kg": samples.payload_kg,
-        "torque": samples.torque[:, number],
-    }
-    needs = [name for name in raw if name != "acceleration" or "coupling" in settings.blocks]
-    usable = np.all([np.isfinite(raw[name]) for name in needs], axis=0)
+    raw = _raw_rows(samples, number, settings)
+    arrays = {name: own for name, own in vars(raw).items() if isinstance(own, np.ndarray)}
+    needs = [name for name in arrays if name != "acceleration" or "coupling" in settings.blocks]
+    usable = np.all([np.isfinite(arrays[name]) for name in needs], axis=0)
     split = np.array(splits)[samples.motion]
     usable &= split != ""
     cut, notes = _beyond_limit(raw, usable, split == "train", settings.torque_limits.get(samples.joints[number]))
     usable &= ~cut
-    rows = JointRows(**{name: values[usable] for name, values in raw.items()}, length_unit=samples.length_units[number])
+    rows = raw.where(usable)
     table = terms.columns(rows, settings.epsilon)
     return _Data(rows, samples.motion[usable], split[usable] == "train", table), notes
 
 
+def _raw_rows(samples: Samples, number: int, settings: GrayboxSettings) -> JointRows:
+    """All rows of one joint, NaN where something is not known."""
+    command, position = samples.command[:, number], samples.position[:, number]
+    rate, velocity = samples.command_velocity[:, number], samples.velocity[:, number]
+    error, velocity_error = command - position, rate - velocity
+    if settings.follows == "position":
+        error = _kp_factors(samples.motions, settings)[samples.motion] * error
+    elif settings.follows == "torque":
+        error = velocity_error = 0.0 * command
+    return JointRows(
+        error=error,
+        velocity_error=velocity_error,
+        command=command,
+        command_velocity=rate,
+        position=position,
+        velocity=velocity,
+        acceleration=samples.acceleration[:, number],
+        payload_kg=samples.payload_kg,
+        torque=samples.torque[:, number],
+        length_unit=samples.length_units[number],
+        follows=settings.follows,
+    )
+
+
 def _beyond_limit(
-    raw: Mapping[str, Float64[np.ndarray, "N"]],
+    raw: JointRows,
     usable: Bool[np.ndarray, "N"],
     train: Bool[np.ndarray, "N"],
     limit: float | None,
 ) -> tuple[Bool[np.ndarray, "N"], list[str]]:
     """Samples whose torque is cut off, and what to say about them."""
-    size = np.abs(raw["torque"])
+    size = np.abs(raw.torque)
     fitted = usable & train
     origin = "the given torque limit"
     if limit is None and fitted.sum() > _FEWEST:
-        pd = np.stack([np.ones(size.size), raw["error"], raw["velocity_error"]], axis=1)
-        limit = apparent_limit(raw["torque"][fitted], pd[fitted])
+        drive = [raw.command] if raw.follows == "torque" else [raw.error, raw.velocity_error]
+        limit = apparent_limit(raw.torque[fitted], np.stack([np.ones(size.size), *drive], axis=1)[fitted])
         origin = "what looks like a torque limit"
     if limit is None:
         return np.zeros(size.size, bool), []
@@ -310,11 +356,10 @@ def _beyond_limit(
 
 
 def _index(names: tuple[str, ...]) -> list[int]:
-    order = terms.term_names(tuple(BLOCKS))
-    return [order.index(name) for name in names]
+    return [terms.COLUMNS.index(name) for name in names]
 
 
-def _least_squares(data: _Data, triangle: Float64[np.ndarray, "R 11"], names: tuple[str, ...]) -> _Fit:
+def _least_squares(data: _Data, triangle: Float64[np.ndarray, "R 13"], names: tuple[str, ...]) -> _Fit:
     table = data.columns[:, _index(names)]
     design, motion = table[data.train], data.motion[data.train]
     folded = triangle[:, _index(names)]
@@ -357,8 +402,8 @@ def _coefficients(
     return result
 
 
-def _left_out(block: str, length_unit: str, reasons: Mapping[str, str], why: str) -> BlockFit:
-    own = BLOCKS[block]
+def _left_out(block: str, follows: CommandSignal, length_unit: str, reasons: Mapping[str, str], why: str) -> BlockFit:
+    own = terms.blocks_of(follows)[block]
     coefficients = {
         name: Coefficient(terms.unit(name, length_unit), status="not identifiable", note=reasons.get(name, why))
         for name in own

@@ -74,17 +74,23 @@ def block_scores(
         inside = inside & np.any([item.size > 0 for item in sums], axis=0)
         if not inside.any():
             continue
-        by_split[split] = _score(sums, inside, group, unit)
+        by_split[split] = score_of(sums, inside, group, unit)
         by_payload[split] = {
-            f"{load:g}": _score(sums, inside & (loads == load), group, unit) for load in np.unique(loads[inside])
+            f"{load:g}": score_of(sums, inside & (loads == load), group, unit) for load in np.unique(loads[inside])
         }
     return by_split, by_payload
 
 
-def _score(joints: Sequence[Sums], inside: Bool[np.ndarray, "E"], group: Int[np.ndarray, "E"], unit: str) -> Score:
+def score_of(joints: Sequence[Sums], inside: Bool[np.ndarray, "E"], group: Int[np.ndarray, "E"], unit: str) -> Score:
     """RMSE over all samples; intervals from the linearized contribution of each motion, which sums to the value.
 
     Repetitions of a motion are no news: they are added up before motions are drawn.
+
+    Args:
+        joints: one item per joint; their RMSEs are averaged.
+        inside: which of the E motions count.
+        group: the same number for repetitions of a motion.
+        unit: of the residuals.
     """
     there = [item for item in joints if item.size[inside].any()]
     count = int(inside.sum())

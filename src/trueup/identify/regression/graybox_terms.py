@@ -5,6 +5,9 @@ tau = K_p (q_cmd - q) + K_d (dq_cmd - dq) + K_v dq + K_c tanh(dq / eps) + K_payl
 
 The constant tau_0 belongs to the first block and stays in all that follow: what a later block is worth is then its own
 and not that of a mean torque.
+
+That is a servo for positions. In its place a servo for velocities has K_d (dq_cmd - dq) + K_i (integral of the same),
+and a drive for torques K_u tau_cmd.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from trueup.core.units import joint_unit
+from trueup.robots.spec import CommandSignal
 
 BLOCKS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -27,10 +31,16 @@ BLOCKS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "coupling": ("K_Pdq", "K_Pddq"),
     }
 )
+# The drive's own block, by what it follows.
+_DRIVES: Mapping[CommandSignal, tuple[str, ...]] = MappingProxyType(
+    {"position": BLOCKS["pd"], "velocity": ("tau_0", "K_d", "K_i"), "torque": ("tau_0", "K_u")}
+)
 _HINGE_UNITS: Mapping[str, str] = MappingProxyType(
     {
         "tau_0": "Nm",
         "K_p": "Nm/rad",
+        "K_i": "Nm/rad",
+        "K_u": "1",
         "K_d": "Nm s/rad",
         "K_v": "Nm s/rad",
         "K_c": "Nm",
@@ -52,9 +62,10 @@ class JointRows:
     """The N complete rows of one joint.
 
     Attributes:
-        error: commanded minus measured position, by how much more the gain was set to than where `K_p` holds.
-        velocity_error: commanded minus measured velocity.
-        command: commanded position.
+        error: commanded minus measured position, by how much more the gain was set to than where `K_p` holds; of a
+            servo for velocities the integral of its error [rad or m], 0 where torques are followed.
+        velocity_error: commanded minus measured velocity; 0 where torques are followed.
+        command: commanded position, integrated commanded velocity, or commanded torque.
         command_velocity: commanded velocity.
         position: measured position.
         velocity: measured velocity.
@@ -62,6 +73,7 @@ class JointRows:
         payload_kg: payload.
         torque: what is predicted.
         length_unit: `rad` or `m`.
+        follows: what the drive is told.
     """
 
     error: Float64[np.ndarray, "N"]
@@ -74,11 +86,16 @@ class JointRows:
     payload_kg: Float64[np.ndarray, "N"]
     torque: Float64[np.ndarray, "N"]
     length_unit: str
+    follows: CommandSignal = "position"
 
     def where(self, mask: Bool[np.ndarray, "N"]) -> JointRows:
         """The rows at which the mask is true."""
-        arrays = {name: values[mask] for name, values in vars(self).items() if name != "length_unit"}
-        return replace(self, **arrays)
+        return replace(self, **{name: own[mask] for name, own in vars(self).items() if isinstance(own, np.ndarray)})
+
+    @property
+    def told(self) -> Float64[np.ndarray, "N"]:
+        """What the torque of the drive should grow with."""
+        return {"position": self.error, "velocity": self.velocity_error, "torque": self.command}[self.follows]
 
 
 _COLUMNS: Mapping[str, Callable[[JointRows, float], Float64[np.ndarray, "N"]]] = MappingProxyType(
@@ -86,6 +103,8 @@ _COLUMNS: Mapping[str, Callable[[JointRows, float], Float64[np.ndarray, "N"]]] =
         "tau_0": lambda rows, _: np.ones_like(rows.position),
         "K_p": lambda rows, _: rows.error,
         "K_d": lambda rows, _: rows.velocity_error,
+        "K_i": lambda rows, _: rows.error,
+        "K_u": lambda rows, _: rows.command,
         "K_v": lambda rows, _: rows.velocity,
         "K_c": lambda rows, epsilon: np.tanh(rows.velocity / epsilon),
         "K_payload": lambda rows, _: rows.payload_kg,
@@ -97,19 +116,28 @@ _COLUMNS: Mapping[str, Callable[[JointRows, float], Float64[np.ndarray, "N"]]] =
 )
 
 
-def columns(rows: JointRows, epsilon: float) -> Float64[np.ndarray, "N 10"]:
-    """All terms of eq. 1 without their coefficients, in the order of `BLOCKS`.
+COLUMNS: tuple[str, ...] = tuple(_COLUMNS)
+
+
+def blocks_of(follows: CommandSignal) -> dict[str, tuple[str, ...]]:
+    """Block -> coefficients, for a drive that follows this."""
+    return {**BLOCKS, "pd": _DRIVES[follows]}
+
+
+def columns(rows: JointRows, epsilon: float) -> Float64[np.ndarray, "N 12"]:
+    """All terms without their coefficients, in the order of `COLUMNS`.
 
     Args:
         rows: the rows of one joint.
         epsilon: width of the smoothed Coulomb step [rad/s or m/s].
     """
-    return np.stack([_COLUMNS[name](rows, epsilon) for names in BLOCKS.values() for name in names], axis=1)
+    return np.stack([term(rows, epsilon) for term in _COLUMNS.values()], axis=1)
 
 
-def term_names(blocks: tuple[str, ...]) -> tuple[str, ...]:
+def term_names(blocks: tuple[str, ...], follows: CommandSignal = "position") -> tuple[str, ...]:
     """The coefficients of these blocks, in order."""
-    return tuple(name for block in blocks for name in BLOCKS[block])
+    own = blocks_of(follows)
+    return tuple(name for block in blocks for name in own[block])
 
 
 def unit(name: str, length_unit: str) -> str:
@@ -123,14 +151,24 @@ def unusable(rows: JointRows) -> str:
         return f"only {rows.torque.size} complete samples"
     if np.ptp(rows.torque) == 0.0:
         return f"the torque never changes ({rows.torque[0]:.4g})"
-    one_sided = rows.torque.min() >= 0.0 or rows.torque.max() <= 0.0
-    sides = min(np.mean(rows.error > 0.0), np.mean(rows.error < 0.0))
-    if one_sided and sides > 0.05:
-        size = np.abs(rows.torque)
-        signed = abs(_correlation(np.abs(rows.error), size)) <= abs(_correlation(rows.error, size))
-        if not signed:
-            return "the torque never changes its sign while the position error does: it looks like an absolute value"
-    return ""
+    what = {"position": "position error", "velocity": "velocity error", "torque": "commanded torque"}[rows.follows]
+    return unsigned(rows.torque, rows.told, what)
+
+
+def unsigned(torque: Float64[np.ndarray, "N"], told: Float64[np.ndarray, "N"], what: str) -> str:
+    """Why a torque looks like an absolute value; empty if it does not.
+
+    Args:
+        torque: as measured.
+        told: what it should grow with.
+        what: what that is called.
+    """
+    one_sided = torque.min() >= 0.0 or torque.max() <= 0.0
+    sides = min(np.mean(told > 0.0), np.mean(told < 0.0))
+    size = np.abs(torque)
+    if not one_sided or sides <= 0.05 or abs(_correlation(np.abs(told), size)) <= abs(_correlation(told, size)):
+        return ""
+    return f"the torque never changes its sign while the {what} does: it looks like an absolute value"
 
 
 def missing_evidence(rows: JointRows, payload_motions: Mapping[float, int]) -> dict[str, str]:
@@ -151,7 +189,7 @@ def missing_evidence(rows: JointRows, payload_motions: Mapping[float, int]) -> d
             reasons["K_d"] = why
         if constant_command:
             reasons["K_p"] = "neither the command nor the joint moved"
-    elif np.ptp(rows.command_velocity) == 0.0 and not rows.command_velocity.any():
+    elif rows.follows != "torque" and not rows.command_velocity.any():
         reasons["K_v"] = "the commanded velocity is zero throughout, so K_d holds both: K_d stands for K_d - K_v"
     if rows.length_unit != "rad":
         reasons |= dict.fromkeys(("K_Psin", "K_Pcos"), "posture terms are for joints that rotate")

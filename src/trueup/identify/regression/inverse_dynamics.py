@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -11,6 +11,7 @@ from jaxtyping import Float, Float64, Int
 
 from trueup.core.episode import Episode
 from trueup.errors import ConfigError, DataError
+from trueup.identify.inertial import Inertial
 from trueup.identify.regression.base_parameters import BaseStructure
 from trueup.identify.regression.base_regression import Solution, solve_base
 from trueup.identify.regression.consistent import Consistent, Extras, consistent_bodies
@@ -31,7 +32,7 @@ from trueup.identify.regression.inverse_dynamics_result import (
 from trueup.identify.regression.linkage import Linkage
 from trueup.identify.regression.mass_regression import choose_cutoff
 from trueup.identify.regression.pseudo_inertia import PARAMETER_UNITS, parameters_of
-from trueup.identify.regression.samples import SampleSettings, TorqueSource, gather
+from trueup.identify.regression.samples import Samples, SampleSettings, TorqueSource, gather
 
 _WEAK = 1.0 / 3.0
 
@@ -142,6 +143,7 @@ def inverse_dynamics_from_episodes(
     *,
     joints: Sequence[str] | None = None,
     torque: TorqueSource = "measured",
+    unmeasured: Collection[str] = (),
     delay_s: float = 0.0,
     cutoff_hz: float | None = None,
     max_rows: int = 20_000,
@@ -154,6 +156,7 @@ def inverse_dynamics_from_episodes(
         model: of the robot.
         joints: joints of the log that are fitted; those of the first episode if None.
         torque: the measured torque, or the commanded one.
+        unmeasured: joints that move, and whose torque says nothing.
         delay_s: the commanded torque acts this much later [s].
         cutoff_hz: of the low-pass [Hz]; None takes the one that explains most of the torque. Too high, all inertias
             and weights come out too small, by more than the intervals say.
@@ -175,10 +178,52 @@ def inverse_dynamics_from_episodes(
         samples.acceleration[every],
         samples.torque[every],
         joints=samples.joints,
+        weight=np.tile([float(name not in unmeasured) for name in samples.joints], (len(samples.time_s[every]), 1)),
         motion=samples.motion[every],
         settings=settings,
     )
     return replace(fit, notes=(f"position and torque were low-passed at {cutoff_hz:g} Hz", *fit.notes))
+
+
+def predict_inverse_dynamics(
+    fitted: InverseDynamicsFit, linkage: Linkage, samples: Samples, *, epsilon: float
+) -> Float64[np.ndarray, "T J"]:
+    """The torque that the found bodies take for a motion [Nm or N]; NaN where the motion is not known.
+
+    Those of the possible bodies near the model's, not the base parameters: what the fitted motions hardly show would be
+    noise in others.
+
+    Args:
+        fitted: to other motions.
+        linkage: of the same model and joints.
+        samples: the motion, low-passed as those that were fitted.
+        epsilon: as in the fit.
+    """
+    values = _found_terms(fitted, linkage)
+    states = samples.position, samples.velocity, samples.acceleration
+    known = np.all([np.isfinite(own).all(axis=1) for own in states], axis=0)
+    result = np.full(samples.position.shape, np.nan)
+    for motion in range(len(samples.motions)):  # the columns of all motions at once may not fit into memory
+        rows = np.flatnonzero(known & (samples.motion == motion))
+        if rows.size:
+            q, dq, ddq = (own[rows] for own in states)
+            result[rows] = term_columns(linkage, q, dq, ddq, epsilon) @ values - linkage.spring(q)
+    return result
+
+
+def _found_terms(fitted: InverseDynamicsFit, linkage: Linkage) -> Float64[np.ndarray, "P"]:
+    """The parameters of links and joints that the bodies of a fit have."""
+    total = np.zeros((len(linkage.links), len(PARAMETER_UNITS)))
+    for body in linkage.bodies:
+        own = fitted.bodies.get(body.name)
+        if own is None:
+            continue
+        a, b, c, d, e, f = own.fullinertia_kg_m2
+        inertia = np.array([[a, d, e], [d, b, f], [e, f, c]])
+        inertial = Inertial(own.mass_kg, np.array(own.com_m), inertia)
+        total[body.link] += parameters_of(body.pose.carried(inertial.pseudo_inertia))
+    joints = [[getattr(fitted.joints[name], term) for name in linkage.joints] for term in JOINT_TERMS]
+    return np.concatenate([total.ravel(), np.ravel(joints)])
 
 
 def _base(linkage: Linkage, solution: Solution) -> tuple[BaseParameter, ...]:

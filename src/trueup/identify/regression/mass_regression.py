@@ -103,7 +103,8 @@ def regress_masses(samples: Samples, model: mujoco.MjModel, *, max_rows: int) ->
     extra = [term[:, :, None] * own for term in (ddq, dq, np.tanh(dq / _EPSILON), np.ones_like(dq))]
     table = np.concatenate([shares, *extra], axis=2)
     load = tau + model.jnt_stiffness[columns] * (model.qpos_spring[columns] - q)
-    moving = np.abs(dq) >= _LEAST_SPEED * np.sqrt(np.mean(dq**2, axis=0))
+    # A joint without any torque has no torque that was measured, and says nothing.
+    moving = (np.abs(dq) >= _LEAST_SPEED * np.sqrt(np.mean(dq**2, axis=0))) & np.any(tau != 0.0, axis=0)
     return MassRegression(
         joints=samples.joints,
         links=tuple(links),
@@ -111,6 +112,48 @@ def regress_masses(samples: Samples, model: mujoco.MjModel, *, max_rows: int) ->
         table=table,
         load=load,
     )
+
+
+def model_torque(
+    model: mujoco.MjModel, samples: Samples, *, rigid: bool = False, epsilon: float = _EPSILON
+) -> Float64[np.ndarray, "T J"]:
+    """The torque that a model takes for a motion, by MuJoCo's inverse dynamics; NaN where the motion is not known.
+
+    Args:
+        model: with its own masses, armature, damping, springs and dry friction; contacts and limits are left out.
+        samples: the motion, low-passed.
+        rigid: of the links alone, without what the joints take.
+        epsilon: width of the smoothed sign of the velocity in dry friction [rad/s or m/s].
+
+    Raises:
+        ConfigError: a joint is neither hinge nor slide.
+        NameMismatch: the model lacks a joint.
+    """
+    columns = _joint_columns(model, samples.joints)
+    states = samples.position, samples.velocity, samples.acceleration
+    known = np.flatnonzero(np.all([np.isfinite(values).all(axis=1) for values in states], axis=0))
+    q, dq, ddq = (values[known] for values in states)
+    result = np.full(samples.position.shape, np.nan)
+    result[known] = _inverse(_bare(model) if rigid else _unconstrained(model), columns, q, dq, ddq)
+    if not rigid:
+        result[known] += model.dof_frictionloss[columns] * np.tanh(dq / epsilon)
+    return result
+
+
+def _unconstrained(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Without contacts, limits, dry friction and drives."""
+    free = mujoco.MjModel.__copy__(model)
+    free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_ACTUATION
+    return free
+
+
+def _bare(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Links alone: also without what the joints take."""
+    bare = _unconstrained(model)
+    for field in ("dof_armature", "dof_damping", "dof_dampingpoly", "jnt_stiffness", "jnt_stiffnesspoly"):
+        if hasattr(bare, field):
+            getattr(bare, field)[:] = 0.0
+    return bare
 
 
 def _joint_columns(model: mujoco.MjModel, joints: tuple[str, ...]) -> Int[np.ndarray, "J"]:
@@ -133,11 +176,7 @@ def _body_shares(
     ddq: Float64[np.ndarray, "T J"],
 ) -> tuple[list[str], Float64[np.ndarray, "T J B"]]:
     """The torque that each link's own mass asks for: what inverse dynamics add when it is doubled."""
-    bare = mujoco.MjModel.__copy__(model)
-    bare.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_ACTUATION
-    for field in ("dof_armature", "dof_damping", "dof_dampingpoly", "jnt_stiffness", "jnt_stiffnesspoly"):
-        if hasattr(bare, field):
-            getattr(bare, field)[:] = 0.0
+    bare = _bare(model)
     plain = _inverse(bare, columns, q, dq, ddq)
     owners = [body for body in np.unique(model.body_weldid) if body > 0]
     result = np.empty((*plain.shape, len(owners)))

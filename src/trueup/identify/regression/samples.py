@@ -14,6 +14,7 @@ from trueup.core.hold import held_rows
 from trueup.core.timeseries import TimeSeries
 from trueup.errors import ConfigError, DataError, MissingSignal, NameMismatch, UnitError
 from trueup.identify.regression.smoothing import smooth, without_noise
+from trueup.robots.spec import CommandSignal
 
 TORQUE_UNIT = {"rad": "Nm", "m": "N"}
 
@@ -54,8 +55,9 @@ class Samples:
         velocity: measured and low-passed, or the derivative of the low-passed position.
         acceleration: measured, or the derivative of the low-passed velocity.
         torque: measured or commanded [Nm or N].
-        command: commanded position in force at the stamp, delayed [rad or m].
-        command_velocity: commanded velocity in force at the stamp, delayed.
+        command: what is commanded at the stamp, delayed: a position, the integral of a velocity from the measured
+            position on [rad or m], or a torque [Nm or N].
+        command_velocity: commanded velocity in force at the stamp, delayed; 0 beside commanded torques.
         notes: what had to be assumed.
     """
 
@@ -92,6 +94,7 @@ class SampleSettings:
         command_velocity: `signal` takes the velocity of the command series, zero where it has none; `derived`
             differentiates the position command; `zero` is a servo that damps towards standstill.
         torque: the measured torque, or the commanded one of a torque-driven robot.
+        follows: which signal of the command is taken.
     """
 
     delay_s: float = 0.0
@@ -100,6 +103,7 @@ class SampleSettings:
     derive_velocity: bool = False
     command_velocity: CommandVelocity = "signal"
     torque: TorqueSource = "measured"
+    follows: CommandSignal = "position"
 
     def __post_init__(self) -> None:
         """Refuse what cannot be meant."""
@@ -184,7 +188,7 @@ def _rows(episode: Episode, measured: TimeSeries, settings: SampleSettings) -> d
             velocity = without_noise(raw, velocity)
     if "acceleration" in measured and not settings.smooth_torque:
         acceleration = np.asarray(measured["acceleration"], np.float64)
-    command, command_velocity = _commanded(episode, measured, settings)
+    command, command_velocity = _commanded(episode, measured, position, settings)
     return {
         "time_s": clock,
         "position": position,
@@ -215,12 +219,17 @@ def _torque(episode: Episode, measured: TimeSeries, settings: SampleSettings) ->
 
 
 def _commanded(
-    episode: Episode, measured: TimeSeries, settings: SampleSettings
+    episode: Episode, measured: TimeSeries, actual: Float64[np.ndarray, "T J"], settings: SampleSettings
 ) -> tuple[Float64[np.ndarray, "T J"], Float64[np.ndarray, "T J"]]:
-    shape = (len(measured), len(measured.joints))
-    if episode.command is None or "position" not in episode.command:
+    shape, follows = (len(measured), len(measured.joints)), settings.follows
+    if episode.command is None or follows not in episode.command:
         return np.full(shape, np.nan), np.full(shape, np.nan)
     command = _selected_command(episode, measured)
+    if follows != "position":
+        held = _held(command, follows, measured.time_s - settings.delay_s)
+        if follows == "torque":
+            return held, np.where(np.isfinite(held), 0.0, np.nan)
+        return _integrated(held, measured.time_s, actual), held
     if command.units["position"] != measured.units["position"]:
         raise UnitError(
             f"command and measurement of episode {episode.id!r} are in different units",
@@ -237,6 +246,19 @@ def _commanded(
     else:
         velocity = np.where(np.isfinite(position), 0.0, np.nan)
     return position, velocity
+
+
+def _integrated(
+    velocity: Float64[np.ndarray, "T J"], time_s: Float64[np.ndarray, "T"], actual: Float64[np.ndarray, "T J"]
+) -> Float64[np.ndarray, "T J"]:
+    """Where a commanded velocity leads from the first position at which it is known [rad or m]; NaN before that."""
+    known = np.isfinite(velocity) & np.isfinite(actual)
+    first = np.argmax(known, axis=0)
+    steps = np.where(np.isfinite(velocity), velocity, 0.0)[:-1] * np.diff(time_s)[:, None]
+    travelled = np.concatenate([np.zeros((1, velocity.shape[1])), np.cumsum(steps, axis=0)])
+    column = np.arange(velocity.shape[1])
+    place = actual[first, column] + travelled - travelled[first, column]
+    return np.where(np.isfinite(velocity) & (np.arange(len(time_s))[:, None] >= first), place, np.nan)
 
 
 def _selected_command(episode: Episode, measured: TimeSeries) -> TimeSeries:

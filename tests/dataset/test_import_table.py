@@ -1,4 +1,5 @@
 import csv as stdlib_csv
+import os
 import tempfile
 from pathlib import Path
 
@@ -11,9 +12,10 @@ from hypothesis.extra.numpy import arrays
 from trueup.core.episode import Episode, EpisodeMeta
 from trueup.core.timeseries import TimeSeries, same_units
 from trueup.dataset.export_csv import export_csv
-from trueup.dataset.importers import csv
+from trueup.dataset.importers import table
 from trueup.dataset.importers.base import ImportOptions
-from trueup.dataset.importers.mapping_file import parse_mapping, shipped
+from trueup.dataset.importers.mapping_file import is_table_mapping, load_mapping, parse_mapping, shipped
+from trueup.dataset.importers.stated import read_stated
 from trueup.errors import ConfigError, DataError, FormatError, NameMismatch, OutputExists, UnitError
 
 PLAIN = """\
@@ -38,7 +40,7 @@ def make(folder, files, mapping=PLAIN):
 
 
 def episodes(path, **options):
-    return {source.id: source.load() for source in csv.scan(path, ImportOptions(**options)).episodes}
+    return {source.id: source.load() for source in table.scan(path, ImportOptions(**options)).episodes}
 
 
 def test_columns_units_and_the_clock_are_what_the_mapping_says(tmp_path):
@@ -83,7 +85,7 @@ condition: "carrying {kg}"
     seen = "t,q1,q2\n7.5,1,2\n8.5,3,4\n"
     desired = "stamp,tau\n7000,5\n7001,6\n7500,7\n"
     make(tmp_path, {"w/seen_1.5.csv": seen, "w/desired_1.5.csv": desired, "w/other.csv": "x\n1\n"}, mapping)
-    plan = csv.scan(tmp_path, ImportOptions())
+    plan = table.scan(tmp_path, ImportOptions())
     assert any("w/other.csv" in note for note in plan.notes)
     assert plan.robot == ""
     episode = plan.episodes[0].load()
@@ -230,11 +232,11 @@ def changed(old, new):
         (changed("unit: s}", "unit: rad}"), UnitError, "rad"),
         (changed("unit: s}", "unit: years}"), UnitError, "years"),
         (changed("q{n}", "q{m}"), ConfigError, r"\{m\}.*available: joint, n, i"),
-        (changed("q{n}", "q"), ConfigError, "one column each for a, b"),
+        (changed("q{n}", "q"), NameMismatch, "no column q"),
         (changed("[va, vb]", "[va]"), ConfigError, "one column each for a, b"),
         (changed("[rad/s, 1/s]", "[rad/s]"), ConfigError, "one unit.*a, b"),
         (changed("[a, b]", "[a, a]"), ConfigError, "named twice"),
-        (changed("[a, b]", "a"), ConfigError, "not a list"),
+        (changed("[a, b]", "a"), ConfigError, "a list of names"),
         (changed("[a, b]", "[on, off]"), ConfigError, "quotes"),
         (PLAIN + "delimiter: '::'", ConfigError, "delimiter"),
         (PLAIN + "skip_lines: -1", ConfigError, "skip_lines"),
@@ -309,18 +311,31 @@ def test_a_mapping_is_a_file_a_shipped_name_or_beside_the_data(tmp_path):
     assert episodes(tmp_path / "x.csv", mapping=elsewhere)["x"].meta.robot == "leg"
     with pytest.raises(NameMismatch, match="pos_meas1"):
         episodes(tmp_path, mapping=Path("dfki_double_pendulum"))
-    with pytest.raises(ConfigError, match=r"nowhere.yaml.*available: dfki_double_pendulum, dfki_simple_pendulum"):
+    with pytest.raises(
+        ConfigError, match=r"nowhere.yaml.*available: bam, dfki_double_pendulum, dfki_simple_pendulum, dynamixel"
+    ):
         episodes(tmp_path, mapping=Path("nowhere.yaml"))
 
 
+def test_a_mapping_of_terabytes_is_refused_unread(tmp_path):
+    path = tmp_path / "mapping.yaml"
+    path.touch()
+    os.truncate(path, 1 << 40)
+    assert is_table_mapping(path)
+    with pytest.raises(ConfigError, match="too large for a mapping: got 1099511627776 bytes"):
+        load_mapping(path)
+    with pytest.raises(ConfigError, match="too large"):
+        read_stated(ImportOptions(mapping=path))
+
+
 def test_unknown_columns_are_printed_with_where_a_mapping_to_start_from_is(tmp_path):
-    (tmp_path / "x.csv").write_text(ROWS)
-    with pytest.raises(FormatError, match=r"x.csv with columns t, q1, q2") as caught:
+    (tmp_path / "x.csv").write_text("when,mode,flag\n1,a,b\n2,a,b\n")
+    with pytest.raises(FormatError, match=r"x.csv with columns when, mode, flag") as caught:
         episodes(tmp_path)
     assert len(str(caught.value).splitlines()) == 2
     page = (Path(__file__).parents[2] / "docs" / "logs.md").read_text()
-    assert "docs/logs.md#csv" in caught.value.hint
-    _, _, section = page.partition("\n## CSV\n")
+    assert "docs/logs.md#tables" in caught.value.hint
+    _, _, section = page.partition("\n## Tables\n")
     mapping = section.partition("```yaml\n")[2].partition("```")[0]
     assert parse_mapping(mapping, name="page").columns("measured", "position")
 
@@ -330,16 +345,18 @@ def test_shipped_mappings_are_recognized_when_they_fit_every_file(tmp_path):
     for name in ("swing/data_measured.csv", "swing/data_desired.csv", "data_measured_2.csv", "data_desired_2.csv"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(header)
-    plan = csv.scan(tmp_path, ImportOptions())
+    plan = table.scan(tmp_path, ImportOptions())
     assert [source.id for source in plan.episodes] == ["_2", "swing"]
     assert any("dfki_simple_pendulum" in note for note in plan.notes)
     (tmp_path / "notes.csv").write_text("a,b\n1,2\n")
     with pytest.raises(FormatError, match="no mapping says"):
-        csv.scan(tmp_path, ImportOptions())
+        table.scan(tmp_path, ImportOptions())
 
 
 def test_shipped_mappings_are_valid():
-    assert set(shipped()) == {"dfki_double_pendulum", "dfki_simple_pendulum"}
+    assert set(shipped()) == {
+        *("bam", "dfki_double_pendulum", "dfki_simple_pendulum", "dynamixel", "franka", "kuka_rsi", "ur_rtde")
+    }
     for mapping in shipped().values():
         assert {"measured", "command"} == set(mapping.series)
 
@@ -420,7 +437,7 @@ def test_export_and_import_give_the_same_episodes(made):
         target = Path(folder) / "out"
         assert export_csv(made, target) == len(made)
         back = episodes(target)
-        splits = csv.scan(target, ImportOptions()).splits
+        splits = table.scan(target, ImportOptions()).splits
     assert set(back) == {episode.id for episode in made}
     for episode in made:
         again = back[episode.id]
@@ -476,7 +493,7 @@ def column(path, name):
 
 
 def test_the_double_pendulum(double_pendulum_logs):
-    plan = csv.scan(double_pendulum_logs, ImportOptions())
+    plan = table.scan(double_pendulum_logs, ImportOptions())
     assert any("dfki_double_pendulum" in note for note in plan.notes)
     assert [source.id for source in plan.episodes] == [f"trajectory_{n:02d}" for n in (0, 1, 2, 3, 11, 12, 13)]
     counts = {split: list(plan.splits.values()).count(split) for split in ("train", "val", "test")}
@@ -503,7 +520,7 @@ def test_the_double_pendulum(double_pendulum_logs):
 
 
 def test_the_simple_pendulum(simple_pendulum_logs):
-    plan = csv.scan(simple_pendulum_logs, ImportOptions())
+    plan = table.scan(simple_pendulum_logs, ImportOptions())
     assert any("dfki_simple_pendulum" in note for note in plan.notes)
     assert plan.splits == {
         "control_method_pd/system_identification": "train",
