@@ -1,6 +1,7 @@
 """Tables and arrays as pandas, polars, pyarrow, Excel, MATLAB, HDF5 and robots' own loggers write them."""
 
 import csv
+import gzip
 import importlib
 import json
 import tarfile
@@ -220,6 +221,64 @@ def json_named(folder: Path, truth: Recorded) -> None:
             file.write(json.dumps({"timestamp": START_S + time_s, **named}) + "\n")
 
 
+def json_frame(orient: str) -> Callable[[Path, Recorded], None]:
+    """A data frame of pandas, whose rows or columns come first."""
+    return lambda folder, truth: _frame(truth).to_json(folder / "run.json", orient=orient, double_precision=12)
+
+
+def json_lines_packed(folder: Path, truth: Recorded) -> None:
+    """A telemetry stream, packed."""
+    with gzip.open(folder / "telemetry.jsonl.gz", "wt") as file:
+        for time_s, done, told in zip(truth.time_s.tolist(), truth.done.tolist(), truth.told.tolist(), strict=True):
+            pairs = zip(truth.joints, done, told, strict=True)
+            row = {
+                f"{joint}.{what}": value
+                for joint, *both in pairs
+                for what, value in zip(("pos", "goal"), both, strict=False)
+            }
+            file.write(json.dumps({"ts": time_s, **row}) + "\n")
+
+
+def json_nested(folder: Path, truth: Recorded) -> None:
+    """A record for each step and joint, below each other."""
+    with (folder / "run.json").open("w") as file:
+        steps = zip(truth.time_s.tolist(), truth.done.tolist(), truth.told.tolist(), strict=True)
+        rows = [
+            {
+                "time": time_s,
+                "joints": {
+                    joint: {"position": q, "target": u} for joint, q, u in zip(truth.joints, *both, strict=False)
+                },
+            }
+            for time_s, *both in steps
+        ]
+        json.dump(rows, file)
+
+
+def two_header_rows(folder: Path, truth: Recorded) -> None:
+    """Columns of two levels."""
+    pandas = _other("pandas")
+    columns = {(joint, "position"): truth.done[:, place] for place, joint in enumerate(truth.joints)}
+    columns |= {(joint, "command"): truth.told[:, place] for place, joint in enumerate(truth.joints)}
+    pandas.DataFrame(columns, index=pandas.Index(truth.time_s, name="time")).to_csv(folder / "run.csv")
+
+
+def notes_above(folder: Path, truth: Recorded) -> None:
+    """Comments in front of the header."""
+    _csv(folder, truth)
+    text = (folder / "run.csv").read_text()
+    (folder / "run.csv").write_text(f"# robot: UR5e\n# operator: J. Doe, lab 2\n# rate: 100 Hz\n{text}")
+
+
+def head_block(folder: Path, truth: Recorded) -> None:
+    """A block about the recording in front of the header, as scopes write it."""
+    columns = {"Time [s]": truth.time_s, **_columns(truth, done="{}.ActPos", told="{}.SetPos")}
+    with (folder / "scope.csv").open("w") as file:
+        file.write("Name;Scope Project\nFile;C:\\scope.svdx\nStart;2026-11-02 10:11:12\n\n")
+        file.write(";".join(columns) + "\n")
+        file.writelines(";".join(map(repr, map(float, row))) + "\n" for row in zip(*columns.values(), strict=True))
+
+
 def npz_plain(folder: Path, truth: Recorded) -> None:
     """Arrays under short names."""
     np.savez(folder / "run.npz", time=truth.time_s, q=truth.done, dq=truth.speed, q_des=truth.told)
@@ -276,6 +335,27 @@ def hdf5_groups(folder: Path, truth: Recorded) -> None:
         file["time"], file["measured/position"], file["measured/velocity"] = truth.time_s, truth.done, truth.speed
         file["command/position"] = truth.told
         file["measured/position"].attrs["units"] = "rad"
+
+
+def hdf5_joints(folder: Path, truth: Recorded) -> None:
+    """A group for each joint."""
+    with h5py.File(folder / "run.h5", "w") as file:
+        file["time"] = truth.time_s
+        for place, joint in enumerate(truth.joints):
+            file[f"joints/{joint}/position"], file[f"joints/{joint}/command"] = (
+                truth.done[:, place],
+                truth.told[:, place],
+            )
+
+
+def isaac_lab(folder: Path, truth: Recorded) -> None:
+    """Isaac Lab's recorder."""
+    with h5py.File(folder / "dataset.hdf5", "w") as file:
+        for number in range(2):
+            group = file.create_group(f"data/demo_{number}")
+            group["states/articulation/robot/joint_position"] = truth.done
+            group["states/articulation/robot/joint_velocity"] = truth.speed
+            group["actions"] = truth.told
 
 
 def robomimic(folder: Path, truth: Recorded) -> None:
@@ -468,11 +548,18 @@ TABLES: dict[str, Kind] = {
         lambda folder, truth: _frame(truth).to_json(folder / "run.json", orient="records", double_precision=12)
     ),
     "pandas: JSON lines": Kind(json_lines),
+    "pandas: JSON, columns by rows": Kind(json_frame("columns")),
+    "pandas: JSON, rows by labels": Kind(json_frame("index")),
+    "pandas: JSON, names and rows apart": Kind(json_frame("split")),
+    "pandas: JSON with its schema": Kind(json_frame("table")),
+    "pandas: two header rows": Kind(two_header_rows),
     "pandas: Parquet": Kind(lambda folder, truth: _frame(truth).to_parquet(folder / "run.parquet")),
     "fastparquet: Parquet": Kind(
         lambda folder, truth: _frame(truth).to_parquet(folder / "run.parquet", engine="fastparquet")
     ),
     "csv: a row of units": Kind(units_row),
+    "csv: comments above": Kind(notes_above),
+    "csv: a block above": Kind(head_block),
     "csv: cut in a line": Kind(cut, lost=1),
     "csv: the clock begins anew": Kind(two_in_one, motions=2, rows=_half),
     "csv: a column of trials": Kind(by_trial, motions=2, rows=_half),
@@ -490,11 +577,15 @@ TABLES: dict[str, Kind] = {
     "json: columns": Kind(json_columns),
     "json: steps with vectors": Kind(json_steps),
     "json: lines with names": Kind(json_named),
+    "json: packed lines": Kind(json_lines_packed),
+    "json: joints in steps": Kind(json_nested),
     "scipy: MATLAB 5": Kind(mat_plain),
     "scipy: a struct": Kind(mat_struct),
     "scipy: a column is a sample": Kind(mat_joints_first),
     "hdf5storage: MATLAB 7.3": Kind(mat_73),
     "h5py: groups": Kind(hdf5_groups),
+    "h5py: a group for each joint": Kind(hdf5_joints),
+    "h5py: Isaac Lab": Kind(isaac_lab, motions=2),
     "h5py: robomimic": Kind(robomimic, motions=2),
     "h5py: ALOHA": Kind(aloha),
     "tarfile: a folder": Kind(archive),

@@ -63,6 +63,12 @@ def log_cases() -> Path:
 
 
 @pytest.fixture(scope="session")
+def foreign_models() -> Path:
+    """Models of other people's robots."""
+    return _recording("foreign")
+
+
+@pytest.fixture(scope="session")
 def so101_logs() -> Path:
     """43 motions of a real SO-101 in SAGE's layout."""
     return _recording("so101_sage")

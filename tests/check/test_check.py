@@ -12,6 +12,9 @@ from trueup.align import JointRule
 from trueup.check import mended
 from trueup.check.reading import units_of
 from trueup.core.check_result import CheckResult, Finding, Mend
+from trueup.core.episode import Episode, EpisodeMeta
+from trueup.core.timeseries import TimeSeries
+from trueup.draft import draft_robot
 
 SIDES = {"both": (True, True), "measured": (True, False), "command": (False, True)}
 NAMES = ("yaw", "lift", "elbow")
@@ -379,3 +382,40 @@ def test_what_is_written_for_a_unit_is_that_unit(kind, limits):
     for unit in units_of(kind, *limits):
         rule = JointRule("joint", "joint", scale=unit.scale, log_unit=unit.log_unit, unit=kind)
         assert rule.factor("position", "1", "1")[0] == pytest.approx(unit.si), unit.name
+
+
+# Readings of the logs that nothing but the motion speaks for.
+OF_READING = {"sign", "swap", "offset", "unit", "relation", "gear", "gravity", "clock", "delay", "control-mode"}
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("name", ["arm", "ur5e"])
+def test_a_robot_that_follows_by_itself_is_read_as_it_is(tmp_path, request, name, seed):
+    """Industrial drives carry the weight themselves: they follow late and a little less, whatever a model says."""
+    rng = np.random.default_rng([seed, 11])
+    if name == "arm":
+        robot, path = arm(tmp_path, "position")
+        home, moved = np.array([0.0, 0.2, 0.9]), 0.5
+    else:
+        path = request.getfixturevalue("foreign_models") / "ur5e.xml"
+        robot = draft_robot(path).robot
+        home, moved = np.array([0.3, -1.3, 1.5, -1.7, -1.6, 0.6]), 0.4
+    count = len(robot.joints)
+    rate, phase = rng.uniform(0.5, 5.0, (count, 3)), rng.uniform(0.0, 6.28, (count, 3))
+    size = rng.dirichlet(np.ones(3), count) * rng.uniform(0.3, 1.0, (count, 1)) * moved
+
+    def told(time_s):
+        return home + np.sum(size * np.sin(rate * np.atleast_1d(time_s)[:, None, None] + phase), axis=2)
+
+    time_s = np.arange(0.0, 8.0, 0.01)
+    less, late_s = rng.uniform(0.96, 1.0, count), rng.uniform(0.03, 0.05, count)
+    done = np.column_stack([told(time_s - late)[:, joint] for joint, late in enumerate(late_s)])
+    done = home + less * (done - home) + rng.normal(0.0, 3e-4, done.shape)
+    names, units = robot.joint_names, {"position": ("rad",) * count}
+    episode = Episode(
+        EpisodeMeta("m"),
+        TimeSeries(time_s, names, {"position": done}, units),
+        TimeSeries(time_s, names, {"position": told(time_s)}, units),
+    )
+    findings = look(robot, path, [episode])
+    assert [finding for finding in findings if finding.severity != "note" and finding.kind in OF_READING] == []

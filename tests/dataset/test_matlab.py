@@ -49,9 +49,19 @@ def test_the_same_as_scipy(packed):
     same(read_mat5(data, MOST), {name: value for name, value in theirs.items() if not name.startswith("__")})
 
 
-def test_complex_numbers_and_lists_of_structs_are_no_columns():
-    structs = np.array([(1.0, 2.0), (3.0, 4.0)], dtype=[("a", float), ("b", float)])
-    assert set(read_mat5(saved({"z": np.array([1 + 2j]), "s": structs, "x": 1.0}), MOST)) == {"x"}
+def test_complex_numbers_are_no_columns():
+    assert set(read_mat5(saved({"z": np.array([1 + 2j]), "x": 1.0}), MOST)) == {"x"}
+
+
+@pytest.mark.parametrize("shape", [(2,), (2, 3)])
+def test_arrays_of_structs_are_structs_in_their_order(shape):
+    structs = np.zeros(shape, dtype=[("a", float), ("b", "O")])
+    structs["a"], structs["b"] = np.arange(structs.size).reshape(shape), "word"
+    data = saved({"s": structs})
+    theirs = scipy.io.loadmat(io.BytesIO(data))["s"].ravel(order="F")
+    own = read_mat5(data, MOST)["s"]
+    assert [float(one["a"]) for one in own] == [float(one["a"].item()) for one in theirs]
+    assert {str(one["b"]) for one in own} == {"word"}
 
 
 @pytest.mark.parametrize("kind", [0, 8, 10, 14, 41, 2049])

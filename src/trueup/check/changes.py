@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -92,6 +93,11 @@ class Looked:
     reading: Reading
     score: Score
     length_units: tuple[str, ...]
+
+    @cached_property
+    def unmodelled(self) -> np.ndarray:
+        """What of a servo's error is left without the model, by joint; see `Evidence.unmodelled`."""
+        return self.evidence.unmodelled(self.reading)
 
     @property
     def servo(self) -> bool:

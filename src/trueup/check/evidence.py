@@ -27,6 +27,8 @@ _ROWS, _COARSE_ROWS, _CHUNKS = 1200, 300, 6
 _SOFTER, _LAGS, _GAIN, ZERO = 6.0, 0.4, 3.0, 0.1
 # Below these a joint is not moved by its command [rad or m; rad/s or m/s].
 _LEAST_MOTION = {"position": 0.03, "velocity": 0.03, "torque": 1e-9}
+# A servo may follow by so much less than it is told, whatever it carries.
+_OF_ITS_OWN = 0.05
 _FLOOR, _SMALL = 1e-7, 0.02
 
 
@@ -273,6 +275,29 @@ class Evidence:
             damping=values["damping"],
             zero=values["zero"],
         )
+
+    def unmodelled(self, reading: Reading) -> Float64[np.ndarray, "J"]:
+        """What a servo leaves that follows a little less than it is told, or overshoots, for reasons of its own.
+
+        As `Score.left`, with the joint's own position and acceleration in place of the model's torque; NaN where these
+        would be more than a small part of the motion, which only weight does, and for joints that do not move.
+        """
+        signal = self.followed(reading)
+        position, velocity, acceleration = self.state(reading)
+        command = reading.command.of(self.commanded(self.signal, reading.lag_s), moved=signal == "position")
+        found = np.full(self.joints, np.nan)
+        for joint in range(self.joints):
+            actual, speed = (own[:, joint] for own in (position if signal == "position" else velocity, velocity))
+            size = float(np.var(actual))
+            if size < 1e-12:
+                continue
+            slip = np.tanh(speed / (0.02 * np.percentile(np.abs(speed), 95) + 1e-3))
+            own = np.column_stack([actual - actual.mean(), acceleration[:, joint]])
+            table = np.column_stack([own, speed, slip, np.ones_like(speed)])
+            factors, *_ = np.linalg.lstsq(table, command[:, joint] - actual, rcond=None)
+            if np.var(own @ factors[:2]) < _OF_ITS_OWN**2 * size:
+                found[joint] = float(np.mean((command[:, joint] - actual - table @ factors) ** 2)) / size
+        return found
 
     def _outside(self, position: Float64[np.ndarray, "N J"]) -> tuple[np.ndarray, np.ndarray]:
         low, high = self.first.limits.T

@@ -26,6 +26,8 @@ _SENSIBLE = 0.5
 _NOTHING, _BY_FAR, _NEARLY, _MOSTLY = 0.7, 8.0, 0.12, 0.3
 # Another explanation that is nearly as good, in the logarithm of what is left.
 _RIVAL = 0.7
+# What is left without the model, where that is no reason to believe it.
+_AS_GOOD = 2.0
 _AGREE = 0.8
 _ROUNDS = 6
 _LAGS = np.arange(0.0, 0.21, 0.02)
@@ -210,6 +212,9 @@ def _severity(looked: Looked, proposal: Proposal, after: Score, better: tuple[in
     servo = evidence.followed(proposal.reading) != "torque"
     if proposal.kind == "unit" and _far_outside(before, after, own):
         return "certain" if _sensible(evidence, proposal, after, own) else "likely"
+    itself = looked.unmodelled[[proposal.order.get(joint, joint) for joint in better]] if servo else np.inf
+    if np.all((was < LOST) & (itself < _AS_GOOD * left)):
+        return None  # they follow as good servos do, with or without a model
     plain = bool(np.any((was > _NOTHING) & (left * _BY_FAR < was)))
     if plain and left.max() < (_NEARLY if servo else _MOSTLY):
         strong = True  # it explained nothing, and explains nearly all now

@@ -38,6 +38,7 @@ _MOST, _ROUNDS = 40, 4
 _SIGNALS: tuple[CommandSignal, ...] = ("position", "velocity", "torque")
 _MOST_NAMES = 6
 # A joint that follows its command goes with it so closely, as a correlation.
+_ARRAY = "commands come in an array; by what has followed them: {}"
 _FOLLOWED, _CLEARLY = 0.9, 0.02  # and so much more closely than any other
 
 
@@ -185,7 +186,13 @@ def _some_of(
         if not overwrite:
             _refuse_there(mapping)
         write_text(mapping, suggestion.text)
-        return _spread(logs, format, replace(options, mapping=mapping)), suggestion
+        episodes = _spread(logs, format, replace(options, mapping=mapping))
+        told = episodes[0].command
+        if told is not None and set(told.joints).isdisjoint(episodes[0].measured.joints):
+            suggestion = _with_command_named(suggestion, episodes)
+            write_text(mapping, suggestion.text)
+            episodes = _spread(logs, format, replace(options, mapping=mapping))
+        return episodes, suggestion
 
 
 def _named_by_motion(logs: Path, format: str | None, options: ImportOptions, count: int) -> Suggestion | None:
@@ -194,15 +201,23 @@ def _named_by_motion(logs: Path, format: str | None, options: ImportOptions, cou
     with tempfile.TemporaryDirectory() as place:
         mapping = Path(place) / MAPPING_NAME
         write_text(mapping, Suggestion({"command_joints": names}, (), ()).text)
-        episodes = _spread(logs, format, replace(options, mapping=mapping))
+        found = _followed_by(_spread(logs, format, replace(options, mapping=mapping)))
+    if not found:
+        return None
+    return Suggestion({"command_joints": found}, (_ARRAY.format(", ".join(found)),), ())
+
+
+def _followed_by(episodes: Sequence[Episode]) -> list[str]:
+    """Measured joints in the order of the commanded positions that they have followed; empty where that is not sure."""
     from scipy.optimize import linear_sum_assignment
 
     joints = episodes[0].measured.joints
+    count = len(joints)
     alike = []
     for episode in episodes:
         told, done = episode.command, episode.measured
-        if told is None or "position" not in told or len(joints) != count or done.joints != joints:
-            return None
+        if told is None or "position" not in told or len(told.joints) != count or done.joints != joints:
+            return []
         at = np.array([np.interp(told.time_s, done.time_s, column) for column in done["position"].T])
         # Where a command stands still it says nothing, whatever has followed it.
         moved = 1.0 * (np.ptp(told["position"], axis=0) > 0.0)
@@ -213,11 +228,29 @@ def _named_by_motion(logs: Path, format: str | None, options: ImportOptions, cou
     own = shared[rows, columns]
     others = np.where(np.eye(count, dtype=bool)[columns], 0.0, shared).max(axis=1)
     if np.min(own) < _FOLLOWED or np.min(own - others) < _CLEARLY:
-        return None
-    found = [joints[column] for column in columns]
-    return Suggestion(
-        {"command_joints": found}, (f"commands come in an array; by what has followed them: {', '.join(found)}",), ()
-    )
+        return []
+    return [joints[column] for column in columns]
+
+
+def _with_command_named(suggestion: Suggestion, episodes: Sequence[Episode]) -> Suggestion:
+    """The mapping with names for commands that are only numbered beside joints that have names.
+
+    Raises:
+        DataError: motion does not tell which is which.
+    """
+    found = _followed_by(episodes)
+    if not found:
+        told = episodes[0].command
+        raise DataError(
+            "commands are only numbered, and it is not clear which joint has followed which one",
+            got=", ".join(told.joints if told else ()),
+            expected=", ".join(episodes[0].measured.joints),
+            hint="Write the mapping yourself, with `joints` below `command` in the order of its columns.",
+        )
+    series = dict(suggestion.tree["series"])
+    series["command"] = {**series["command"], "joints": found}
+    tree = {**suggestion.tree, "series": series}
+    return replace(suggestion, tree=tree, taken=(*suggestion.taken, _ARRAY.format(", ".join(found))))
 
 
 def _refuse_there(path: Path) -> None:

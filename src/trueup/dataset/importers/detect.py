@@ -25,6 +25,13 @@ FORMATS = (
 _FORMER = {"csv": "table"}
 # What is said of a folder of no known format: so many names, each of so many letters.
 _NAMES, _NAME = 4, 24
+# How files of other kinds become some that are read.
+_ARROW = "python -c \"import pandas; pandas.read_feather('FILE').to_parquet('run.parquet')\""
+_SQLITE = "sqlite3 -header -csv FILE 'SELECT * FROM TABLE' > run.csv"
+_CONVERTED = {
+    **dict.fromkeys((".feather", ".arrow"), _ARROW),
+    **dict.fromkeys((".db", ".sqlite", ".sqlite3"), _SQLITE),
+}
 
 
 def importer(name: str) -> Importer:
@@ -87,11 +94,16 @@ def find_importer(path: Path, name: str | None = None, mapping: Path | None = No
     content = _content(path)
     if not content:
         raise FormatError(f"{path} is empty", hint="Give the folder or file that holds the logs.")
+    files = [path] if path.is_file() else sorted(path.iterdir())
+    ways = [
+        _CONVERTED[kind].replace("FILE", file.name) for file in files if (kind := file.suffix.lower()) in _CONVERTED
+    ]
+    usual = "docs/logs.md says what each format looks like; --mapping says what the columns of CSV files are."
     raise FormatError(
         f"{path} is of no known format",
         got=content,
         expected="; ".join([f"one of {', '.join(FORMATS)}", *missing]),
-        hint="docs/logs.md says what each format looks like; --mapping says what the columns of CSV files are.",
+        hint=f"Convert it first: {ways[0]}" if ways else usual,
     )
 
 

@@ -23,9 +23,10 @@ from trueup.errors import TrueupError
 Side = Literal["measured", "command"]
 
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|°")
+_JOINED = re.compile(r"^(d?q|tau|pos|vel)(ref|des|cmd|target|goal|set|meas|act|actual)$")
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\])\d][^\])]*?)\s*[\])]|\[\s*\]")
 
-_TIMES = ("t", "time", "timestamp", "stamp", "zeit", "times", "epoch", "datetime", "date", "clock", "ts")
+_TIMES = ("t", "time", "timestamp", "stamp", "zeit", "times", "epoch", "datetime", "date", "clock", "ts", "tm")
 _SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanosecs", "nanoseconds")
 # Single numbers that stand for a clock.
 _PERIODS, _RATES = ("dt", "period", "timestep"), ("fps", "hz", "rate", "frequency")
@@ -33,7 +34,7 @@ _TOLD = frozenset(
     [
         *("cmd", "cmds", "command", "commands", "commanded", "des", "desired", "target", "targets", "goal", "ref"),
         *("reference", "setpoint", "set", "soll", "sp", "action", "actions", "tgt", "demand", "con", "d", "input"),
-        *("ctrl", "control"),
+        *("ctrl", "control", "planned", "u"),
     ]
 )
 _DONE = frozenset(
@@ -57,7 +58,14 @@ _WHOSE = frozenset(["joint", "joints", "motor", "servo", "name", "axis", "actuat
 _MOTIONS = frozenset(
     ["trial", "episode", "motion", "run", "demo", "demonstration", "sequence", "trajectory", "rollout", "segment"]
 )
-_MOST_JOINTS = 100
+_MOST_JOINTS, _MOST_CLOCKS = 100, 20
+# Words in front of the number of a joint.
+_NUMBERED_JOINTS = _WHOSE - {"name", "id"} | {"wrist", "finger", "link", "axle", "leg", "arm", "a", "j", "m", "q"}
+# Words of what belongs to no joint, and of what is neither told nor done.
+_ELSEWHERE = frozenset(
+    ["eef", "ee", "cartesian", "object", "root", "base", "tcp", "pose", "cos", "sin", "gripper", "initial"]
+)
+_APART = frozenset(["error", "errors", "err", "offset"])
 _PICTURES = frozenset(["image", "images", "img", "rgb", "depth", "camera", "cam", "video"])
 # Words that say nothing about which joint it is.
 _PLAIN = frozenset(("joint", "joints", "field", "motor", "motors", "servo", "data", "value", "values", "robot", "dof"))
@@ -101,6 +109,8 @@ _USUAL = {signal: units[0] for signal, units in _OF_SIGNAL.items()}
 # Angles beyond this are no radians, if they are not turns of a wheel; beyond that, no degrees [rad, deg].
 _MOST_RADIANS, _MOST_DEGREES = 7.5, 400.0
 _SAMPLE = 2000
+# A commanded position goes with the measured one so closely, as a correlation.
+_GOES_WITH = 0.9
 # Beyond so many columns nobody reads a suggestion.
 _MOST_COLUMNS = 20_000
 # What is said of a guess.
@@ -168,6 +178,7 @@ def column_of(name: str) -> Column:
     brackets = [found[1] for found in _IN_BRACKETS.finditer(name) if found[1]]
     units = [unit for text in brackets if (unit := _UNITS.get(text.lower().replace(" ", ""), ""))]
     words = [word.lower() for word in _WORD.findall(_IN_BRACKETS.sub(" ", name) if units else name)]
+    words = [part for word in words for part in _JOINED.sub(r"\1 \2", word).split()]
     if not units and len(words) > 1 and words[-1] in _ENDINGS:
         units, words = [_UNITS[words[-1]]], words[:-1]
     signals = [word for word in words if word in _SIGNAL_OF]
@@ -176,7 +187,7 @@ def column_of(name: str) -> Column:
         side = "command"
     elif any(word in _DONE for word in words):
         side = "measured"
-    if len(signals) > 1 and "current" in signals:  # `current_position` is a position
+    if len(signals) > 1 and signals[0] == "current":  # `current_position` is a position
         signals.remove("current")
         side = side or "measured"
         words = [word for word in words if word != "current"]
@@ -216,6 +227,12 @@ def sounds_told(name: str) -> bool:
     return any(word.lower() in _TOLD for word in _WORD.findall(name))
 
 
+def names_joints(stem: str) -> bool:
+    """Whether a name that a number follows is one of joints: `joint_`, `observation/motor`."""
+    words = [word.lower() for word in _WORD.findall(re.split(r"[/.]", stem)[-1])]
+    return bool(words) and words[-1] in _NUMBERED_JOINTS
+
+
 class _Suggesting:
     def __init__(self, table: Table, names: list[str], side: Side, units: Mapping[str, str]) -> None:
         self._table, self._side, self._units = table, side, units
@@ -224,8 +241,12 @@ class _Suggesting:
         self._unsure: list[str] = []
         self._guessed = False
         self._known: dict[str, np.ndarray | None] = {}
+        # Columns with names of joints, and names of the command's joints if they are others.
+        self._names_in: list[str] = []
+        self._told: tuple[str, ...] = ()
         with contextlib.suppress(TrueupError):  # a column that cannot be read is told apart below
             self._table.load([name for name in names if not _is_picture(name)])
+        self._clocks: list[str] = []
         self._time_names, self._time = self._clock(names)
         self._split = self._split or self._motions(names)
         self._whose, joints = self._named_in_rows(names)
@@ -247,18 +268,22 @@ class _Suggesting:
                 if own == side
             }
             if signals:
-                series[side] = {"time": self._time, **own, "signals": signals}
+                columns = [column for (own_side, _), part in found.items() if own_side == side for column in part]
+                series[side] = {"time": self._time_of(columns[0].name), **self._named(side), **own, "signals": signals}
         if "measured" not in series and self._side == "measured":
             return None
         if "command" not in series and self._side == "measured":
             self._unsure.append("no column sounds like a command")
-        used = {column.name for columns in found.values() for column in columns} | set(self._time_names)
+        used = {column.name for columns in found.values() for column in columns} | {*self._time_names, *self._names_in}
         unused = [name for name in (column.name for column in self._columns) if name not in used]
         if unused:
             self._taken.append(f"not used: {', '.join(unused[:8])}{' …' if len(unused) > 8 else ''}")
         split = {"split": self._split} if self._split else {}
         tree = {"joints": list(joints), **split, "series": series}
         return Suggestion(tree, tuple(self._taken), tuple(self._unsure), self._guessed)
+
+    def _named(self, side: Side) -> dict[str, Any]:
+        return {"joints": list(self._told)} if side == "command" and self._told else {}
 
     def _column(self, name: str) -> Column:
         column = column_of(name)
@@ -311,6 +336,8 @@ class _Suggesting:
         if len(whole) == 1 and len(parts) == 1:
             return [whole[0], parts[0]], {"columns": [whole[0], parts[0]]}
         named = [name for name in names if any(word in _TIMES for word in words[name])]
+        rows = [name for name in names if words[name] and words[name][-1] == "index"]
+        self._clocks = [*named, *rows][:_MOST_CLOCKS]
         for name in [*sorted(named, key=lambda own: len(words[own])), *whole]:
             ticks = self._increasing(name)
             if ticks is not None:
@@ -327,6 +354,32 @@ class _Suggesting:
                 return [name], {"period": name} if set(words[name]) & set(_PERIODS) else {"rate_hz": number}
         self._unsure.append("no column is a clock: write the rate of the log in place of 100 Hz")
         return [], {"rate_hz": 100.0}
+
+    def _time_of(self, column: str) -> Any:
+        """The clock of a column, where there are several: the one that stands nearest to it and has as many stamps."""
+        if not isinstance(self._table, ArrayTable) or not self._time_names:
+            return self._time
+        count = self._rows(column)
+        found = [name for name in self._clocks if self._rows(name) == count]
+        own = _WORD.findall(column)
+        nearest = max(found, key=lambda name: _common([_WORD.findall(name), own]), default="")
+        if not nearest or nearest in self._time_names:
+            return self._time
+        ticks = self._increasing(nearest)
+        if ticks is None or len(self._time_names) > 1:
+            return self._time
+        self._time_names.append(nearest)
+        return self._clock_unit(nearest, *ticks)
+
+    def _rows(self, name: str) -> int:
+        try:
+            self._table.load([name])
+            return len(self._table.numbers(name))
+        except TrueupError:
+            try:
+                return len(self._table.words(name))
+            except (TrueupError, KeyError):
+                return 0
 
     def _single(self, name: str) -> float | None:
         """A number that is alone in the file; None for anything else."""
@@ -370,11 +423,12 @@ class _Suggesting:
         """Names of the joints, and the columns of each signal in their order; of a long table, one for all joints."""
         groups: dict[tuple[Side, str], list[Column]] = {}
         for column in self._columns:
-            if column.signal or column.side:
+            # A word such as `state` alone says little: beside it, numbers have to stand.
+            if not _apart(column) and (column.signal or (column.side and self._is_number(column.name))):
                 groups.setdefault((column.side or self._side, column.signal or "position"), []).append(column)
         self._tell_desired(groups)
         plain = [column for column in self._columns if not (column.signal or column.side)]
-        plain = [column for column in plain if self._is_number(column.name)]
+        plain = [column for column in plain if not _apart(column) and self._is_number(column.name)]
         labels = {label for columns in groups.values() for label in _labels(columns)}
         if (self._side, "position") not in groups:
             alone = plain if not groups and self._time_names else []
@@ -388,6 +442,8 @@ class _Suggesting:
         widths = {column.name: width for column in base if (width := self._width(column.name)) > 1}
         if widths:
             return self._vectors(groups, base, widths)
+        _without_others(groups)
+        base = groups.get((self._side, "position"), base)
         if self._in_rows:
             single = {key: columns for key, columns in groups.items() if len(columns) == 1}
             shown = ", ".join(self._in_rows[:8])
@@ -400,12 +456,35 @@ class _Suggesting:
         for key, columns in groups.items():
             by_label = dict(zip(_labels(columns), columns, strict=False))
             order = joints if set(joints) <= set(by_label) else _by_number(joints, list(by_label))
+            if (
+                order is None
+                and key[0] == "command"
+                and len(by_label) == len(joints)
+                and all(map(str.isdigit, by_label))
+            ):
+                order = sorted(by_label, key=int)
+                self._told = tuple(f"joint_{label}" for label in order)
             if order is not None and all(self._is_number(by_label[label].name) for label in order):
                 found[key] = [by_label[label] for label in order]
-        named = tuple(f"joint_{label}" if label.isdigit() or not label else label for label in joints)
+        named = self._said_by_columns(joints) or tuple(
+            f"joint_{label}" if label.isdigit() or not label else label for label in joints
+        )
         shown = ", ".join(named[:8]) + (" …" if len(named) > 8 else "")
         self._taken.append(f"{len(named)} joints by the names of columns: {shown}")
         return named, found
+
+    def _said_by_columns(self, joints: Sequence[str]) -> tuple[str, ...]:
+        """Names that stand in numbered columns of text beside numbered joints, the same in all rows; empty if none."""
+        found: dict[str, str] = {}
+        for column in self._columns:
+            if not {"name", "names"} & set(column.words) or self._is_number(column.name):
+                continue
+            words = set(self._words(column.name))
+            if len(words) == 1 and column.words[-1].isdigit():
+                found[column.words[-1]] = words.pop()
+                self._names_in.append(column.name)
+        names = tuple(found.get(joint, "") for joint in joints)
+        return names if all(names) and len(set(names)) == len(names) else ()
 
     def _tell_desired(self, groups: dict[tuple[Side, str], list[Column]]) -> None:
         """`qd` is a velocity to some and a desired position to others: values say which."""
@@ -426,13 +505,26 @@ class _Suggesting:
         self, groups: Mapping[tuple[Side, str], list[Column]], base: Sequence[Column], widths: Mapping[str, int]
     ) -> tuple[tuple[str, ...], dict[tuple[Side, str], list[Column]]]:
         """One column of vectors for each signal; joints have no names but their numbers."""
-        first = next(column for column in base if column.name in widths)
+        told = {self._width(column.name) for (side, _), own in groups.items() if side == "command" for column in own}
+        first = min(
+            (column for column in base if column.name in widths),
+            key=lambda column: (
+                _elsewhere(column),
+                widths[column.name] not in told,
+                not column.signal,
+                _relative(column),
+            ),
+        )
         width = widths[first.name]
         found: dict[tuple[Side, str], list[Column]] = {}
         for key, columns in groups.items():
             fitting = [column for column in columns if self._width(column.name) == width]
+            fitting = [first] if first in fitting else sorted(fitting, key=_preferred)
             if fitting:
                 found[key] = fitting[:1]
+            elif key == ("command", "position"):
+                found[key] = self._without_gripper(first, columns, width)
+        found = {key: columns for key, columns in found.items() if columns}
         named = self._listed(width)
         if named:
             self._taken.append(f"{width} joints by a list of names: {', '.join(named[:8])}")
@@ -440,19 +532,34 @@ class _Suggesting:
         self._unsure.append(f"{first.name} has {width} numbers in a row: their joints are only numbered")
         return tuple(f"joint_{number}" for number in range(1, width + 1)), found
 
+    def _without_gripper(self, done: Column, told: Sequence[Column], width: int) -> list[Column]:
+        """Components of a vector of actions that has one number more than there are joints, which go with these."""
+        measured = self._numbers(done.name)
+        for column in sorted(told, key=_preferred):
+            values = self._numbers(column.name)
+            if measured is None or values is None or values.shape != (len(measured), width + 1):
+                continue
+            with np.errstate(invalid="ignore", divide="ignore"):
+                alike = [np.corrcoef(values[:, place], measured[:, place])[0, 1] for place in range(width)]
+            if min(np.nan_to_num(alike)) > _GOES_WITH:
+                self._unsure.append(f"{column.name}: its last number is taken for a gripper's")
+                return [replace(column, name=f"{column.name}[{place}]") for place in range(width)]
+        return []
+
     def _listed(self, width: int) -> tuple[str, ...]:
-        """Names of joints that stand in the file as a list of so many texts; empty if there are none."""
-        for name in self._table.names if isinstance(self._table, ArrayTable) else ():
-            if "joint" not in name.lower() and "dof" not in name.lower() and "names" not in name.lower():
+        """Names of joints that stand in the file as a list of so many texts, once or in every row; empty if none do."""
+        for name in self._table.names:
+            words = {word.lower() for word in _WORD.findall(name)}
+            if not words & {"name", "names", "joint", "joints", "dof"} or self._numbers(name) is not None:
                 continue
-            if self._numbers(name) is not None:
-                continue
-            try:
-                words = self._table.words(name)
-            except (TrueupError, KeyError):
-                continue
-            if len(words) == len(set(words)) == width:
-                return tuple(words)
+            rows = self._words(name)
+            if not isinstance(self._table, ArrayTable):
+                rows = [word.strip(" '\"") for word in rows[0].strip("[]()").split(",")] if len(set(rows)) == 1 else []
+            elif len(rows) > width and len(rows) % width == 0 and rows == rows[:width] * (len(rows) // width):
+                rows = rows[:width]
+            if len(rows) == len(set(rows)) == width:
+                self._names_in.append(name)
+                return tuple(rows)
         return ()
 
     def _signal(self, signal: str, columns: Sequence[Column], positions: Sequence[Column]) -> dict[str, Any]:
@@ -512,6 +619,36 @@ def _times_anew(ticks: np.ndarray) -> int:
     back = np.flatnonzero(steps < 0)
     early = ticks[0] + 10 * np.median(steps[steps > 0])
     return int(back.size) if back.size <= len(ticks) // 10 and np.all(ticks[back + 1] <= early) else 0
+
+
+def _without_others(groups: dict[tuple[Side, str], list[Column]]) -> None:
+    """Leave out what only a word such as `state` puts beside positions: of a name that no other of them has."""
+    sides: tuple[tuple[Side, Side], ...] = (("measured", "command"), ("command", "measured"))
+    for side, other in sides:
+        own, rest = groups.get((side, "position"), []), groups.get((other, "position"), [])
+        words = {column.words for column in rest}
+        said = [column for column in own if column.signal] or [column for column in own if column.words in words]
+        if said and len(said) < len(own):
+            groups[side, "position"] = said
+
+
+def _elsewhere(column: Column) -> bool:
+    """Whether a vector is of something else than joints, or of the first moment alone."""
+    return not _ELSEWHERE.isdisjoint(word.lower() for word in _WORD.findall(column.name))
+
+
+def _relative(column: Column) -> bool:
+    """Whether a vector is what a policy sees, which is often taken from a default pose."""
+    return not {"obs", "observation", "observations"}.isdisjoint(word.lower() for word in _WORD.findall(column.name))
+
+
+def _preferred(column: Column) -> tuple[bool, bool, bool]:
+    """Of vectors that are as long, the one to take sorts first: actions may be scaled, unless they are processed."""
+    return _elsewhere(column), "processed" not in column.words, _relative(column)
+
+
+def _apart(column: Column) -> bool:
+    return not _APART.isdisjoint(column.words)
 
 
 def _is_picture(name: str) -> bool:

@@ -16,7 +16,7 @@ _FIELD = re.compile(r"\{(\w+)\}")
 # Of files that are tables, the likeliest first.
 ENDINGS = (
     *(".csv", ".tsv", ".parquet", ".xlsx", ".npz", ".npy", ".mat", ".h5", ".hdf5", ".jsonl", ".ndjson", ".json"),
-    *(".txt", ".log", ".dat"),
+    *(".txt", ".log", ".dat", ".lvm"),
 )
 COMPONENTS = {"body.position": (3,), "body.rotation": (3, 3), "body.specific_force": (3,)}
 
@@ -170,6 +170,7 @@ class TableMapping:
         delimiter: of text files, one character or `whitespace`; found by the header if empty.
         header: names of the columns if text files have no header line; `none` calls them `0`, `1`, ...
         skip_lines: lines before the header.
+        header_rows: lines of the header; what stands below each other is one name, with dots.
         units_row: whether a line of units follows the header.
         decimal: `,` or `.`; found by the cells if empty.
         encoding: of text files, such as `latin-1`; UTF-8, or what their byte order mark says, if empty.
@@ -197,6 +198,7 @@ class TableMapping:
     delimiter: str = ""
     header: tuple[str, ...] = ()
     skip_lines: int = 0
+    header_rows: int = 1
     units_row: bool = False
     decimal: str = ""
     encoding: str = ""
@@ -218,6 +220,8 @@ class TableMapping:
             raise ConfigError(
                 f"{self.name}: delimiter", got=repr(self.delimiter), expected="one character, or whitespace"
             )
+        if self.header_rows < 1:
+            raise ConfigError(f"{self.name}: header_rows", got=self.header_rows, expected="1 or more")
         if self.decimal not in ("", ",", "."):
             raise ConfigError(f"{self.name}: decimal", got=repr(self.decimal), expected="`,` or `.`")
         if self.group and self.split is not None:

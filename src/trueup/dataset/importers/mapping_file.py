@@ -87,7 +87,7 @@ def parse_mapping(text: str, *, name: str) -> TableMapping:
         "series": partial(_each, _series),
         "header": lambda item, where: _texts([item] if item == "none" else item, where),
         "bodies": _texts,
-        "skip_lines": _count,
+        **dict.fromkeys(("skip_lines", "header_rows"), _count),
         "keep_origin": _switch,
         "units_row": _switch,
         "skip_bad_rows": _switch,

@@ -38,7 +38,7 @@ def is_mat5(data: bytes) -> bool:
 def read_mat5(data: bytes, most: int) -> dict[str, Any]:
     """Variables by name: arrays without axes of length 1, texts as arrays of words, structs as mappings.
 
-    What is none of these (objects, tables, complex and sparse arrays, arrays of structs) is left out.
+    What is none of these (objects, tables, complex and sparse arrays) is left out.
 
     Args:
         data: of the file.
@@ -115,8 +115,9 @@ def _array(data: memoryview, order: str, depth: int) -> tuple[str, Any]:
         return name, _words(rest, shape, order)
     if own == _CELL:
         return name, _of_cell([_array(part, order, depth + 1)[1] for _, part in rest])
-    if own == _STRUCT and math.prod(shape) == 1 and len(rest) >= 2:
-        return name, _fields(rest, order, depth)
+    if own == _STRUCT and len(rest) >= 2 and math.prod(shape) > 0:
+        structs = _structs(rest, order, depth, math.prod(shape))
+        return name, structs[0] if len(structs) == 1 else np.array(structs, dtype=object)
     return name, None
 
 
@@ -157,13 +158,19 @@ def _of_cell(values: Sequence[Any]) -> np.ndarray | None:
     return np.array([str(word) for word in words], dtype=object)
 
 
-def _fields(rest: Sequence[Part], order: str, depth: int) -> dict[str, Any]:
+def _structs(rest: Sequence[Part], order: str, depth: int, count: int) -> list[dict[str, Any]]:
+    """Structs with the same fields, one after the other."""
     lengths = _numbers(rest[0], order)
     width, letters = int(lengths[0]) if lengths.size else 0, bytes(rest[1][1])
     if width < 1:
         raise ValueError("names of fields without a length")
     names = [letters[at : at + width].split(b"\0")[0].decode("latin-1") for at in range(0, len(letters), width)]
-    if len(names) != len(rest) - 2:
-        raise ValueError(f"{len(rest) - 2} fields with {len(names)} names")
-    found = {name: _array(part, order, depth + 1)[1] for name, (_, part) in zip(names, rest[2:], strict=True)}
-    return {name: value for name, value in found.items() if value is not None}
+    parts = [part for _, part in rest[2:]]
+    if count * len(names) != len(parts):
+        raise ValueError(f"{len(parts)} fields of {count} structs with {len(names)} names")
+    found = []
+    for first in range(0, len(parts), max(len(names), 1)):
+        own = zip(names, parts[first : first + len(names)], strict=True)
+        values = {name: _array(part, order, depth + 1)[1] for name, part in own}
+        found.append({name: value for name, value in values.items() if value is not None})
+    return found or [{}]

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from trueup.core.atomic import regular
 from trueup.core.episode import EpisodeMeta
@@ -16,14 +17,14 @@ from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPl
 from trueup.dataset.importers.beside import plan_with
 from trueup.dataset.importers.files import data_files, episode_id, inside, read_bytes
 from trueup.dataset.importers.gain_setting import kp_setting_of
-from trueup.dataset.importers.headers import Suggestion, sounds_told, suggest, units_in
+from trueup.dataset.importers.headers import Side, Suggestion, column_of, names_joints, sounds_told, suggest, units_in
 from trueup.dataset.importers.mapping import ABOUT, ENDINGS, FileValue, TableMapping, substitute
 from trueup.dataset.importers.mapping_file import load_mapping, shipped
 from trueup.dataset.importers.packed import opened
 from trueup.dataset.importers.pattern import matches
 from trueup.dataset.importers.table_episode import TableEpisode, load_episode, parts_of
-from trueup.dataset.importers.tables import Table, is_text, open_table
-from trueup.dataset.importers.text_table import TextTable, refuse_headerless
+from trueup.dataset.importers.tables import ArrayTable, is_text, open_table
+from trueup.dataset.importers.text_table import TextTable, head_of, refuse_headerless
 from trueup.errors import DataError, FormatError, NameMismatch, TrueupError
 
 NAME = "table"
@@ -37,6 +38,8 @@ _BESIDE = ("split.json", "mapping.yaml")
 _NUMBERED = re.compile(r"(.*?[^\d/.]*\d+)[/.].+")
 # Of files that nothing else than tables have.
 _ENDINGS = (".csv", ".tsv", ".parquet", ".xlsx", ".npy", ".mat", ".jsonl", ".ndjson")
+# Of files of text that are tables if their lines are alike.
+_MAYBE = (".txt", ".log", ".dat", ".lvm")
 
 
 def detects(path: Path) -> bool:
@@ -44,10 +47,19 @@ def detects(path: Path) -> bool:
     try:
         if (path / "mapping.yaml").is_file() or any(data_files(path, ending) for ending in _ENDINGS):
             return True
+        for file in data_files(path, ""):
+            if file.suffix.lower() in _MAYBE and _is_table(file):
+                return True
         root = path.parent if path.is_file() else path
         return bool(_fitting(root, [file.relative_to(root).as_posix() for file in data_files(path, ".json")]))
     except TrueupError:
         return False
+
+
+def _is_table(path: Path) -> bool:
+    """Whether a file of text has a header above rows of numbers."""
+    with regular(path).open("rb") as file:
+        return bool(head_of(file.read(_HEADER_BYTES)).delimiter)
 
 
 def scan(path: Path, options: ImportOptions) -> ImportPlan:
@@ -69,7 +81,7 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
     names = [file.relative_to(root).as_posix() for file in data_files(path, "")]
     if given is None:
         tables = [name for name in names if name.lower().endswith(_ENDINGS)]
-        names = tables or [name for name in names if name.lower().endswith(".json")]
+        names = tables or [name for name in names if name.lower().endswith((".json", *_MAYBE))]
     mapping = _recognize(path, root, names) if given is None else load_mapping(given)
     if mapping.joint_pattern and (first := next(iter(_matching(mapping, names)), None)):
         mapping = mapping.of_columns(open_table(inside(root, root / first[0]), mapping).names)
@@ -107,8 +119,8 @@ def _recognize(path: Path, root: Path, names: Sequence[str]) -> TableMapping:
     fitting = _fitting(root, names)
     if len(fitting) == 1:
         return fitting[0]
-    first = next((name for name in names if name.lower().endswith(".csv")), None)
-    shown = (first, _header(inside(root, root / first))) if first else None
+    first = next(iter(names), None)
+    shown = (first, _names_in(inside(root, root / first))) if first else None
     suggestion = suggested(path)
     hint = "Write columns, joints and units into a YAML file for --mapping; docs/logs.md#tables has one to begin with."
     if suggestion is not None:
@@ -117,7 +129,7 @@ def _recognize(path: Path, root: Path, names: Sequence[str]) -> TableMapping:
         )
     raise FormatError(
         f"no mapping says what the columns of {path} are",
-        got=f"{shown[0]} with columns {', '.join(shown[1])[:100]}" if shown else "no CSV file",
+        got=f"{shown[0]} with columns {', '.join(shown[1])[:100]}" if shown else "no table",
         available=None if suggestion is not None else [mapping.name for mapping in fitting] or shipped(),
         hint=hint,
     )
@@ -145,72 +157,109 @@ def suggested(path: Path) -> Suggestion | None:
         return None
     kinds = sorted({Path(name).name for name in tables})
     folders = {Path(name).parent for name in tables}
-    told = [kind for kind in kinds if sounds_told(kind)]
-    whole = len(kinds) > 1 and len(tables) == len(kinds) * len(folders)
-    if not (whole and len(told) == 1 and len(kinds) == 2):
-        return _suggested_of(_sample(inside(root, root / tables[0])))
-    (done,) = set(kinds) - set(told)
+    pair = _pair(kinds) if len(tables) == len(kinds) * len(folders) else None
+    if pair is None:
+        return _suggested_of(inside(root, root / tables[0]))
+    done, told = pair
     first = Path(tables[0]).parent
-    measured = suggest(_sample(inside(root, root / first / done)))
-    command = suggest(_sample(inside(root, root / first / told[0])), "command")
+    measured = _suggested_of(inside(root, root / first / done))
+    command = _suggested_of(inside(root, root / first / told), "command")
     if measured is None or command is None:
         return measured
     own = command.tree["series"]["command"]
     joints = {} if command.tree["joints"] == measured.tree["joints"] else {"joints": command.tree["joints"]}
     tree = {
-        "joints": measured.tree["joints"],
+        **{key: value for key, value in measured.tree.items() if key != "series"},
         "episodes": rf"(?:(?P<motion>.+)/)?{re.escape(done)}",
         "id": "{motion}" if first != Path() else "",
         "series": {
             "measured": measured.tree["series"]["measured"],
-            "command": {"file": f"{{motion}}/{told[0]}", "time": own["time"], **joints, "signals": own["signals"]},
+            "command": {"file": f"{{motion}}/{told}", "time": own["time"], **joints, "signals": own["signals"]},
         },
     }
     unsure = [line for line in (*measured.unsure, *command.unsure) if "sounds like a command" not in line]
     return Suggestion({key: value for key, value in tree.items() if value}, measured.taken, tuple(unsure))
 
 
-def _sample(path: Path, *, units_row: bool = False) -> Table:
-    """A file as a table; of text, the first megabyte says what the columns are."""
-    if not is_text(path):
-        return open_table(path)
-    with regular(path).open("rb") as file:
-        data = file.read(_SAMPLE_BYTES)
-    whole = len(data) < _SAMPLE_BYTES
-    data = data if whole else data[: data.rfind(b"\n") + 1]
-    return TextTable(path, data, delimiter="", units_row=units_row)
+def _pair(kinds: Sequence[str]) -> tuple[str, str] | None:
+    """Of files that are called differently, what was done and what was told; None where their names do not say so."""
+    told = [kind for kind in kinds if sounds_told(kind)]
+    done = [kind for kind in kinds if kind not in told]
+    if len(told) == len(done) == 1:
+        return done[0], told[0]
+    said = {kind: column_of(Path(kind).stem) for kind in kinds}
+    alike = [
+        (one, other)
+        for one in done
+        for other in told
+        if (said[one].signal, said[one].words) == (said[other].signal, said[other].words)
+    ]
+    return next((pair for pair in alike if said[pair[0]].signal in ("position", "")), None)
 
 
-def _suggested_of(table: Table) -> Suggestion | None:
-    """Of one file: of the first of its groups, where all arrays are in groups that only a number tells apart."""
-    if isinstance(table, TextTable):
-        return _suggested_of_text(table)
-    found = [_NUMBERED.fullmatch(name) for name in table.names]
-    groups = dict.fromkeys(one[1] for one in found if one)
-    stems = {re.sub(r"\d+$", "", group) for group in groups}
-    if len(groups) < 2 or len(stems) > 1:
-        return suggest(table)
-    suggestion = suggest(table.within(next(iter(groups))))
-    if suggestion is None:
-        return suggest(table)
-    tree = {"joints": suggestion.tree["joints"], "group": rf"{re.escape(stems.pop())}\d+", **suggestion.tree}
-    return replace(suggestion, tree=tree)
-
-
-def _suggested_of_text(table: TextTable) -> Suggestion | None:
-    """Of a file of text, whose second line may hold units.
+def _head(path: Path, size: int = _SAMPLE_BYTES) -> tuple[TextTable, dict[str, Any], dict[str, str]]:
+    """The beginning of a file of text, what a mapping has to say of its head, and units that stand in it.
 
     Raises:
-        DataError: the first line holds numbers.
+        DataError: there is no header, or it cannot be read.
     """
-    refuse_headerless(table.path, table.names)
-    units = units_in(table.first)
-    if not units:
-        return suggest(table)
-    suggestion = suggest(_sample(table.path, units_row=True), units=units)
-    if suggestion is None:
-        return None
-    return replace(suggestion, tree={"joints": suggestion.tree["joints"], "units_row": True, **suggestion.tree})
+    try:
+        with regular(path).open("rb") as file:
+            data = file.read(size)
+    except OSError as error:
+        raise DataError(f"cannot read {path}", got=error.strerror or str(error)) from error
+    whole = len(data) < size
+    data = data if whole else data[: data.rfind(b"\n") + 1]
+    head = head_of(data)
+    has_units = bool(units_in({str(place): text for place, text in enumerate(head.last)}))
+    skip, rows = head.skip_lines, head.header_rows - has_units
+    table = TextTable(path, data, delimiter=head.delimiter, skip_lines=skip, header_rows=rows, units_row=has_units)
+    units = units_in(dict(zip(table.names, head.last, strict=True))) if has_units else {}
+    said = {"skip_lines": (skip, 0), "header_rows": (rows, 1), "units_row": (has_units, False)}
+    return table, {key: value for key, (value, usual) in said.items() if value != usual}, units
+
+
+def _suggested_of(path: Path, side: Side = "measured") -> Suggestion | None:
+    """Of one file: of the first of its groups, where it has a group for each motion.
+
+    Raises:
+        DataError: it cannot be read, or it is text whose first line holds numbers.
+    """
+    if is_text(path):
+        text, said, units = _head(path)
+        refuse_headerless(path, text.names)
+        suggestion = suggest(text, side, units=units)
+        return None if suggestion is None else _with(suggestion, said)
+    table = open_table(path)
+    if isinstance(table, ArrayTable) and (groups := _motions_in(table)):
+        within = suggest(table.within(groups[0]), side)
+        if within is not None:
+            stem = re.sub(r"\d+$", "", groups[0])
+            return _with(within, {"group": rf"{re.escape(stem)}\d+"})
+    return suggest(table, side)
+
+
+def _motions_in(table: ArrayTable) -> list[str]:
+    """Groups of arrays that only a number tells apart, and that have all there is of a motion each.
+
+    Joints are numbered, too: nothing but a number and a signal is then left of a name, or another joint has the same
+    signals without a number.
+    """
+    found = {name: match for name in table.names if (match := _NUMBERED.fullmatch(name))}
+    groups = list(dict.fromkeys(match[1] for match in found.values()))
+    stems = {re.sub(r"\d+$", "", group) for group in groups}
+    if len(groups) < 2 or len(stems) > 1 or names_joints(stems.pop()):
+        return []
+    inner = {name[len(match[1]) + 1 :] for name, match in found.items()}
+    beside = [name for name in table.names if name not in found]
+    if any(re.split(r"[/.]", name, maxsplit=1)[-1] in inner for name in beside):
+        return []
+    return groups
+
+
+def _with(suggestion: Suggestion, said: Mapping[str, Any]) -> Suggestion:
+    """The same, with what is said of the whole file behind the joints."""
+    return replace(suggestion, tree={"joints": suggestion.tree["joints"], **said, **suggestion.tree})
 
 
 def _fitting(root: Path, names: Sequence[str]) -> list[TableMapping]:
@@ -230,13 +279,15 @@ def _fitting(root: Path, names: Sequence[str]) -> list[TableMapping]:
 
 
 def _header(path: Path) -> tuple[str, ...]:
+    """Names of columns; none where something stands above them, since shipped mappings are of files without."""
     if not is_text(path):
         return open_table(path).names
-    try:
-        with path.open("rb") as file:
-            return TextTable(path, file.read(_HEADER_BYTES), delimiter="").names
-    except OSError as error:
-        raise DataError(f"cannot read {path}", got=error.strerror or str(error)) from error
+    table, said, _ = _head(path, _HEADER_BYTES)
+    return () if said else table.names
+
+
+def _names_in(path: Path) -> tuple[str, ...]:
+    return _head(path, _HEADER_BYTES)[0].names if is_text(path) else open_table(path).names
 
 
 def _fits(mapping: TableMapping, headers: Mapping[str, tuple[str, ...]]) -> bool:

@@ -6,10 +6,12 @@ T x K numbers. `name[3]` is the fourth component of the vectors `name`.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import itertools
 import json
 import math
+import re
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -24,15 +26,26 @@ from trueup.core.npz import array_of, arrays_of
 from trueup.core.unpacking import most_bytes
 from trueup.dataset.importers.files import read_bytes, refuse_pickle
 from trueup.dataset.importers.matlab import is_mat5, read_mat5
-from trueup.dataset.importers.text_table import TextTable, dates, refuse_missing, split_component
+from trueup.dataset.importers.text_table import (
+    IS_DATE,
+    Head,
+    TextTable,
+    dates,
+    head_in,
+    refuse_missing,
+    split_component,
+)
 from trueup.dataset.parquet_tables import is_list, read_table
 from trueup.errors import DataError, MissingDependency
 
 if TYPE_CHECKING:
     from trueup.dataset.importers.mapping import TableMapping
 
+# How pandas stores a frame: names of columns, values of all columns of a kind, names of rows.
+_BLOCK_OF_PANDAS = re.compile(r"(?P<block>block\d{1,4})_(?P<what>values)|(block\d{1,4}_items)|axis0|(?P<axis>axis1)")
 _NUMBER_BYTES, _TIMES_IN_MEMORY = 8, 20
 _DEEPEST = 16
+_LONGEST_HEAD = 300  # of a sheet, in rows
 # No sheet has more rows.
 _MOST_COLUMNS, _MOST_ROWS = 100_000, 1 << 20
 
@@ -136,6 +149,7 @@ def open_table(path: Path, mapping: TableMapping | None = None) -> Table:
         delimiter=mapping.delimiter,
         header=mapping.header,
         skip_lines=mapping.skip_lines,
+        header_rows=mapping.header_rows,
         decimal=mapping.decimal,
         encoding=mapping.encoding,
         units_row=mapping.units_row,
@@ -179,25 +193,40 @@ def _parquet(path: Path) -> Table:
 
 
 def _h5(path: Path, *, of_matlab: bool = False) -> Table:
-    """Datasets by their paths, and fields of structured ones; MATLAB stores the last axis first."""
+    """Datasets by their paths, fields of structured ones, columns of pandas; MATLAB stores the last axis first."""
     from trueup.dataset.importers.h5file import open_h5
 
+    # Column -> dataset, its field, and which of its columns.
+    places: dict[str, tuple[str, str, int | None]] = {}
     with open_h5(path) as file:
-        fields = {
-            f"{name}.{field}" if field else name: (name, field)
-            for name in file.arrays(_DEEPEST, _MOST_COLUMNS)
-            for field in file.fields(name) or ("",)
-        }
+        names = file.arrays(_DEEPEST, _MOST_COLUMNS)
+        for name in names:
+            group, _, last = name.rpartition("/")
+            block = _BLOCK_OF_PANDAS.fullmatch(last)
+            if block is None:
+                places |= {f"{name}.{own}" if own else name: (name, own, None) for own in file.fields(name) or ("",)}
+            elif block["what"] == "values":
+                items = file.texts(f"{group}/{block['block']}_items")
+                places |= {f"{group}/{item}": (name, "", place) for place, item in enumerate(items)}
+            elif block["axis"]:
+                places[f"{group}/index"] = (name, "", None)
+    blocks: dict[str, Shaped[np.ndarray, "..."]] = {}
 
     def column(name: str) -> Shaped[np.ndarray, "..."]:
+        where, field, place = places[name]
+        if where in blocks:
+            return blocks[where][:, place]
         with open_h5(path) as file:
             try:
-                found = file.numbers(*fields[name])
+                found = np.asarray(file.numbers(where, field))
             except DataError:
-                return np.array(file.texts(name))
-            return np.asarray(found).T if of_matlab else np.asarray(found)
+                return np.array(file.texts(where))
+        if place is not None:
+            blocks[where] = found.reshape(len(found), -1)
+            return blocks[where][:, place]
+        return found.T if of_matlab else found
 
-    return ArrayTable(path, list(fields), column)
+    return ArrayTable(path, list(places), column)
 
 
 def _mat(path: Path) -> Table:
@@ -227,14 +256,17 @@ def _refuse_burst(path: Path, unpacked: int, size: int) -> None:
 
 
 def _json(path: Path) -> Table:
-    """Records in a list or one a line, or a mapping of lists, of numbers or of records; nested names have dots."""
+    """Records in a list or one a line, or a mapping of lists, of numbers or of records; nested names have dots.
+
+    Data frames as pandas writes them, too: names and rows apart, or rows by their labels.
+    """
     data = read_bytes(path)
     try:
         text = data.decode("utf-8-sig")
         trees = [json.loads(part) for part in (text.splitlines() if _by_lines(path, text) else [text]) if part.strip()]
     except (ValueError, RecursionError) as error:
         raise DataError(f"{path} cannot be read as JSON", got=error) from error
-    tree = trees if _by_lines(path, text) else trees[0] if trees else []
+    tree = _turned(trees if _by_lines(path, text) else trees[0] if trees else [], path)
     if isinstance(tree, list) and tree and all(isinstance(row, dict) for row in tree):
         columns = _columns([dict(_leaves(row)) for row in tree], path, len(data))
     elif isinstance(tree, dict):
@@ -248,6 +280,44 @@ def _json(path: Path) -> Table:
     else:
         raise DataError(f"{path} is no table", got=type(tree).__name__, expected="records, or a list for each column")
     return ArrayTable(path, list(columns), columns.__getitem__)
+
+
+def _turned(tree: Any, path: Path) -> Any:
+    """A data frame that stands in another order as a mapping of lists; anything else as it is.
+
+    Raises:
+        DataError: a row has another length than there are names.
+    """
+    if not isinstance(tree, dict):
+        return tree
+    names, rows = tree.get("columns"), tree.get("data")
+    if isinstance(names, list) and isinstance(rows, list) and all(isinstance(row, list) for row in rows):
+        if any(len(row) != len(names) for row in rows):
+            raise DataError(f"{path} has rows of other lengths than its names", got=f"{len(names)} names")
+        texts = [".".join(map(str, name)) if isinstance(name, list) else str(name) for name in names]
+        index = {"index": tree["index"]} if isinstance(tree.get("index"), list) else {}
+        return index | {name: [row[place] for row in rows] for place, name in enumerate(texts)}
+    inner = list(tree.values())
+    if not inner or not all(isinstance(own, dict) and own for own in inner):
+        return tree
+    if len(tree) > 1 and all(map(_is_label, tree)):  # rows by their labels
+        return [{"index": _label(text), **row} for text, row in tree.items()]
+    labels = list(inner[0])
+    if all(map(_is_label, labels)) and all(list(own) == labels for own in inner):
+        return {"index": list(map(_label, labels)), **{name: list(own.values()) for name, own in tree.items()}}
+    return tree
+
+
+def _is_label(text: str) -> bool:
+    """Whether a row may be called so: by its number, or by a date."""
+    return not isinstance(_label(text), str) or bool(IS_DATE.match(text))
+
+
+def _label(text: str) -> int | float | str:
+    for kind in (int, float):
+        with contextlib.suppress(ValueError):
+            return kind(text)
+    return text
 
 
 def _by_lines(path: Path, text: str) -> bool:
@@ -300,12 +370,19 @@ def _leaves(tree: Mapping[str, Any], above: str = "", depth: int = 0) -> Iterato
     for name, value in tree.items():
         if isinstance(value, Mapping) and depth < _DEEPEST:
             yield from _leaves(value, f"{above}{name}.", depth + 1)
+        elif isinstance(value, np.ndarray) and value.dtype == object and _structs(value) and depth < _DEEPEST:
+            for number, one in enumerate(value.ravel(), 1):  # an array of structs of MATLAB
+                yield from _leaves(one, f"{above}{name}{number}.", depth + 1)
         else:
             yield f"{above}{name}", value
 
 
+def _structs(array: Shaped[np.ndarray, "..."]) -> bool:
+    return 0 < array.size <= _MOST_COLUMNS and all(isinstance(one, Mapping) for one in array.ravel())
+
+
 def _excel(path: Path) -> Table:
-    """The first sheet: names in its first row, a row for each sample."""
+    """The sheet that has samples, a row for each; of several, columns are called `SHEET/NAME`."""
     try:
         import openpyxl
     except ImportError as error:
@@ -313,7 +390,7 @@ def _excel(path: Path) -> Table:
             f"{path.name} needs the package openpyxl", hint="pip install 'trueup[excel]', or save the sheet as CSV."
         ) from error
     data = read_bytes(path)
-    rows: list[tuple[Any, ...]] = []
+    sheets: dict[str, list[tuple[Any, ...]]] = {}
     cells = 0
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -322,27 +399,48 @@ def _excel(path: Path) -> Table:
         # Cells are read one by one; all else is taken into memory, where it is twenty times as large.
         rest = sum(size for name, size in sizes.items() if not name.startswith("xl/worksheets/"))
         _refuse_burst(path, _TIMES_IN_MEMORY * rest, len(data))
-        sheet = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True).worksheets[0]
-        sheet.reset_dimensions()  # what a file claims would be filled in
-        for row in itertools.islice(sheet.iter_rows(values_only=True), _MOST_ROWS):
-            # So is what is left of a cell, or above it.
-            cells += 1 + len(row)
-            _refuse_burst(path, _NUMBER_BYTES * cells, len(data))
-            if any(cell is not None for cell in row):
-                rows.append(row)
+        for sheet in openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True).worksheets:
+            sheet.reset_dimensions()  # what a file claims would be filled in
+            rows = sheets[sheet.title] = []
+            for row in itertools.islice(sheet.iter_rows(values_only=True), _MOST_ROWS):
+                # So is what is left of a cell, or above it.
+                cells += 1 + len(row)
+                _refuse_burst(path, _NUMBER_BYTES * cells, len(data))
+                if any(cell is not None for cell in row):
+                    rows.append(row)
     except DataError:
         raise
     except Exception as error:  # damaged archives raise errors of many kinds
         raise DataError(f"{path} cannot be read as a workbook", got=error) from error
-    if len(rows) < 2:
-        raise DataError(f"{path} has no rows", expected="names in the first row of the first sheet")
-    names = [str(cell).strip() if cell is not None else "" for cell in rows[0]]
-    columns = {
-        name: _stacked([row[place] if place < len(row) else None for row in rows[1:]], 0, f"{path}: {name}")
+    tables = {name: _sheet(rows, f"{path}: {name}") for name, rows in sheets.items() if len(rows) > 1}
+    if not tables:
+        raise DataError(f"{path} has no rows", expected="names in the first row of a sheet")
+    with_samples = [name for name, (head, _) in tables.items() if head is not None]
+    if len(with_samples) < 2:
+        columns = tables[next(iter(with_samples or tables))][1]
+    else:
+        columns = {f"{name}/{own}": values for name in with_samples for own, values in tables[name][1].items()}
+    return ArrayTable(path, list(columns), columns.__getitem__)
+
+
+def _sheet(rows: Sequence[Sequence[Any]], where: str) -> tuple[Head | None, dict[str, Shaped[np.ndarray, "..."]]]:
+    """Columns of a sheet, below a header of one or more rows; what a name spans, it stands for."""
+    width = max(map(len, rows))
+    texts = [["" if cell is None else str(cell).strip() for cell in row] for row in rows[:_LONGEST_HEAD]]
+    head = head_in([row + [""] * (width - len(row)) for row in texts])
+    first, count = (head.skip_lines, head.header_rows) if head is not None else (0, 1)
+    lines = [row + [""] * (width - len(row)) for row in texts[first : first + count]]
+    for line in lines[:-1]:
+        for place in range(1, width):
+            line[place] = line[place] or line[place - 1]
+    names = [".".join(filter(None, own)) for own in zip(*lines, strict=True)]
+    return head, {
+        name: _stacked(
+            [row[place] if place < len(row) else None for row in rows[first + count :]], 0, f"{where}: {name}"
+        )
         for place, name in enumerate(names)
         if name
     }
-    return ArrayTable(path, list(columns), columns.__getitem__)
 
 
 _FORMATS: Mapping[str, Callable[[Path], Table]] = {

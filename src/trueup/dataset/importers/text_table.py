@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import re
 from collections import Counter
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import NoReturn
@@ -29,10 +31,15 @@ _COMPONENT = re.compile(r"(.+)\[(\d{1,4})\]")
 _DELIMITERS = (",", ";", "\t", "|", "whitespace")
 # Byte order marks, and what they say.
 _MARKS = ((b"\xef\xbb\xbf", "utf-8"), (b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be"))
-_DATE = re.compile(r"\d{4}-\d\d?-\d\d?[T ]")
+IS_DATE = re.compile(r"\d{4}-\d\d?-\d\d?[T ]|(\d+ days? )?\d{1,2}:\d\d:\d\d([.,]\d+)?$")
+_SPAN = re.compile(r"(?:(\d{1,5}) days? )?(\d{1,2}):(\d\d):(\d\d)(?:[.,](\d{1,9}))?")
+# Lines that stand above the samples, at most, and samples by which these are known.
+_LONGEST_HEAD, _ALIKE = 300, 5
+_MOST_HEADER_ROWS = 3
 # Brackets around vectors.
 _AROUND = ((pc.starts_with, "[("), (pc.ends_with, "])"))
 _NUMBER = r"^[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?$|^[\[(].*[\])]$|^\d{4}-\d\d?-\d\d?[T ].*$"
+_VALUE = re.compile(rf"{_NUMBER}|{IS_DATE.pattern}")
 
 
 def split_component(name: str, columns: Collection[str]) -> tuple[str, int | None]:
@@ -65,7 +72,7 @@ def refuse_headerless(path: Path, names: Sequence[str]) -> None:
     Raises:
         DataError: all are.
     """
-    if len(names) > 1 and all(map(_is_number, names)):
+    if len(names) > 1 and sum(map(_is_number, names)) > len(names) / 2:
         raise DataError(
             f"{path} has no header: its first line holds numbers",
             got=", ".join(names[:6]) + (", …" if len(names) > 6 else ""),
@@ -82,18 +89,92 @@ def _is_number(text: str) -> bool:
     return True
 
 
+@dataclass(frozen=True)
+class Head:
+    """What stands above the samples of a file of text.
+
+    Attributes:
+        skip_lines: lines before the header.
+        header_rows: lines of the header.
+        delimiter: between its names.
+        last: what stands in the last of these lines, if there are several.
+    """
+
+    skip_lines: int = 0
+    header_rows: int = 1
+    delimiter: str = ""
+    last: tuple[str, ...] = ()
+
+
+def head_of(data: bytes) -> Head:
+    """Where the samples of a file of text begin, which are lines with as many numbers each, and where its header does.
+
+    The header is what stands right above them, if it has as many names; comments and lines about the recording may
+    stand above that. A file in which nothing of this is found has its header in the first line.
+    """
+    mark, encoding = next(((mark, name) for mark, name in _MARKS if data.startswith(mark)), (b"", "utf-8"))
+    text = data[len(mark) :].decode(encoding, errors="replace")
+    lines = list(itertools.islice(re.split(r"\r\n|\n|\r", text), _LONGEST_HEAD + _ALIKE))
+    for delimiter in _DELIMITERS:
+        head = head_in([_cells(line, delimiter) for line in lines])
+        if head is not None:
+            return replace(head, delimiter=delimiter)
+    return Head()
+
+
+def head_in(rows: Sequence[Sequence[str]]) -> Head | None:
+    """The same of rows of cells; None where there are no samples, or nothing has names for them."""
+    first = next((at for at in range(1, len(rows)) if _samples_begin(rows[at : at + _ALIKE])), 0)
+    if not first:
+        return None
+    # Of one that is numbers, or is not next to the one below it, all above is about something else.
+    own: list[int] = []
+    for at in range(first - 1, max(first - _MOST_HEADER_ROWS, 0) - 1, -1):
+        if len(rows[at]) != len(rows[first]) or any(map(_is_number, rows[at])) or not any(rows[at]):
+            break
+        own.append(at)
+    if not own:
+        return None
+    return Head(min(own), len(own), last=tuple(rows[first - 1]) if len(own) > 1 else ())
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    if delimiter == "whitespace":
+        return line.lstrip("#").split()
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
+    except csv.Error:
+        return []
+
+
+def _samples_begin(rows: Sequence[Sequence[str]]) -> bool:
+    """Whether these rows are alike and have numbers."""
+    count = len(rows[0])
+    numbers = [any(_VALUE.match(cell) for cell in row) for row in rows]
+    return count > 1 and len(rows) == _ALIKE and all(len(row) == count for row in rows) and all(numbers)
+
+
 def dates(words: Sequence[str], where: str) -> Shaped[np.ndarray, "N"]:
-    """Dates as ISO 8601 writes them, as nanoseconds since 1970.
+    """Dates as ISO 8601 writes them, as nanoseconds since 1970; times of day, or with days before them, from their 0.
 
     Raises:
         DataError: one is none.
     """
     try:
-        return np.array([np.datetime64(_plain_date(word), "ns").astype(np.int64) for word in words], dtype=np.int64)
+        return np.array([_nanoseconds(word) for word in words], dtype=np.int64)
     except ValueError as error:
         raise DataError(
             f"{where} holds no stamps", got=error, expected="numbers, or dates such as 2026-08-07 11:08:39.400"
         ) from error
+
+
+def _nanoseconds(word: str) -> int:
+    span = _SPAN.fullmatch(word.strip())
+    if span is None:
+        return int(np.datetime64(_plain_date(word), "ns").astype(np.int64))
+    days, hours, minutes, seconds, rest = span.groups("0")
+    whole = ((int(days) * 24 + int(hours)) * 60 + int(minutes)) * 60 + int(seconds)
+    return whole * 10**9 + int(rest.ljust(9, "0"))
 
 
 def _plain_date(word: str) -> str:
@@ -118,6 +199,7 @@ class TextTable:
         delimiter: one character, or `whitespace` for any run of blanks; found by the header if empty.
         header: names of the columns if the file has no header line; `0`, `1`, ... if it is the one name `none`.
         skip_lines: lines before the header.
+        header_rows: lines of the header; what stands below each other is one name, with dots.
         decimal: sign between whole numbers and their fractions; if empty, a comma is understood where it separates no
             columns.
         encoding: of the letters.
@@ -140,6 +222,7 @@ class TextTable:
         delimiter: str = ",",
         header: Sequence[str] = (),
         skip_lines: int = 0,
+        header_rows: int = 1,
         decimal: str = "",
         encoding: str = "",
         units_row: bool = False,
@@ -161,11 +244,14 @@ class TextTable:
         names = list(header)
         if not names or numbered:
             names = self._header(data[start:end])
+            for _ in range(header_rows - 1):
+                end, start_of_rows, begin = *_line_end(data, start_of_rows), start_of_rows
+                names = self._joined(names, data[begin:end])
         if numbered:
             names = [str(place) for place in range(len(names))]
         if not header:
             start = start_of_rows
-            self._first_line += 1
+            self._first_line += header_rows
         if units_row:
             start = _line_end(data, start)[1]
             self._first_line += 1
@@ -225,6 +311,12 @@ class TextTable:
                 f"{self.path} is empty or has no header line", expected="names of columns in the first line"
             )
         return names
+
+    def _joined(self, names: Sequence[str], line: bytes) -> list[str]:
+        below = self._header(line)
+        if len(below) != len(names):
+            raise DataError(f"the header of {self.path} has lines of {len(names)} and {len(below)} names")
+        return [".".join(filter(None, pair)) for pair in zip(names, below, strict=True)]
 
     @property
     def first(self) -> dict[str, str]:
@@ -356,7 +448,7 @@ class TextTable:
         except pa.ArrowException:
             pass
         first = next(iter(text[:1].to_pylist()), "")
-        if _DATE.match(first.strip()):
+        if IS_DATE.match(first.strip()):
             return dates(text.to_pylist(), f"{self.path}, column {column!r}"), True
         return self.floats(column, text), False
 
