@@ -348,3 +348,119 @@ def test_what_is_not_read_says_how_to_convert_it(logs, name, way):
     with pytest.raises(FormatError, match="no known format") as caught:
         plan_import(logs)
     assert way in caught.value.hint
+
+
+def test_headers_of_quantity_unit_and_joint(logs):
+    rows = [
+        ("quantity", *["position"] * 3, *["position_desired"] * 3),
+        ("unit", *["deg"] * 6),
+        ("joint", *JOINTS, *JOINTS),
+        ("time [s]", *[""] * 6),
+    ]
+    (logs / "run.csv").write_text(text_of([*rows, *np.column_stack([T, np.degrees(DONE), np.degrees(TOLD)])]))
+    _, (motion,) = read(logs)
+    assert motion.measured.units["position"] == ("deg",) * 3
+    right(motion, done=np.degrees(DONE), told=np.degrees(TOLD))
+
+
+def test_a_title_is_no_header_and_units_in_brackets_are_no_samples(logs):
+    book = openpyxl.Workbook()
+    for number, sheet in enumerate((book.active, book.create_sheet("x")), 1):
+        sheet.title = f"Messung {number}"
+        names = [f"Achse {k} {side}" for side in ("Ist", "Soll") for k in (1, 2, 3)]
+        degrees = np.column_stack([T * 1000, np.degrees(DONE), np.degrees(TOLD)])
+        cells(sheet, [("Messung: Sinusfahrt", *[None] * 6), ("Zeit", *names), ("[ms]", *["[°]"] * 6), *degrees])
+    book.save(logs / "run.xlsx")
+    _, motions = read(logs)
+    assert len(motions) == 2
+    for motion in motions:
+        right(motion, joints=("joint_1", "joint_2", "joint_3"), done=np.degrees(DONE), told=np.degrees(TOLD))
+
+
+def test_letters_of_windows_and_times_of_day(logs):
+    head = "Uhrzeit;" + ";".join(f"Gelenk{k} {side} [°]" for side in ("Ist", "Soll") for k in (1, 2, 3))
+    body = [
+        (f"10:11:{int(t):02d},{round(t % 1 * 1000):03d}", *(str(value).replace(".", ",") for value in row))
+        for t, row in zip(T, np.degrees(ROWS[:, 1:]), strict=True)
+    ]
+    (logs / "run.csv").write_bytes((head + "\n" + text_of(body, ";")).encode("cp1252"))
+    found, (motion,) = read(logs)
+    assert found.tree["encoding"] == "cp1252"
+    np.testing.assert_allclose(motion.command["position"], np.degrees(TOLD), atol=1e-9)
+    np.testing.assert_allclose(motion.measured.time_s, T, atol=1e-6)
+
+
+def test_messages_of_two_kinds_in_one_stream(logs):
+    """With the same names in both, at rates of their own, and a last line that was cut."""
+    lines = [{"type": "meta", "robot": "arm"}]
+    for k, t in enumerate((T * 1e9).round().astype(int).tolist()):
+        lines.append({"type": "state", "stamp_ns": t, "q": DONE[k].tolist()})
+        if k % 4 == 0:
+            lines.append({"type": "command", "stamp_ns": t, "q": TOLD[k].tolist()})
+    (logs / "run.ndjson").write_text("".join(json.dumps(line) + "\n" for line in lines) + '{"type": "sta')
+    _, (motion,) = read(logs)
+    right(motion, joints=("joint_1", "joint_2", "joint_3"), told=TOLD[::4])
+    np.testing.assert_allclose(motion.command.time_s, T[::4], atol=1e-9)
+    assert [flag.kind for flag in motion.meta.flags] == ["cut_file"]
+
+
+def test_a_cut_line_in_the_middle_is_an_error(logs):
+    (logs / "run.jsonl").write_text('{"t": 0, "q": [1]}\n{"t": 1, "q"\n{"t": 2, "q": [1]}\n')
+    with pytest.raises(DataError, match="cannot be read as JSON"):
+        suggested(logs)
+
+
+def test_a_long_table_of_several_motions(logs):
+    rows = [
+        (trial, f"{t:g}".replace(".", ","), joint, *(f"{value[k, j]:.9f}".replace(".", ",") for value in (DONE, TOLD)))
+        for trial in (1, 2)
+        for k, t in enumerate(T)
+        for j, joint in enumerate(("Base", "Épaule", "Poignet 1"))
+    ]
+    head = ("essai", "temps (s)", "articulation", "position mesurée (rad)", "consigne (rad)")
+    (logs / "run.csv").write_text(text_of([head, *rows], ";"))
+    _, motions = read(logs)
+    assert len(motions) == 2
+    for motion in motions:
+        assert motion.measured.joints == ("Base", "Épaule", "Poignet 1")
+        np.testing.assert_allclose(motion.measured["position"], DONE, atol=1e-8)
+        np.testing.assert_allclose(motion.command["position"], TOLD, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("told", "done"),
+    [
+        ("q_c_{}", "q_{}"),
+        ("u{}", "q{}"),
+        ("ASPos.A{}", "AIPos.A{}"),
+        ("qRef_rad_{}", "qMeas_rad_{}"),
+        ("qcmd{}", "qact{}"),
+    ],
+)
+def test_what_controllers_call_commands(logs, told, done):
+    names = [done.format(k) for k in (1, 2, 3)] + [told.format(k) for k in (1, 2, 3)]
+    (logs / "run.csv").write_text(text_of([("time_s", *names), *ROWS]))
+    _, (motion,) = read(logs)
+    np.testing.assert_allclose(motion.measured["position"], DONE, atol=1e-9)
+    np.testing.assert_allclose(motion.command["position"], TOLD, atol=1e-9)
+
+
+def test_of_several_files_the_one_that_has_both_sides(logs):
+    for motion in ("one", "two"):
+        (logs / motion).mkdir()
+        (logs / motion / "joint_states.csv").write_text(text_of([("t", *JOINTS), *ROWS[:, :4]]))
+        (logs / motion / "state.csv").write_text(text_of([("t", *NAMES), *ROWS]))
+    _, motions = read(logs)
+    assert len(motions) == 2
+    for motion in motions:
+        right(motion)
+
+
+def test_counts_of_unknown_size_are_no_angles(logs):
+    (logs.parent / "arm.xml").write_text(MODEL)
+    names = [*(f"{joint}_enc_ticks" for joint in JOINTS), *(f"{joint}_set_ticks" for joint in JOINTS)]
+    counts = np.column_stack([1e6 * T, 40000 + np.round(1e4 * ROWS[:, 1:])]).astype(int)
+    (logs / "run.csv").write_text(text_of([("time_us", *names), *counts]))
+    with pytest.raises(DataError, match="are no angles") as caught:
+        draft(logs.parent / "arm.xml", logs)
+    assert "`factor` [rad per count]" in caught.value.hint

@@ -50,6 +50,27 @@ def test_fingers_are_no_part_of_a_numbered_arm():
     assert found.strangers == ("panda_finger_joint1", "panda_finger_joint2")
 
 
+def test_numbers_behind_those_of_an_arm_are_its_gripper():
+    model = ("shoulder_pan", "shoulder_lift", "elbow")
+    found = match_names(("joint_1", "joint_2", "joint_3", "joint_4"), model)
+    assert found.pairs == dict(zip(model, ("joint_1", "joint_2", "joint_3"), strict=True))
+    assert set(found.how.values()) == {"order"}
+    assert found.strangers == ("joint_4",)
+    assert match_names(numbered("joint_{}"), model).pairs == {}
+
+
+@pytest.mark.parametrize(
+    "log",
+    [
+        ("Basis", "Schulter", "Ellbogen", "Handgelenk 1", "Handgelenk 2"),
+        ("Base", "Épaule", "Coude", "Poignet 1", "Poignet 2"),
+    ],
+)
+def test_joints_in_other_languages(log):
+    model = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2")
+    assert match_names(log, model).pairs == dict(zip(model, log, strict=True))
+
+
 def test_what_could_be_one_joint_or_another_is_not_matched():
     found = match_names(("knee", "hip"), ("left_knee", "right_knee", "left_hip", "right_hip"))
     assert found.pairs == {}

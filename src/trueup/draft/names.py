@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -35,12 +36,12 @@ _PLAIN = frozenset(
 )
 # Other words for the same, as makers of arms, hands and legs have them.
 _MEANINGS: Mapping[tuple[str, ...], tuple[str, ...]] = {
-    ("yaw",): ("pan", "rotation", "rotate", "waist", "azimuth", "base", "turntable", "y"),
+    ("yaw",): ("pan", "rotation", "rotate", "waist", "azimuth", "base", "basis", "turntable", "y"),
     ("pitch",): ("lift", "flex", "flexion", "tilt", "elevation", "p"),
-    ("gripper",): ("jaw", "finger", "claw", "grasp"),
-    ("shoulder",): ("sh", "shldr"),
-    ("elbow",): ("el", "elb"),
-    ("wrist",): ("wr", "wri"),
+    ("gripper",): ("jaw", "finger", "claw", "grasp", "greifer", "pince"),
+    ("shoulder",): ("sh", "shldr", "schulter", "epaule"),
+    ("elbow",): ("el", "elb", "ellbogen", "coude"),
+    ("wrist",): ("wr", "wri", "handgelenk", "poignet"),
     ("knee",): ("calf", "kfe", "shank", "kn"),
     ("hip", "pitch"): ("thigh", "hfe"),
     ("hip", "roll"): ("haa", "abad"),
@@ -56,6 +57,7 @@ _MEANINGS: Mapping[tuple[str, ...], tuple[str, ...]] = {
 _SAME = {word: meaning for meaning, words in _MEANINGS.items() for word in words}
 _SIDES = frozenset(("left", "right", "front", "rear"))
 # Of the words of both names together, the share that a match has at least, and its lead over any other.
+_MOST_BEHIND = 2  # numbered names more than the model has joints, which are those of a gripper
 _LEAST, _LEAD = 0.45, 0.08
 
 
@@ -110,6 +112,10 @@ def match_names(log: Sequence[str], model: Sequence[str]) -> Matching:
     names, joints = left()
     if names and len(names) == len(joints) and (not pairs or len(names) == 1):
         take(zip(joints, names, strict=True), "order")
+    elif (
+        not pairs and _MOST_BEHIND >= len(names) - len(joints) > 0 and len(joints) > 2 and _rows(names) == [list(names)]
+    ):
+        take(zip(joints, names, strict=False), "order")  # what is behind the joints of an arm is its gripper
     names, joints = left()
     return Matching(pairs, how, tuple(names), tuple(joints))
 
@@ -160,9 +166,13 @@ def _likeness(one: frozenset[str], other: frozenset[str]) -> float:
     return len(one & other) / len(one | other)
 
 
+def _without_accents(name: str) -> str:
+    return "".join(sign for sign in unicodedata.normalize("NFKD", name) if not unicodedata.combining(sign))
+
+
 def _words(names: Sequence[str]) -> dict[str, frozenset[str]]:
     """Of each name, without what all of them have in front and behind."""
-    split = {name: [word.lower() for word in _WORD.findall(name)] for name in names}
+    split = {name: [word.lower() for word in _WORD.findall(_without_accents(name))] for name in names}
     lists = list(split.values())
     front = _common(lists) if len(lists) > 1 else 0
     behind = _common([words[::-1] for words in lists]) if len(lists) > 1 else 0

@@ -38,6 +38,8 @@ _MOST, _ROUNDS = 40, 4
 _SIGNALS: tuple[CommandSignal, ...] = ("position", "velocity", "torque")
 _MOST_NAMES = 6
 # A joint that follows its command goes with it so closely, as a correlation.
+# Some twenty turns.
+_MOST_RAD = 125.0
 _ARRAY = "commands come in an array; by what has followed them: {}"
 _FOLLOWED, _CLEARLY = 0.9, 0.02  # and so much more closely than any other
 
@@ -137,6 +139,7 @@ def draft(
         guessed = calibration is None and suggestion is not None and suggestion.guessed
         robot, mended, findings = _checked(first.robot, episodes, path, ask, guessed=guessed)
         checked += mended
+        _refuse_counts(robot, episodes)
         if any(joint.log_unit for joint in robot.joints):
             unsure = [line for line in unsure if line != DEGREES]
     taken += [*first.taken, *_matched(robot, matching), *checked]
@@ -356,6 +359,26 @@ def _positions(episodes: Sequence[Episode]) -> list[np.ndarray]:
     """Measured positions as they were logged, without missing ones."""
     values = [episode.measured["position"] for episode in episodes]
     return [own[np.isfinite(own)] for own in values]
+
+
+def _refuse_counts(robot: RobotSpec, episodes: Sequence[Episode]) -> None:
+    """Refuse positions that no joint can have, such as encoder counts of which nobody says how many are a turn.
+
+    Raises:
+        DataError: there are some.
+    """
+    joint_map = JointMap.from_dict(robot.joint_rules())
+    for episode in episodes:
+        measured = joint_map.of_episode(episode).measured
+        units = measured.units["position"]
+        for joint, unit, values in zip(measured.joints, units, measured["position"].T, strict=True):
+            if unit == "rad" and np.isfinite(values).any() and float(np.nanpercentile(np.abs(values), 5)) > _MOST_RAD:
+                raise DataError(
+                    f"positions of {joint} are no angles",
+                    got=f"about {float(np.nanmedian(values)):.0f} rad, as they are read",
+                    expected="angles in a unit that is known, or encoder counts with the size of one",
+                    hint="Write `factor` [rad per count], `offset` and `unit: rad` below `position` into a mapping.",
+                )
 
 
 def _mended(

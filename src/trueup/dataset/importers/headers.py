@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +27,7 @@ _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|°")
 _JOINED = re.compile(r"^(d?q|tau|pos|vel)(ref|des|cmd|target|goal|set|meas|act|actual)$")
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\])\d][^\])]*?)\s*[\])]|\[\s*\]")
 
-_TIMES = ("t", "time", "timestamp", "stamp", "zeit", "times", "epoch", "datetime", "date", "clock", "ts", "tm")
+_TIMES = ("t", "time", "timestamp", "stamp", "zeit", "times", "epoch", "datetime", "date", "clock", "ts", "tm", "temps")
 _SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanosecs", "nanoseconds")
 # Single numbers that stand for a clock.
 _PERIODS, _RATES = ("dt", "period", "timestep"), ("fps", "hz", "rate", "frequency")
@@ -34,29 +35,81 @@ _TOLD = frozenset(
     [
         *("cmd", "cmds", "command", "commands", "commanded", "des", "desired", "target", "targets", "goal", "ref"),
         *("reference", "setpoint", "set", "soll", "sp", "action", "actions", "tgt", "demand", "con", "d", "input"),
-        *("ctrl", "control", "planned", "u"),
+        *("ctrl", "control", "planned", "u", "consigne", "as"),
     ]
 )
 _DONE = frozenset(
     [
         *("meas", "measured", "actual", "act", "present", "ist", "state", "states", "fb", "feedback", "obs"),
-        *("observation", "observations", "real", "sensor", "sensed", "estimated", "est"),
+        *(
+            "observation",
+            "observations",
+            "real",
+            "sensor",
+            "sensed",
+            "estimated",
+            "est",
+            "enc",
+            "encoder",
+            "mesuree",
+            "ai",
+        ),
     ]
 )
 _SIGNALS: Mapping[str, tuple[str, ...]] = {
-    "position": ("pos", "position", "positions", "q", "angle", "angles", "theta", "qpos", "lage", "winkel", "jointpos"),
-    "velocity": ("vel", "velocity", "velocities", "dq", "qd", "qdot", "speed", "omega", "qvel", "geschwindigkeit"),
-    "torque": ("tau", "torque", "torques", "effort", "efforts", "moment", "drehmoment"),
-    "current": ("current", "currents", "strom"),
+    "position": (
+        "pos",
+        "position",
+        "positions",
+        "q",
+        "angle",
+        "angles",
+        "theta",
+        "qpos",
+        "lage",
+        "winkel",
+        "jointpos",
+        "ticks",
+    ),
+    "velocity": (
+        "vel",
+        "velocity",
+        "velocities",
+        "dq",
+        "qd",
+        "qdot",
+        "speed",
+        "omega",
+        "qvel",
+        "geschwindigkeit",
+        "vitesse",
+    ),
+    "torque": ("tau", "torque", "torques", "effort", "efforts", "moment", "drehmoment", "couple"),
+    "current": ("current", "currents", "strom", "courant"),
     "voltage": ("voltage", "voltages", "spannung"),
     "temperature": ("temp", "temperature", "temperatures", "temperatur"),
     "acceleration": ("acc", "accel", "acceleration", "accelerations", "ddq", "qdd", "qacc"),
 }
 _SIGNAL_OF = {word: signal for signal, words in _SIGNALS.items() for word in words}
 # Columns that say which joint a row is of, or which motion.
-_WHOSE = frozenset(["joint", "joints", "motor", "servo", "name", "axis", "actuator", "dof", "id"])
+_WHOSE = frozenset(
+    ["joint", "joints", "motor", "servo", "name", "axis", "actuator", "dof", "id", "gelenk", "achse", "articulation"]
+)
 _MOTIONS = frozenset(
-    ["trial", "episode", "motion", "run", "demo", "demonstration", "sequence", "trajectory", "rollout", "segment"]
+    [
+        "trial",
+        "episode",
+        "motion",
+        "run",
+        "demo",
+        "demonstration",
+        "sequence",
+        "trajectory",
+        "rollout",
+        "segment",
+        "versuch",
+        "essai",
+    ]
 )
 _MOST_JOINTS, _MOST_CLOCKS = 100, 20
 # Words in front of the number of a joint.
@@ -90,7 +143,7 @@ _UNITS = {
 }
 # Units that end a name without brackets; the short ones are too often something else.
 _ENDINGS = frozenset(
-    ["deg", "degrees", "rad", "radians", "rads", "degs", "rpm", "nm", "mnm", "ma", "ms", "us", "ns", "mm"]
+    ["deg", "degrees", "rad", "mrad", "radians", "rads", "degs", "rpm", "nm", "mnm", "ma", "ms", "us", "ns", "mm"]
 )
 _CLOCKS = ("s", "ms", "us", "ns")
 # Of the four, the largest step that a log has, and the latest stamp since 1970, in ticks.
@@ -177,13 +230,19 @@ def column_of(name: str) -> Column:
     """What the name of a column says."""
     brackets = [found[1] for found in _IN_BRACKETS.finditer(name) if found[1]]
     units = [unit for text in brackets if (unit := _UNITS.get(text.lower().replace(" ", ""), ""))]
-    words = [word.lower() for word in _WORD.findall(_IN_BRACKETS.sub(" ", name) if units else name)]
+    parts = name.split(".")
+    if (
+        not units and len(parts) > 2 and (said := [part for part in parts[1:-1] if len(part) > 1 and part in _UNITS])
+    ):  # a row of units
+        units, parts = [_UNITS[said[0]]], [part for part in parts if part not in said]
+    plain = ".".join(parts)
+    words = _words_of(_IN_BRACKETS.sub(" ", plain) if units else plain)
     words = [part for word in words for part in _JOINED.sub(r"\1 \2", word).split()]
     if not units and len(words) > 1 and words[-1] in _ENDINGS:
         units, words = [_UNITS[words[-1]]], words[:-1]
     signals = [word for word in words if word in _SIGNAL_OF]
     side: Side | None = None
-    if any(word in _TOLD for word in words):
+    if any(word in _TOLD for word in words) or ("q", "c") in itertools.pairwise(words):
         side = "command"
     elif any(word in _DONE for word in words):
         side = "measured"
@@ -192,8 +251,15 @@ def column_of(name: str) -> Column:
         side = side or "measured"
         words = [word for word in words if word != "current"]
     signal = _SIGNAL_OF[signals[-1]] if signals else ""
+    words = [word for word, before in zip(words, ["", *words], strict=False) if (before, word) != ("q", "c")]
     left = [word for word in words if word not in _TOLD | _DONE | _PLAIN and word not in signals]
     return Column(name, side, signal, tuple(left), units[0] if units else "")
+
+
+def _words_of(name: str) -> list[str]:
+    """Words in small letters, without accents."""
+    plain = unicodedata.normalize("NFKD", name)
+    return [word.lower() for word in _WORD.findall("".join(sign for sign in plain if not unicodedata.combining(sign)))]
 
 
 def suggest(
@@ -294,10 +360,10 @@ class _Suggesting:
     def _motions(self, names: Sequence[str]) -> dict[str, Any]:
         """A column that numbers or names the motions of a file, each of which is in one piece."""
         for name in names:
-            words = [word.lower() for word in _WORD.findall(name)]
+            words = _words_of(name)
             if name in self._time_names or not set(words) & _MOTIONS or {"frame", "step"} & set(words):
                 continue
-            motions = self._words(name)
+            motions = [word for word in self._words(name) if word.lower() not in ("", "nan", "none")]
             changes = sum(one != two for one, two in itertools.pairwise(motions))
             if 1 < len(set(motions)) == changes + 1 and len(motions) > 10 * len(set(motions)):
                 self._unsure.append(f"each {name} is taken for a motion of its own")
@@ -307,15 +373,18 @@ class _Suggesting:
     def _named_in_rows(self, names: Sequence[str]) -> tuple[str, list[str]]:
         """The column with the name of each row's joint, and the joints, if stamps are there once for each joint."""
         for name in names:
-            words = {word.lower() for word in _WORD.findall(name)}
+            words = set(_words_of(name))
             if name in self._time_names or not words or not words <= _WHOSE or len(self._time_names) != 1:
                 continue
             rows = self._words(name)
             counts = Counter(rows)
             try:
-                stamps = len(np.unique(self._table.ticks(self._time_names[0])[0]))
+                ticks = self._table.ticks(self._time_names[0])[0]
             except TrueupError:
                 continue
+            # Stamps may come again in the next motion, and then stand together.
+            changes = 1 + int(np.count_nonzero(np.diff(ticks)))
+            stamps = changes if changes * 1.1 < len(rows) else len(np.unique(ticks))
             if 1 < len(counts) <= _MOST_JOINTS and max(counts.values()) <= stamps * 1.1 < len(rows):
                 return name, list(counts)
         return "", []
@@ -330,7 +399,7 @@ class _Suggesting:
     # The clock.
 
     def _clock(self, names: Sequence[str]) -> tuple[list[str], Any]:
-        words = {name: [word.lower() for word in _WORD.findall(name)] for name in names}
+        words = {name: _words_of(name) for name in names}
         whole = [name for name in names if words[name] and words[name][-1] in _SECONDS]
         parts = [name for name in names if words[name] and words[name][-1] in _NANOSECONDS]
         if len(whole) == 1 and len(parts) == 1:
@@ -405,7 +474,7 @@ class _Suggesting:
         if dates:
             return name
         said = self._column(name).unit
-        words = [word.lower() for word in _WORD.findall(name)]
+        words = _words_of(name)
         if said not in _CLOCKS and len(words) > 1:
             said = _UNITS.get(words[-1], "")
         if said in _CLOCKS:
@@ -549,7 +618,7 @@ class _Suggesting:
     def _listed(self, width: int) -> tuple[str, ...]:
         """Names of joints that stand in the file as a list of so many texts, once or in every row; empty if none do."""
         for name in self._table.names:
-            words = {word.lower() for word in _WORD.findall(name)}
+            words = set(_words_of(name))
             if not words & {"name", "names", "joint", "joints", "dof"} or self._numbers(name) is not None:
                 continue
             rows = self._words(name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import math
 import os
 import re
@@ -32,6 +33,10 @@ LOOKS_FOR = "CSV files; with a mapping file (--mapping, or mapping.yaml beside t
 EPISODE = "what the mapping says"
 ASSUMES = "nothing: the mapping says all"
 
+# What a mapping need not say of the head of a file of text.
+_USUAL: Mapping[str, Any] = {"skip_lines": 0, "header_rows": 1, "units_row": False, "encoding": ""}
+# Files of other columns that a motion may have.
+_MOST_FILES = 8
 _HEADER_BYTES, _SAMPLE_BYTES = 1 << 16, 1 << 20
 # Files beside logs that are none.
 _BESIDE = ("split.json", "mapping.yaml")
@@ -158,10 +163,11 @@ def suggested(path: Path) -> Suggestion | None:
     kinds = sorted({Path(name).name for name in tables})
     folders = {Path(name).parent for name in tables}
     pair = _pair(kinds) if len(tables) == len(kinds) * len(folders) else None
-    if pair is None:
-        return _suggested_of(inside(root, root / tables[0]))
-    done, told = pair
     first = Path(tables[0]).parent
+    if pair is None:
+        complete = _complete(root / first, kinds) if len(tables) == len(kinds) * len(folders) else None
+        return complete or _suggested_of(inside(root, root / tables[0]))
+    done, told = pair
     measured = _suggested_of(inside(root, root / first / done))
     command = _suggested_of(inside(root, root / first / told), "command")
     if measured is None or command is None:
@@ -197,6 +203,22 @@ def _pair(kinds: Sequence[str]) -> tuple[str, str] | None:
     return next((pair for pair in alike if said[pair[0]].signal in ("position", "")), None)
 
 
+def _complete(folder: Path, kinds: Sequence[str]) -> Suggestion | None:
+    """Of files with other columns each, the one that has measurement and command; None where none has."""
+    if not 1 < len(kinds) <= _MOST_FILES:
+        return None
+    try:
+        if len({_names_in(inside(folder, folder / kind)) for kind in kinds}) < 2:
+            return None
+        for kind in kinds:
+            found = _suggested_of(inside(folder, folder / kind))
+            if found is not None and "command" in found.tree["series"]:
+                return _with(found, {"episodes": rf"(?:.+/)?{re.escape(kind)}"})
+    except TrueupError:
+        pass
+    return None
+
+
 def _head(path: Path, size: int = _SAMPLE_BYTES) -> tuple[TextTable, dict[str, Any], dict[str, str]]:
     """The beginning of a file of text, what a mapping has to say of its head, and units that stand in it.
 
@@ -213,10 +235,35 @@ def _head(path: Path, size: int = _SAMPLE_BYTES) -> tuple[TextTable, dict[str, A
     head = head_of(data)
     has_units = bool(units_in({str(place): text for place, text in enumerate(head.last)}))
     skip, rows = head.skip_lines, head.header_rows - has_units
-    table = TextTable(path, data, delimiter=head.delimiter, skip_lines=skip, header_rows=rows, units_row=has_units)
+    encoding = _encoding(data)
+    table = TextTable(
+        path,
+        data,
+        delimiter=head.delimiter,
+        skip_lines=skip,
+        header_rows=rows,
+        units_row=has_units,
+        encoding=encoding,
+    )
     units = units_in(dict(zip(table.names, head.last, strict=True))) if has_units else {}
-    said = {"skip_lines": (skip, 0), "header_rows": (rows, 1), "units_row": (has_units, False)}
+    said = {
+        "skip_lines": (skip, 0),
+        "header_rows": (rows, 1),
+        "units_row": (has_units, False),
+        "encoding": (encoding, ""),
+    }
     return table, {key: value for key, (value, usual) in said.items() if value != usual}, units
+
+
+def _encoding(data: bytes) -> str:
+    """What a mapping has to say of letters that are neither UTF-8 nor marked: they are those of Windows."""
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return ""
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(data)  # which may end within a letter
+    except UnicodeDecodeError:
+        return "cp1252"
+    return ""
 
 
 def _suggested_of(path: Path, side: Side = "measured") -> Suggestion | None:

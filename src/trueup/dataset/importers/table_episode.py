@@ -357,7 +357,8 @@ def _split_rows(table: Table, mapping: TableMapping) -> list[tuple[str, Rows]]:
         if words.size != measured.rows.size:
             got = f"{words.size} values for {measured.rows.size} samples"
             raise DataError(f"{table.path}: {rule.column} does not say the motion of each row", got=got)
-        return [(word, np.flatnonzero(words == word)) for word in dict.fromkeys(words.tolist())]
+        motions = [word for word in dict.fromkeys(words.tolist()) if word.lower() not in ("", "nan", "none")]
+        return [(word, np.flatnonzero(words == word)) for word in motions]
     ticks, per_second = measured.ticks()
     time_s = (ticks - ticks[0]) / float(per_second)
     begins, kept = _begins(rule, time_s, measured)

@@ -45,6 +45,8 @@ if TYPE_CHECKING:
 _BLOCK_OF_PANDAS = re.compile(r"(?P<block>block\d{1,4})_(?P<what>values)|(block\d{1,4}_items)|axis0|(?P<axis>axis1)")
 _NUMBER_BYTES, _TIMES_IN_MEMORY = 8, 20
 _DEEPEST = 16
+# Where records say which message they are.
+_KINDS, _MOST_KINDS = ("type", "topic", "channel", "kind", "msg"), 20
 _LONGEST_HEAD = 300  # of a sheet, in rows
 # No sheet has more rows.
 _MOST_COLUMNS, _MOST_ROWS = 100_000, 1 << 20
@@ -261,14 +263,24 @@ def _json(path: Path) -> Table:
     Data frames as pandas writes them, too: names and rows apart, or rows by their labels.
     """
     data = read_bytes(path)
+    cut = ""
     try:
         text = data.decode("utf-8-sig")
-        trees = [json.loads(part) for part in (text.splitlines() if _by_lines(path, text) else [text]) if part.strip()]
+        by_lines = _by_lines(path, text)
+        parts = [part for part in (text.splitlines() if by_lines else [text]) if part.strip()]
+        if by_lines and len(parts) > 1 and not text.endswith(("\n", "\r")) and not _is_json(parts[-1]):
+            parts, cut = parts[:-1], "the last line was not written to its end, and is left out"
+        trees = [json.loads(part) for part in parts]
     except (ValueError, RecursionError) as error:
         raise DataError(f"{path} cannot be read as JSON", got=error) from error
-    tree = _turned(trees if _by_lines(path, text) else trees[0] if trees else [], path)
+    tree = _turned(trees if by_lines else trees[0] if trees else [], path)
     if isinstance(tree, list) and tree and all(isinstance(row, dict) for row in tree):
-        columns = _columns([dict(_leaves(row)) for row in tree], path, len(data))
+        rows = [dict(_leaves(row)) for row in tree]
+        columns = {
+            f"{kind}.{name}".lstrip("."): column
+            for kind, own in _by_kind(rows).items()
+            for name, column in _columns(own, path, len(data)).items()
+        }
     elif isinstance(tree, dict):
         columns = {}
         for name, value in _leaves(tree):
@@ -279,7 +291,29 @@ def _json(path: Path) -> Table:
                 columns[name] = _array(value, f"{path}: {name}")
     else:
         raise DataError(f"{path} is no table", got=type(tree).__name__, expected="records, or a list for each column")
-    return ArrayTable(path, list(columns), columns.__getitem__)
+    table = ArrayTable(path, list(columns), columns.__getitem__)
+    table.cut = cut
+    return table
+
+
+def _is_json(text: str) -> bool:
+    try:
+        json.loads(text)
+    except (ValueError, RecursionError):
+        return False
+    return True
+
+
+def _by_kind(rows: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    """Records by what they say that they are, where those of other kinds have something of the same name."""
+    for key in _KINDS:
+        kinds = dict.fromkeys(row.get(key) for row in rows)
+        if 1 < len(kinds) <= _MOST_KINDS and all(isinstance(kind, str) and kind for kind in kinds):
+            own = {str(kind): [row for row in rows if row[key] == kind] for kind in kinds}
+            names = [frozenset(name for row in part for name in row if name != key) for part in own.values()]
+            if len(frozenset().union(*names)) < sum(map(len, names)):
+                return own
+    return {"": rows}
 
 
 def _turned(tree: Any, path: Path) -> Any:

@@ -31,14 +31,15 @@ _COMPONENT = re.compile(r"(.+)\[(\d{1,4})\]")
 _DELIMITERS = (",", ";", "\t", "|", "whitespace")
 # Byte order marks, and what they say.
 _MARKS = ((b"\xef\xbb\xbf", "utf-8"), (b"\xff\xfe", "utf-16-le"), (b"\xfe\xff", "utf-16-be"))
-IS_DATE = re.compile(r"\d{4}-\d\d?-\d\d?[T ]|(\d+ days? )?\d{1,2}:\d\d:\d\d([.,]\d+)?$")
+IS_DATE = re.compile(r"\d{4}-\d\d?-\d\d?[T ]|(\d+ days? )?\d{1,2}:\d\d:\d\d([.,]\d+)?$|\d+([.,]\d+)? sec$")
 _SPAN = re.compile(r"(?:(\d{1,5}) days? )?(\d{1,2}):(\d\d):(\d\d)(?:[.,](\d{1,9}))?")
+_SECONDS = re.compile(r"(\d{1,10}(?:[.,]\d{1,12})?) sec")
 # Lines that stand above the samples, at most, and samples by which these are known.
 _LONGEST_HEAD, _ALIKE = 300, 5
-_MOST_HEADER_ROWS = 3
+_MOST_HEADER_ROWS = 5
 # Brackets around vectors.
 _AROUND = ((pc.starts_with, "[("), (pc.ends_with, "])"))
-_NUMBER = r"^[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?$|^[\[(].*[\])]$|^\d{4}-\d\d?-\d\d?[T ].*$"
+_NUMBER = r"^[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?$|^[\[(]\s*([-+.\d]|nan).*[\])]$|^\d{4}-\d\d?-\d\d?[T ].*$"
 _VALUE = re.compile(rf"{_NUMBER}|{IS_DATE.pattern}")
 
 
@@ -132,6 +133,8 @@ def head_in(rows: Sequence[Sequence[str]]) -> Head | None:
     for at in range(first - 1, max(first - _MOST_HEADER_ROWS, 0) - 1, -1):
         if len(rows[at]) != len(rows[first]) or any(map(_is_number, rows[at])) or not any(rows[at]):
             break
+        if at < first - 1 and rows[at][0] and sum(map(bool, rows[at])) < 3 < len(rows[at]):  # a title
+            break
         own.append(at)
     if not own:
         return None
@@ -169,11 +172,13 @@ def dates(words: Sequence[str], where: str) -> Shaped[np.ndarray, "N"]:
 
 
 def _nanoseconds(word: str) -> int:
-    span = _SPAN.fullmatch(word.strip())
+    span, seconds = _SPAN.fullmatch(word.strip()), _SECONDS.fullmatch(word.strip())
+    if seconds is not None:  # a duration of MATLAB
+        return round(float(seconds[1].replace(",", ".")) * 1e9)
     if span is None:
         return int(np.datetime64(_plain_date(word), "ns").astype(np.int64))
-    days, hours, minutes, seconds, rest = span.groups("0")
-    whole = ((int(days) * 24 + int(hours)) * 60 + int(minutes)) * 60 + int(seconds)
+    days, hours, minutes, whole_s, rest = span.groups("0")
+    whole = ((int(days) * 24 + int(hours)) * 60 + int(minutes)) * 60 + int(whole_s)
     return whole * 10**9 + int(rest.ljust(9, "0"))
 
 
