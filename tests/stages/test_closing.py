@@ -313,10 +313,35 @@ def test_splits_that_cannot_be_read_leave_nothing_behind(data, tmp_path):
         assert not (tmp_path / "imported").exists()
 
 
+@pytest.mark.parametrize(("motions", "counts"), [(5, (0, 0, 0)), (6, (4, 1, 1)), (7, (5, 1, 1))])
+def test_logs_that_do_not_say_what_to_hold_out(data, tmp_path, motions, counts):
+    (tmp_path / "logs").mkdir()
+    episodes = list(Dataset(data))
+    for number in range(motions):
+        episode = episodes[number % len(episodes)]
+        arrays = {f"measured.{name}": values for name, values in episode.measured.signals.items()}
+        arrays |= {f"command.{name}": values for name, values in episode.command.signals.items()}
+        stamps = {"measured.time_s": episode.measured.time_s, "command.time_s": episode.command.time_s}
+        joints = np.array(episode.measured.joints)
+        np.savez(tmp_path / "logs" / f"m{number}.npz", joints=joints, robot=np.array("demo_arm"), **stamps, **arrays)
+    closed = close(tmp_path / "logs", ROBOT, tmp_path / "out", until="import")
+    splits = list(closed.dataset.splits.values())
+    assert tuple(splits.count(split) for split in ("train", "val", "test")) == counts
+    assert any("nothing says what to hold out" in note for note in closed.imported.notes) == (motions >= 6)
+    import_logs(tmp_path / "logs", tmp_path / "imported")  # an import alone draws nothing
+    assert not {*Dataset(tmp_path / "imported").splits.values()} - {""}
+
+
+def test_a_dataset_is_split_anew_when_it_is_asked_for(data, tmp_path):
+    shutil.copytree(data, tmp_path / "other")
+    quick(tmp_path / "other", tmp_path / "out", splits={"train": 0.5, "test": 0.5}, until="gap")
+    assert set(Dataset(tmp_path / "other").splits.values()) == {"train", "test"}
+    assert {*Dataset(data).splits.values()} != {"train", "test"}
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"splits": {"train": 1.0}}, "is a dataset, and options of an import are given"),
         ({"format": "sage"}, "is a dataset, and options of an import are given"),
         ({"options": ImportOptions(measured_topic="/x")}, "is a dataset, and options of an import are given"),
         ({"overwrite": True, "resume": True}, "--overwrite begins anew and --resume goes on"),

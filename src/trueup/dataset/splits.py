@@ -125,10 +125,10 @@ def _assign(into: dict[str, tuple[str, str]], id: str, split: str, entry: str) -
 
 
 def assign_splits(ids: Sequence[str], fractions: Mapping[str, float], *, seed: int) -> dict[str, str]:
-    """Draw a split for each motion from a hash of its id and the seed.
+    """Draw a split for each motion: as many as the shares say, rounded, and at least one for each.
 
-    An episode keeps its split when others are added, save that a split that would be empty is given the episode
-    that was nearest to it.
+    The order of the draw is that of a hash of id and seed, so that next to all episodes keep their split when others
+    are added.
 
     Args:
         ids: ids of the episodes.
@@ -141,26 +141,20 @@ def assign_splits(ids: Sequence[str], fractions: Mapping[str, float], *, seed: i
     wanted = {split: share for split, share in fractions.items() if share != 0}
     if not set(fractions) <= set(SPLITS) or not abs(sum(wanted.values()) - 1) <= 1e-9 or min(wanted.values()) < 0:
         raise ConfigError("fractions must add up to 1", got=dict(fractions), expected=SPLITS)
-    if len(set(ids)) < len(wanted):
-        raise ConfigError(f"{len(set(ids))} episodes are too few for {len(wanted)} splits", got=dict(fractions))
-    draws = {id: _draw(id, seed) for id in ids}
-    bounds: dict[str, tuple[float, float]] = {}
-    low = 0.0
-    for split, share in wanted.items():
-        bounds[split] = (low, low + share)
-        low += share
-    last = next(reversed(wanted))
-    splits = {
-        id: next((split for split, (_, high) in bounds.items() if draw < high), last) for id, draw in draws.items()
-    }
-    for split, (low, high) in bounds.items():
-        if split not in splits.values():
-            counts = {other: sum(found == other for found in splits.values()) for other in wanted}
-            largest = max(counts, key=counts.__getitem__)
-            middle = (low + high) / 2
-            _, nearest = min((abs(draws[id] - middle), id) for id in splits if splits[id] == largest)
-            splits[nearest] = split
-    return splits
+    drawn = sorted(set(ids), key=lambda own: (_draw(own, seed), own))
+    if len(drawn) < len(wanted):
+        raise ConfigError(f"{len(drawn)} episodes are too few for {len(wanted)} splits", got=dict(fractions))
+    counts = _counts(len(drawn), wanted)
+    names = [split for split, count in counts.items() for _ in range(count)]
+    return dict(zip(drawn, names, strict=True))
+
+
+def _counts(total: int, shares: Mapping[str, float]) -> dict[str, int]:
+    """How many are of each: at least one, and then those that are furthest from their share."""
+    counts = dict.fromkeys(shares, 1)
+    for _ in range(total - len(shares)):
+        counts[max(shares, key=lambda split: shares[split] * total - counts[split])] += 1
+    return counts
 
 
 def _draw(id: str, seed: int) -> float:

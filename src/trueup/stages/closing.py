@@ -20,7 +20,7 @@ from trueup.stages.close_budget import Budget
 from trueup.stages.close_folder import CloseFolder, may_begin
 from trueup.stages.close_networks import METHODS
 from trueup.stages.close_steps import Closed, CloseSteps, Watch
-from trueup.stages.importing import import_logs, is_whole, refuse_nesting
+from trueup.stages.importing import import_logs, is_whole, refuse_nesting, split_anew
 from trueup.stages.progress import Track, silent
 
 if TYPE_CHECKING:
@@ -64,7 +64,8 @@ def close(
         model: MJCF or URDF; looked for beside the data and in the package if None.
         format: of the logs; detected if None.
         options: for the import.
-        splits: split.json or fractions, for the import.
+        splits: split.json or fractions, written into the dataset; where nothing says what to hold out, 70/15/15 of
+            the logs of six motions or more.
         drop_flagged: leave out episodes with warnings, from all that is measured, fitted and trained. None leaves those
             whose measurement is broken out of what is fitted and trained (`config` may say otherwise), False none.
         metrics: names; a sensible set per signal if None.
@@ -103,10 +104,10 @@ def close(
     refuse_results(source)
     if not is_dataset(source):
         refuse_nesting(source, out / "dataset")
-    elif format is not None or splits is not None or (options or ImportOptions()) != ImportOptions():
+    elif format is not None or (options or ImportOptions()) != ImportOptions():
         raise ConfigError(
             f"{source} is a dataset, and options of an import are given",
-            expected="none of --format, --splits, --mapping, --unit and topics",
+            expected="none of --format, --mapping, --unit and topics",
             hint="Leave them out, or give the logs that it was imported from.",
         )
     elif until == "import":
@@ -134,7 +135,10 @@ def close(
         budget = Budget(budget_s, [step for step in STEPS if folder.result.is_asked(step)])
         with folder.replacing():
             imported, path = None, source
-            if not is_dataset(source):
+            if is_dataset(source):
+                if splits is not None:
+                    split_anew(Dataset(source), splits, seed=seed)
+            else:
                 path = out / "dataset"
                 watch.on_step("import")
                 with folder.step("import") as step:
@@ -150,6 +154,7 @@ def close(
                         refuse_others=not resume,
                         refuse_more=folder.earlier("replay") is not None,
                         splits=splits,
+                        hold_out=True,
                         seed=seed,
                         overwrite=anew,
                         resume=not anew and resume,

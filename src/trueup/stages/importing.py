@@ -6,7 +6,7 @@ import contextlib
 import hashlib
 import re
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,9 @@ from trueup.robots import RobotSpec
 from trueup.stages.progress import Track, silent
 from trueup.stages.robot_model import copy_model
 
+# What is held out where nobody says it, and of how many motions at least.
+HELD_OUT: Mapping[str, float] = {"train": 0.7, "val": 0.15, "test": 0.15}
+FEWEST_HELD_OUT = 6
 _LONGEST_S = 30 * 86400.0
 _LONGEST_NAME = 200
 # Control characters, which would command a terminal, overrides of the writing direction, and halves of characters.
@@ -140,6 +143,7 @@ def import_logs(
     refuse_others: bool = False,
     refuse_more: bool = False,
     splits: Path | Mapping[str, float] | None = None,
+    hold_out: bool = False,
     seed: int = 0,
     overwrite: bool = False,
     resume: bool = False,
@@ -161,7 +165,8 @@ def import_logs(
         refuse_more: refuse logs that would add motions to the dataset that is there.
         splits: a split.json, or fractions such as {"train": 0.8, "val": 0.1, "test": 0.1} drawn by whole motion;
             None takes what lies beside the data.
-        seed: of that draw.
+        hold_out: draw `HELD_OUT` where neither says anything, of `FEWEST_HELD_OUT` motions or more.
+        seed: of the draw.
         overwrite: delete the dataset that is there first.
         resume: go on with the dataset that is there.
         track: shows progress.
@@ -177,8 +182,9 @@ def import_logs(
     plan = plan_import(source, format=format, options=options)
     if refuse_others and robot is not None:
         _refuse_other_robot(plan, robot)
-    # Read before anything is written: a dataset whose splits cannot be had would pass for one that has none.
-    entries = None if splits is None or isinstance(splits, Mapping) else read_split(splits)
+    if isinstance(splits, Path):
+        # Read before anything is written: a dataset whose splits cannot be had would pass for one that has none.
+        read_split(splits)
     notes = list(plan.notes)
     config = {"format": plan.format, "source": source.name, "options": _plain(options)}
     info = DatasetInfo(
@@ -229,11 +235,13 @@ def import_logs(
             raise first
         what = f"none of the {len(refused)} episodes in {source} could be read; the first: {first.summary}"
         raise DataError(what, hint=first.hint)
-    if isinstance(splits, Mapping):
-        dataset = Dataset(out)
-        dataset.set_splits(assign_splits(dataset.ids, splits, seed=seed))
-    if entries is not None:
-        notes += _assign(Dataset(out), entries)
+    # A format that puts all motions into train says nothing of what to hold out.
+    silent_on_it = {plan.splits.get(item.id, "train") or "train" for item in plan.episodes} == {"train"}
+    if hold_out and splits is None and silent_on_it and len(Dataset(out)) >= FEWEST_HELD_OUT:
+        splits = HELD_OUT
+        notes.append("nothing says what to hold out: 70 % of the motions are train, 15 % val, 15 % test (--splits)")
+    if splits is not None:
+        notes += split_anew(Dataset(out), splits, seed=seed)
     kept = len(plan.episodes) - len(missing)
     return ImportSummary(out, plan.format, imported, kept, refused, flagged, tuple(notes))
 
@@ -312,9 +320,18 @@ def _refuse_nonsense(episode: Episode) -> None:
                 raise DataError(f"episode {episode.id!r}: {signal} has values that no robot has", got=f"{largest:g}")
 
 
-def _assign(dataset: Dataset, entries: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
-    """Give the episodes the splits of a file, and no others; returns notes."""
-    match = match_splits(entries, dataset.ids, sources={meta.id: meta.source for meta in dataset.metas})
+def split_anew(dataset: Dataset, splits: Path | Mapping[str, float], *, seed: int) -> tuple[str, ...]:
+    """Give the episodes the splits of a file, and no others, or such as are drawn by whole motion; returns notes.
+
+    Raises:
+        ConfigError: the shares cannot be drawn.
+        DataError, FormatError: the file is no split file.
+    """
+    if isinstance(splits, Mapping):
+        dataset.set_splits(assign_splits(dataset.ids, splits, seed=seed))
+        return ()
+    sources = {meta.id: meta.source for meta in dataset.metas}
+    match = match_splits(read_split(splits), dataset.ids, sources=sources)
     dataset.set_splits({name: match.splits.get(name, "") for name in dataset.ids})
     return match.notes
 
