@@ -41,48 +41,18 @@ _TOLD = frozenset(
 _DONE = frozenset(
     [
         *("meas", "measured", "actual", "act", "present", "ist", "state", "states", "fb", "feedback", "obs"),
-        *(
-            "observation",
-            "observations",
-            "real",
-            "sensor",
-            "sensed",
-            "estimated",
-            "est",
-            "enc",
-            "encoder",
-            "mesuree",
-            "ai",
-        ),
+        *("observation", "observations", "real", "sensor", "sensed", "estimated", "est", "enc", "encoder"),
+        *("mesuree", "ai"),
     ]
 )
 _SIGNALS: Mapping[str, tuple[str, ...]] = {
     "position": (
-        "pos",
-        "position",
-        "positions",
-        "q",
-        "angle",
-        "angles",
-        "theta",
-        "qpos",
-        "lage",
-        "winkel",
-        "jointpos",
-        "ticks",
+        *("pos", "position", "positions", "q", "angle", "angles", "theta", "qpos", "lage", "winkel", "jointpos"),
+        *("ticks",),
     ),
     "velocity": (
-        "vel",
-        "velocity",
-        "velocities",
-        "dq",
-        "qd",
-        "qdot",
-        "speed",
-        "omega",
-        "qvel",
-        "geschwindigkeit",
-        "vitesse",
+        *("vel", "velocity", "velocities", "dq", "qd", "qdot", "speed", "omega", "qvel", "geschwindigkeit"),
+        *("vitesse",),
     ),
     "torque": ("tau", "torque", "torques", "effort", "efforts", "moment", "drehmoment", "couple"),
     "current": ("current", "currents", "strom", "courant"),
@@ -97,18 +67,8 @@ _WHOSE = frozenset(
 )
 _MOTIONS = frozenset(
     [
-        "trial",
-        "episode",
-        "motion",
-        "run",
-        "demo",
-        "demonstration",
-        "sequence",
-        "trajectory",
-        "rollout",
-        "segment",
-        "versuch",
-        "essai",
+        *("trial", "episode", "motion", "run", "demo", "demonstration", "sequence", "trajectory", "rollout", "segment"),
+        *("versuch", "essai"),
     ]
 )
 _MOST_JOINTS, _MOST_CLOCKS = 100, 20
@@ -231,11 +191,9 @@ def column_of(name: str) -> Column:
     brackets = [found[1] for found in _IN_BRACKETS.finditer(name) if found[1]]
     units = [unit for text in brackets if (unit := _UNITS.get(text.lower().replace(" ", ""), ""))]
     parts = name.split(".")
-    if (
-        not units and len(parts) > 2 and (said := [part for part in parts[1:-1] if len(part) > 1 and part in _UNITS])
-    ):  # a row of units
-        units, parts = [_UNITS[said[0]]], [part for part in parts if part not in said]
-    plain = ".".join(parts)
+    said = [part for part in parts[1:-1] if len(part) > 1 and part in _UNITS]  # a row of units between others
+    units = units or [_UNITS[part] for part in said]
+    plain = ".".join(part for part in parts if part not in said)
     words = _words_of(_IN_BRACKETS.sub(" ", plain) if units else plain)
     words = [part for word in words for part in _JOINED.sub(r"\1 \2", word).split()]
     if not units and len(words) > 1 and words[-1] in _ENDINGS:
@@ -313,6 +271,7 @@ class _Suggesting:
         with contextlib.suppress(TrueupError):  # a column that cannot be read is told apart below
             self._table.load([name for name in names if not _is_picture(name)])
         self._clocks: list[str] = []
+        self._beside = False  # whether a side has a clock of its own
         self._time_names, self._time = self._clock(names)
         self._split = self._split or self._motions(names)
         self._whose, joints = self._named_in_rows(names)
@@ -426,17 +385,17 @@ class _Suggesting:
 
     def _time_of(self, column: str) -> Any:
         """The clock of a column, where there are several: the one that stands nearest to it and has as many stamps."""
-        if not isinstance(self._table, ArrayTable) or not self._time_names:
+        one = len(self._time_names) == 1 or self._beside
+        if not isinstance(self._table, ArrayTable) or not one:
             return self._time
         count = self._rows(column)
         found = [name for name in self._clocks if self._rows(name) == count]
         own = _WORD.findall(column)
         nearest = max(found, key=lambda name: _common([_WORD.findall(name), own]), default="")
-        if not nearest or nearest in self._time_names:
+        ticks = self._increasing(nearest) if nearest and nearest != self._time_names[0] else None
+        if ticks is None:
             return self._time
-        ticks = self._increasing(nearest)
-        if ticks is None or len(self._time_names) > 1:
-            return self._time
+        self._beside = True
         self._time_names.append(nearest)
         return self._clock_unit(nearest, *ticks)
 

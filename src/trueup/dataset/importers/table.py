@@ -246,13 +246,8 @@ def _head(path: Path, size: int = _SAMPLE_BYTES) -> tuple[TextTable, dict[str, A
         encoding=encoding,
     )
     units = units_in(dict(zip(table.names, head.last, strict=True))) if has_units else {}
-    said = {
-        "skip_lines": (skip, 0),
-        "header_rows": (rows, 1),
-        "units_row": (has_units, False),
-        "encoding": (encoding, ""),
-    }
-    return table, {key: value for key, (value, usual) in said.items() if value != usual}, units
+    said = {"skip_lines": skip, "header_rows": rows, "units_row": has_units, "encoding": encoding}
+    return table, {key: value for key, value in said.items() if value != _USUAL[key]}, units
 
 
 def _encoding(data: bytes) -> str:
