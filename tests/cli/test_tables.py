@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from trueup.cli.tables import verdicts
-from trueup.core.results import Estimate, GapResult, PairedDifference
+from trueup.cli.tables import gap_table, ladder_table, verdicts
+from trueup.core.results import Estimate, GapResult, Ladder, MetricResult, PairedDifference, Rung
 
 
 @pytest.mark.parametrize(
@@ -26,3 +26,12 @@ def test_how_much_one_run_is_better_than_another(value, relative, said):
     )
     gap = GapResult({}, ("a",), ("a",), paired=(pair,), splits={"m": "test"})
     assert verdicts(gap) == [f"mujoco/fitted against mujoco/stock, test: {said}"]
+
+
+@pytest.mark.parametrize(("motions", "said"), [(1, True), (3, False)])
+def test_one_motion_has_no_interval_and_it_is_said(motions, said):
+    result = MetricResult(Estimate(0.02, "rad"), {}, motions)
+    ladder = Ladder([Rung("stock", 0.0, {"test": {"position": {"rmse": result}}})])
+    gap = GapResult({"stock": {"test": {"position": {"rmse": result}}}}, ("a",), ("a",), splits={"m": "test"})
+    for table in (ladder_table(ladder), gap_table(gap)):
+        assert (table.caption == "no interval from one motion") == said

@@ -39,6 +39,13 @@ def ladder_table(ladder: Ladder, *, signal: str = "position", metric: str = "rms
         episodes = max((_episodes(rung.splits.get(split, {}), signal, metric) for rung in ladder.rungs), default=0)
         table.add_column(f"{split} ({episodes})", justify="right")
     table.add_column("seconds", justify="right")
+    counts = {
+        result.episodes
+        for rung in ladder.rungs
+        for split in splits
+        if (result := rung.splits.get(split, {}).get(signal, {}).get(metric)) is not None
+    }
+    _say_where_none(table, counts)
     for rung in ladder.rungs:
         cells = []
         for split in splits:
@@ -70,14 +77,23 @@ def gap_table(gap: GapResult, *, metric: str = "rmse") -> Table:
     table.add_column("motions", justify="right")
     table.add_column(metric, justify="right")
     table.add_column("worst joint")
+    counts = set[int]()
     for run, splits in gap.runs.items():
         for split, signals in splits.items():
             for signal, metrics in signals.items():
                 own = _OF_BODIES.get(signal, metric) if metric == _MAIN else metric
                 if own in metrics and not _repeats(splits, split, signal, own):
                     result = metrics[own]
+                    counts.add(result.episodes)
                     table.add_row(run, split, signal, str(result.episodes), number(result.total), _worst(gap, result))
+    _say_where_none(table, counts)
     return table
+
+
+def _say_where_none(table: Table, counts: Collection[int]) -> None:
+    """Below a table of means over so many motions, why some have no interval."""
+    if 1 in counts:
+        table.caption, table.caption_justify = "no interval from one motion", "left"
 
 
 def verdicts(gap: GapResult, *, of: Collection[str] | None = None, split: str | None = None) -> list[str]:
