@@ -1,5 +1,7 @@
 """The whole page: complete, deterministic, offline, safe against names, and honest about bad input."""
 
+import base64
+import gzip
 import hashlib
 import json
 import os
@@ -39,8 +41,14 @@ def sections(html):
 
 
 def without_plotly(html):
-    start = html.index("* plotly.js v")
+    start = html.index('<script type="text/plain" id="library">')
     return html[:start] + html[html.index("</script>", start) :]
+
+
+def test_the_library_that_draws_is_packed(page):
+    packed = re.search(r'id="library">([A-Za-z0-9+/=]+)</script>', page)[1]
+    assert "plotly.js v" in gzip.decompress(base64.b64decode(packed)).decode()[:200]
+    assert len(packed) < 2_200_000
 
 
 def test_all_sections_are_there(page):
@@ -190,8 +198,8 @@ def test_names_cannot_become_markup(hostile_folder):
     assert "7 * 7" in html
     for text in re.findall(r'<script type="application/json"[^>]*>(.*?)</script>', html, re.DOTALL):
         json.loads(text)
-    # two scripts of ours beside plotly's, and data that is not run
-    assert len(re.findall(r"<script>", html)) == 3
+    # two scripts of ours, and data that is not run, of which one is the library that draws
+    assert len(re.findall(r"<script>", html)) == 2
 
 
 def test_script_json_cannot_end_its_element():

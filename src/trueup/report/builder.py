@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -79,7 +81,8 @@ def render_page(
             sections=sections,
             style=_asset("style.css") + (_asset("identification.css") if identified else ""),
             footer=footer,
-            scripts=[_plotly(), _asset("report.js"), _asset("traces.js")],
+            library=_plotly(),
+            scripts=[_asset("report.js"), _asset("traces.js")],
         )
     )
 
@@ -164,8 +167,9 @@ def _asset(name: str) -> Markup:
 
 
 @cache
-def _plotly() -> Markup:
+def _plotly() -> str:
+    """The library that draws, packed by gzip, in base64: a third of its 4.8 MB, which report.js unpacks."""
     # Imported here: it is needed for building pages only.
     from plotly.offline import get_plotlyjs
 
-    return Markup(get_plotlyjs())  # noqa: S704  # the library's own script
+    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()

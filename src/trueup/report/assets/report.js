@@ -2,7 +2,21 @@
 // Menus, tables and figures. Every text is set with textContent, never as HTML.
 const Report = (() => {
   const drawn = new Map();
+  const ready = unpack();
   const coarse = window.matchMedia("(pointer: coarse)").matches;
+
+  // The library that draws is packed; until it is there, tables and menus work without it.
+  async function unpack() {
+    const packed = document.getElementById("library").textContent;
+    try {
+      const bytes = Uint8Array.from(atob(packed), (character) => character.charCodeAt(0));
+      const plain = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
+      document.head.append(node("script", await new Response(plain).text()));
+    } catch {
+      document.querySelector("main").prepend(node("p", "Figures need a browser of 2023 or later.", { class: "notice" }));
+      throw new Error("the library that draws cannot be unpacked");
+    }
+  }
 
   function theme() {
     const style = getComputedStyle(document.documentElement);
@@ -44,12 +58,14 @@ const Report = (() => {
     const data = figure.data.map((trace) =>
       trace.error_x ? { ...trace, error_x: { ...trace.error_x, color: trace.error_x.color || colors.ink } } : trace);
     element.style.minHeight = `${layout.height}px`;
-    return Plotly.react(element, data, layout, {
+    const settings = {
       displaylogo: false, responsive: true,
       displayModeBar: interactive && !coarse && window.innerWidth > 640 ? "hover" : false, // it would cover the legend
       modeBarButtons: [["toImage"], ["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"]], doubleClick: "reset",
       showSendToCloud: false, plotlyServerURL: "",
-    });
+    };
+    const show = () => Plotly.react(element, data, layout, settings);
+    return window.Plotly ? show() : ready.then(show);
   }
 
   const redraw = () => drawn.forEach((again) => again());
