@@ -367,7 +367,7 @@ def read_report(folder: Path) -> Iterator[Exception]:
     if not page.rstrip().endswith("</html>"):
         raise Unsound("the page is not whole")
     page.encode()
-    start = page.index("* plotly.js v")
+    start = page.index('id="library"')
     page = page[:start] + page[page.index("</script>", start) :]
     seen = _Page()
     seen.feed(page)

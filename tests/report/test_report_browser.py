@@ -339,7 +339,9 @@ def test_a_fit_opens_with_its_status_and_draws_all_figures(driver, fitted_page, 
     show(driver, fitted_page)
     alert = driver.find_element("css selector", ".alert.careful")
     assert "On a bound" in alert.text
-    assert alert.location["y"] < driver.find_element("css selector", "#verdict > .lead").location["y"]
+    lead, tiles = (driver.find_element("css selector", f"#verdict > {own}") for own in (".lead", ".tiles"))
+    assert lead.location["y"] < tiles.location["y"] < tiles.location["y"] + tiles.size["height"] < 900
+    assert tiles.location["y"] < alert.location["y"]
     assert alert.value_of_css_property("background-color") != "rgba(0, 0, 0, 0)"
     drawn = driver.execute_script(
         "return [...document.querySelectorAll('.figure')].map((e) => [e.dataset.figure || e.id, e.data ? e.data.length : 0,"

@@ -58,19 +58,19 @@ _ALERTS = {
     "at-bound": (
         "careful",
         "▲ On a bound",
-        "Some of the fitted numbers ended on a bound: they say where the search had to stop, not what the robot is.",
+        "Some fitted values ended on a bound: they show where the search had to stop, and the robot may be beyond.",
         "Widen the bound in the configuration, or doubt the structure of the model.",
     ),
     "signal-worse": (
         "bad",
         "✕ A signal got worse",
-        "Positions are simulated better than before, and another logged signal is simulated worse.",
+        "Positions are simulated better than before, but another logged signal is simulated worse.",
         "Check sign, scale and unit of that signal in the logs, or weigh it (signals: {torque: …}) and fit again.",
     ),
     "not-converged": (
         "bad",
         "✕ Not converged",
-        "The search stopped early, or others that began elsewhere did not follow it: these numbers are no result.",
+        "The search stopped early, or searches from other starting points ended elsewhere: do not use these values.",
         "Allow more iterations, time or candidates in the configuration, and run again with --overwrite.",
     ),
     "no-better": (
@@ -84,8 +84,8 @@ _ALERTS = {
 
 _SHORT = (
     "careful",
-    "▲ Ended by the time",
-    "There was no time for the search to converge: the ladder says how good the model is by now; its numbers may move.",
+    "▲ Stopped at the time limit",
+    "The error shown is valid; parameter values may still change.",
     "Give it more time (--budget), and run again with --overwrite.",
 )
 
