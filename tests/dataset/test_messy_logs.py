@@ -4,6 +4,7 @@ Each is written by hand or by the library that others use, and what is suggested
 """
 
 import json
+import os
 
 import h5py
 import numpy as np
@@ -464,3 +465,9 @@ def test_counts_of_unknown_size_are_no_angles(logs):
     with pytest.raises(DataError, match="are no angles") as caught:
         draft(logs.parent / "arm.xml", logs)
     assert "`factor` [rad per count]" in caught.value.hint
+
+
+def test_what_is_neither_a_file_nor_a_folder_is_of_no_known_format(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(FormatError, match="no known format"):
+        plan_import(tmp_path / "pipe")

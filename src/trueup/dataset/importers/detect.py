@@ -89,12 +89,12 @@ def find_importer(path: Path, name: str | None = None, mapping: Path | None = No
             available=found,
             hint="Choose one with --format, or import a subfolder.",
         )
-    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    for file in files:
         refuse_pickle(file)
     content = _content(path)
     if not content:
         raise FormatError(f"{path} is empty", hint="Give the folder or file that holds the logs.")
-    files = [path] if path.is_file() else sorted(path.iterdir())
     ways = [
         _CONVERTED[kind].replace("FILE", file.name) for file in files if (kind := file.suffix.lower()) in _CONVERTED
     ]

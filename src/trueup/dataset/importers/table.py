@@ -63,8 +63,11 @@ def detects(path: Path) -> bool:
 
 def _is_table(path: Path) -> bool:
     """Whether a file of text has a header above rows of numbers."""
-    with regular(path).open("rb") as file:
-        return bool(head_of(file.read(_HEADER_BYTES)).delimiter)
+    try:
+        with regular(path).open("rb") as file:
+            return bool(head_of(file.read(_HEADER_BYTES)).delimiter)
+    except OSError:
+        return False
 
 
 def scan(path: Path, options: ImportOptions) -> ImportPlan:
