@@ -248,12 +248,12 @@ def units_in(row: Mapping[str, str]) -> dict[str, str]:
 
 def sounds_told(name: str) -> bool:
     """Whether a file is called as commands are."""
-    return any(word.lower() in _TOLD for word in _WORD.findall(name))
+    return any(word in _TOLD for word in _words_of(name))
 
 
 def names_joints(stem: str) -> bool:
     """Whether a name that a number follows is one of joints: `joint_`, `observation/motor`."""
-    words = [word.lower() for word in _WORD.findall(re.split(r"[/.]", stem)[-1])]
+    words = _words_of(re.split(r"[/.]", stem)[-1])
     return bool(words) and words[-1] in _NUMBERED_JOINTS
 
 
@@ -520,7 +520,7 @@ class _Suggesting:
             position = groups.get(("measured", "position"), [])
             if signal != "velocity" or not position or ("command", "position") in groups:
                 continue
-            if all("qd" in [word.lower() for word in _WORD.findall(column.name)] for column in columns):
+            if all("qd" in _words_of(column.name) for column in columns):
                 own, done = (self._numbers(part[0].name) for part in (columns, position))
                 if own is None or done is None or own.shape != done.shape:
                     continue
@@ -662,12 +662,12 @@ def _without_others(groups: dict[tuple[Side, str], list[Column]]) -> None:
 
 def _elsewhere(column: Column) -> bool:
     """Whether a vector is of something else than joints, or of the first moment alone."""
-    return not _ELSEWHERE.isdisjoint(word.lower() for word in _WORD.findall(column.name))
+    return not _ELSEWHERE.isdisjoint(_words_of(column.name))
 
 
 def _relative(column: Column) -> bool:
     """Whether a vector is what a policy sees, which is often taken from a default pose."""
-    return not {"obs", "observation", "observations"}.isdisjoint(word.lower() for word in _WORD.findall(column.name))
+    return not {"obs", "observation", "observations"}.isdisjoint(_words_of(column.name))
 
 
 def _preferred(column: Column) -> tuple[bool, bool, bool]:
@@ -680,7 +680,7 @@ def _apart(column: Column) -> bool:
 
 
 def _is_picture(name: str) -> bool:
-    return any(word.lower() in _PICTURES for word in _WORD.findall(name))
+    return any(word in _PICTURES for word in _words_of(name))
 
 
 def _labels(columns: Sequence[Column]) -> list[str]:
