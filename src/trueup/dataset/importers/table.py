@@ -324,11 +324,20 @@ def _fitting(root: Path, names: Sequence[str]) -> list[TableMapping]:
 
 
 def _header(path: Path) -> tuple[str, ...]:
-    """Names of columns; none where something stands above them, since shipped mappings are of files without."""
+    """Names in the first line, where shipped mappings look for them; none if the header stands elsewhere.
+
+    Where the samples begin is looked for only where that line cannot be a header: folders have thousands of files.
+    """
     if not is_text(path):
         return open_table(path).names
-    table, said, _ = _head(path, _HEADER_BYTES)
-    return () if said else table.names
+    try:
+        with path.open("rb") as file:
+            return TextTable(path, file.read(_HEADER_BYTES), delimiter="").names
+    except OSError as error:
+        raise DataError(f"cannot read {path}", got=error.strerror or str(error)) from error
+    except DataError:
+        table, said, _ = _head(path, _HEADER_BYTES)
+        return () if said else table.names
 
 
 def _names_in(path: Path) -> tuple[str, ...]:
