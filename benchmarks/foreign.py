@@ -5,8 +5,8 @@ logs as a user would, and what it says is kept beside the truth. Cells are kept 
 `benchmarks/results/foreign.json`, from which docs/verdict-worth.md is made; one that is there is not measured again, so
 an interrupted call is continued by the same command. A day for all of them on two cores.
 
-`python -m benchmarks foreign --cases demo_arm,ur5e --seeds 0 --jobs 2` measures some; with `--oracle`, seed 0 of the
-cases of group A is fitted once more with the time step and the timing of commands known, for the widths of intervals.
+`python -m benchmarks foreign --cases demo_arm,ur5e --seeds 0 --jobs 2` measures some. `--oracle` adds the narrowest
+intervals that there can be (`foreign_oracle.py`) for seed 0 of group A, a minute or two for each cell that is there.
 Cells that are measured side by side share the cores, but each has the budget of its command for itself: with more jobs
 than one, a large robot may be cut short where it would not be alone. `--budget 40m` gives each more, and the
 page says so.
@@ -29,12 +29,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 import trueup
 from benchmarks import foreign_verdicts as verdicts
 from benchmarks.foreign_cases import CASES, Case
 from benchmarks.foreign_robots import ROBOTS, foreign_folder
+from benchmarks.foreign_verdicts import Cell
 from benchmarks.table import Row
 from trueup.core.atomic import make_folder, read_json, write_json
 from trueup.core.check_result import CHECK_NAME, CheckResult
@@ -49,7 +49,7 @@ SEEDS, ORACLE_SEED = (0, 1, 2), 0
 SPLITS = "70/15/15"
 BY_NAME = {case.name: case for case in CASES}
 # Longer than any budget: what takes this long hangs [s].
-_LONGEST_S, _LONGEST_ORACLE_S = 3600.0, 6 * 3600.0
+_LONGEST_S = 3600.0
 # Exit code of `trueup` after Ctrl-C.
 _INTERRUPTED = 130
 # Lines of what a command printed that are kept where it left no fit.
@@ -64,7 +64,7 @@ class Wanted:
         cases: names of cases.
         seeds: of each.
         jobs: cells at a time.
-        oracle: also the fits with step and timing known.
+        oracle: also the narrowest intervals that there can be.
         again: measure also what is there.
         budget: of each command, where the machine has other work, too; its default if empty.
     """
@@ -78,7 +78,7 @@ class Wanted:
 
 
 def run() -> list[Row]:
-    """Measure every cell that is not there yet, without the fits with step and timing known."""
+    """Measure every cell that is not there yet."""
     return measure(Wanted())
 
 
@@ -88,7 +88,7 @@ def run_with(arguments: Sequence[str]) -> list[Row]:
     parser.add_argument("--cases", metavar="A,B", default=",".join(BY_NAME), help="names of cases; all if not given")
     parser.add_argument("--seeds", metavar="0,1", default=",".join(map(str, SEEDS)), help="of each case; 0,1,2")
     parser.add_argument("--jobs", type=int, default=1, help="cells at a time, which share the cores; 1")
-    parser.add_argument("--oracle", action="store_true", help="also the fits with step and timing known; hours")
+    parser.add_argument("--oracle", action="store_true", help="also the narrowest intervals that there can be")
     parser.add_argument("--again", action="store_true", help="measure also what is there")
     parser.add_argument("--budget", default="", help="time for each command; its default if not given")
     options = parser.parse_args(arguments)
@@ -109,40 +109,48 @@ def rows(result: Mapping[str, Any]) -> list[Row]:
 def measure(wanted: Wanted, path: Path = RESULT) -> list[Row]:
     """Measure what is wanted and not there; every cell is kept as soon as it ends."""
     result = stored(path)
-    tasks: list[tuple[str, str, Callable[[], dict[str, Any]]]] = []
+    tasks: dict[str, Callable[[], dict[str, Any]]] = {}
     threads = max(1, (os.cpu_count() or 1) // wanted.jobs)
     for name in wanted.cases:
         if not (ROBOTS[BY_NAME[name].robot].own or foreign_folder().is_dir()):
             print(f"{name}: left out, its model is not here: set TRUEUP_SHARED", flush=True)
             continue
         for seed in wanted.seeds:
-            tasks.append(
-                ("cells", f"{name}/{seed}", partial(closed, name, seed, threads=threads, budget=wanted.budget))
-            )
-            if wanted.oracle and BY_NAME[name].group == "A" and seed == ORACLE_SEED:
-                tasks.append(("oracles", f"{name}/{seed}", partial(known, name, seed, threads=threads)))
-    left = [task for task in tasks if wanted.again or task[1] not in result[task[0]]]
+            tasks[f"{name}/{seed}"] = partial(closed, name, seed, threads=threads, budget=wanted.budget)
+    left = {key: work for key, work in tasks.items() if wanted.again or key not in result["cells"]}
     print(f"{len(tasks) - len(left)} of {len(tasks)} cells are there", flush=True)
     # Threads: what takes long is a process of its own, and Ctrl-C ends those and no more.
     with ThreadPoolExecutor(wanted.jobs) as pool:
-        running: dict[Future[dict[str, Any]], tuple[str, str]] = {
-            pool.submit(work): (kind, key) for kind, key, work in left
-        }
+        running: dict[Future[dict[str, Any]], str] = {pool.submit(work): key for key, work in left.items()}
         try:
             for number, future in enumerate(as_completed(running), 1):
-                kind, key = running[future]
+                key = running[future]
                 try:
                     cell = future.result()
                 except Exception:  # the other cells are worth their minutes all the same
                     traceback.print_exc()
                     print(f"{key}: no cell", flush=True)
                     continue
-                keep(path, kind, key, cell)
-                print(f"{number} of {len(left)}: {in_words(kind, key, cell)}", flush=True)
+                keep(path, "cells", key, cell)
+                print(f"{number} of {len(left)}: {in_words(key, cell)}", flush=True)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+    if wanted.oracle and ORACLE_SEED in wanted.seeds:
+        _measure_oracles(wanted, path)
     return rows(stored(path))
+
+
+def _measure_oracles(wanted: Wanted, path: Path) -> None:
+    """Those of cells that are there, one after the other: each takes all cores."""
+    result = stored(path)
+    for name in wanted.cases:
+        key = f"{name}/{ORACLE_SEED}"
+        cell = result["cells"].get(key)
+        if BY_NAME[name].group == "A" and cell and cell["numbers"] and (wanted.again or key not in result["oracles"]):
+            began = time.perf_counter()
+            keep(path, "oracles", key, known(name, ORACLE_SEED, cell))
+            print(f"{key}: narrowest intervals, {time.perf_counter() - began:.0f} s", flush=True)
 
 
 def stored(path: Path = RESULT) -> dict[str, dict[str, Any]]:
@@ -167,12 +175,11 @@ def keep(path: Path, kind: str, key: str, cell: Mapping[str, Any]) -> None:
     write_json(path, {"schema": "trueup.foreign/1", **result, "provenance": made})
 
 
-def in_words(kind: str, key: str, cell: Mapping[str, Any]) -> str:
+def in_words(key: str, cell: Mapping[str, Any]) -> str:
     """A cell in one line."""
     own = verdicts.judged(cell["numbers"])
     held = sum(map(verdicts.holds, own))
-    what = f"{key}{', step and timing known' if kind == 'oracles' else ''}: {cell['status']}"
-    return f"{what}, {held} of {len(own)} determined numbers hold the truth, {cell['seconds']:.0f} s"
+    return f"{key}: {cell['status']}, {held} of {len(own)} determined numbers hold the truth, {cell['seconds']:.0f} s"
 
 
 def closed(name: str, seed: int, *, threads: int, budget: str = "") -> dict[str, Any]:
@@ -185,30 +192,15 @@ def closed(name: str, seed: int, *, threads: int, budget: str = "") -> dict[str,
     return {**about(case, truth), **found, **ended.to_json(), **_made_by(load)}
 
 
-def known(name: str, seed: int, *, threads: int) -> dict[str, Any]:
-    """The same logs, splits and configuration with the time step and the timing of commands in robot.yaml.
+def known(name: str, seed: int, cell: Cell) -> dict[str, Any]:
+    """The narrowest intervals of what a cell has fitted, from the same motions."""
+    from benchmarks.foreign_oracle import intervals
 
-    `explain` is left out, and no budget ends the search.
-    """
-    case, folder = BY_NAME[name], FOLDER / f"{name}-{seed}-known"
-    truth, load = _made(case, seed, folder), os.getloadavg()[0]
-    given = {"timestep_s": truth["step_s"], "command": "linear" if case.commands == "fast" else "held"}
-    (folder / "robot.known.yaml").write_text(told((folder / "robot.yaml").read_text(), **given))
-    imported = _ran(folder, ("import", "logs", "--splits", SPLITS, "--out", "dataset"), None, _LONGEST_S)
-    if imported.code:
-        raise RuntimeError(f"trueup import ended with {imported.code}: {imported.said}")
-    command = ("identify", "dataset", "--robot", "robot.known.yaml", "--out", "out")
-    ended = _ran(folder, command, threads, _LONGEST_ORACLE_S)
-    found = found_in(folder / "out", truth, ended.code)
-    return {"given": given, **found, **ended.to_json(), **_made_by(load)}
-
-
-def told(description: str, *, timestep_s: float, command: str) -> str:
-    """robot.yaml with the time step, and what acts between two stamps of the command."""
-    tree = yaml.safe_load(description)
-    tree["simulation"] = {**tree.get("simulation", {}), "timestep_s": timestep_s}
-    tree["replay"] = {**tree.get("replay", {}), "command": command}
-    return yaml.safe_dump(tree, sort_keys=False)
+    folder, load = FOLDER / f"{name}-{seed}-known", os.getloadavg()[0]
+    _made(BY_NAME[name], seed, folder)
+    motions = [int(motion.removeprefix("m")) for motion in cell["fit"]["episodes"]]
+    free = [row["name"] for row in cell["numbers"] if not row["frozen"]]
+    return {"numbers": intervals(BY_NAME[name], seed, folder, motions, free), **_made_by(load)}
 
 
 def about(case: Case, truth: Mapping[str, Any]) -> dict[str, Any]:
@@ -263,7 +255,7 @@ def found_in(out: Path, truth: Mapping[str, Any], code: int) -> dict[str, Any]:
             "solver": fit.solver["name"],
             "stop": fit.solver["stop"],
             "short_of_time": fit.short_of_time,
-            **{key: fit.data.get(key) for key in ("seconds", "timestep_s", "command", "window_s")},
+            **{key: fit.data.get(key) for key in ("episodes", "seconds", "timestep_s", "command", "window_s")},
         },
     }
 
@@ -291,9 +283,9 @@ def _made(case: Case, seed: int, folder: Path) -> dict[str, Any]:
     return truth
 
 
-def _ran(folder: Path, command: Sequence[str], threads: int | None, longest_s: float) -> Ended:
+def _ran(folder: Path, command: Sequence[str], threads: int, longest_s: float) -> Ended:
     """`trueup` as a process of its own in a folder, with all cores unless cells share them."""
-    shared = ("--jobs", str(threads)) if threads not in (None, os.cpu_count()) else ()
+    shared = ("--jobs", str(threads)) if threads != os.cpu_count() else ()
     package = str(Path(trueup.__file__).parents[1])  # this one, wherever the process begins
     began = time.perf_counter()
     try:

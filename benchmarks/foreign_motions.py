@@ -83,11 +83,26 @@ def _rise(x: np.ndarray) -> np.ndarray:
     return x**3 * (10 - 15 * x + 6 * x**2)
 
 
-def true_model(path: Path, case: Case, true: Numbers, cause: dict[str, Any]) -> mujoco.MjModel:
-    """The model at `path` with the true numbers, without actuators, limits and contacts, at the fine step."""
+def true_model(path: Path, case: Case, true: Numbers, cause: dict[str, Any], *, drives: bool = False) -> mujoco.MjModel:
+    """The model at `path` with the true numbers, without limits and contacts, at the fine step.
+
+    Actuators are left out, or are the true drives of its joints, in their order.
+    """
     spec = mujoco.MjSpec.from_file(str(path))
     for actuator in list(spec.actuators):
         spec.delete(actuator)
+    for at, joint in enumerate(case.joints if drives else ()):
+        gain, bias = _affine(case, true, at)
+        spec.add_actuator(
+            name=joint,
+            target=joint,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+            gainprm=[gain, *[0.0] * 9],
+            biasprm=[*bias, *[0.0] * 7],
+            forcelimited=bool(np.isfinite(true.limit[at])),
+            forcerange=[-true.limit[at], true.limit[at]] if np.isfinite(true.limit[at]) else [0.0, 0.0],
+        )
     if case.cause == "payload":
         body = spec.body(cause["body"]).add_body(name="unmodelled payload", pos=cause["position_m"])
         body.mass, body.inertia, body.explicitinertial = cause["mass_kg"], [cause["inertia_kg_m2"]] * 3, True
@@ -107,6 +122,16 @@ def true_model(path: Path, case: Case, true: Numbers, cause: dict[str, Any]) -> 
     model.dof_solimp[dofs] = [0.999, 0.9999, 0.001, 0.5, 2.0]
     mujoco.mj_setConst(model, mujoco.MjData(model))
     return model
+
+
+def _affine(case: Case, true: Numbers, at: int) -> tuple[float, tuple[float, float, float]]:
+    """What the drive of a joint makes of a command, and of 1, position and velocity."""
+    kp, kv, offset = (float(own[at]) for own in (true.kp, true.kv, true.torque_offset))
+    return {
+        "position": (kp, (offset, -kp, -kv)),
+        "velocity": (kv, (offset, 0.0, -kv)),
+        "torque": (1.0, (offset, 0.0, 0.0)),
+    }[case.drive]
 
 
 def simulate(

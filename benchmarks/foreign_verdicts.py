@@ -43,7 +43,7 @@ COVERAGE, WORST_COVERAGE, WIDER, NOISES, EXPLAINED, OK, ERROR, NAMED = 90.0, 80.
 HOLD, WORST, WIDE, LEFT, STATUS, FAR, WRONG, CAUSE = NAMES = (
     "A: numbers called determined that hold the truth",
     "A: the same on the worst robot",
-    "A: widths over those with step and timing known",
+    "A: widths over the narrowest that there can be",
     f"A: fits that leave at most {NOISES:g} times the noise",
     "A: fits with the status ok",
     "A: error of numbers called determined, median",
@@ -169,7 +169,7 @@ def width(row: Number) -> float:
 
 
 def wider(cell: Cell, oracle: Cell) -> float | None:
-    """Widths over those of the same fit with step and timing known: median over numbers that both call determined."""
+    """Widths over the narrowest that there can be: median over the numbers called determined."""
     known = {row["name"]: width(row) for row in called(oracle["numbers"])}
     ratios = [width(row) / known[row["name"]] for row in called(cell["numbers"]) if known.get(row["name"], 0.0) > 0]
     return median(ratios) if ratios else None
@@ -232,7 +232,7 @@ def sum_error(sums: Iterable[Number]) -> float:
 
 
 def ratios(result: Mapping[str, Any]) -> dict[str, float]:
-    """Case -> how much wider its intervals are than with step and timing known, for cells that have both."""
+    """Case -> how much wider its intervals are than the narrowest that there can be, for cells that have both."""
     found = {}
     for key, oracle in result["oracles"].items():
         if key in result["cells"] and (own := wider(result["cells"][key], oracle)) is not None:

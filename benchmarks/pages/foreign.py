@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from statistics import median
 from typing import Any
@@ -45,10 +45,10 @@ to the positions, not against what the fit takes for noise. A fit that did not c
 {robots}
 
 *Status* is said by seed. *Determined* is of the numbers that were fitted, over all seeds; *error* is a median, *left /
-noise* that of the worst seed, *s* the time of the whole command, a median. *Widths* are those of intervals over those
-of another fit of seed {oracle_seed}, as a median over the numbers that both call determined. That fit is told the time
-step and the timing of commands in `robot.yaml` (`simulation: {{timestep_s: …}}`, `replay: {{command: …}}`), and no
-budget ends it.
+noise* that of the worst seed, *s* the time of the whole command, a median. *Widths* are those of intervals over the
+narrowest that there can be, of seed {oracle_seed}, as a median over the numbers called determined. These know the
+robot, its time step, the timing of commands and the noise: they are the Cramér-Rao bound at the truth, with the fit's
+priors, from the same motions, in plain MuJoCo at {step_ms:g} ms.
 
 {remarks}
 
@@ -80,8 +80,8 @@ python -m benchmarks foreign --oracle
 
 measures what `benchmarks/results/foreign.json` does not have yet, and `make pages` writes the page. A call that is
 interrupted loses the cell that it was at. `--cases demo_arm,ur5e`, `--seeds 0` and `--jobs 2` choose what is measured,
-and how many at a time; `--again` measures what is there, too; without `--oracle`, the fits that are told step and
-timing are left out. The file has every number of every fit, so that it can be asked something else.
+and how many at a time; `--again` measures what is there, too; without `--oracle`, the narrowest intervals are left
+out. The file has every number of every fit, so that it can be asked something else.
 """
 
 
@@ -148,7 +148,7 @@ def missing_words(result: Mapping[str, Any]) -> str:
         said.append(f"{count} of {len(SEEDS) * len(BY_NAME)} fits are missing: {names}.")
     if oracles := left.get("oracles"):
         names = ", ".join(f"`{name}`" for name in oracles)
-        said.append(f"The fits with step and timing known are missing of {names}.")
+        said.append(f"The narrowest intervals are missing of {names}.")
     return f"**Incomplete.** {' '.join(said)}\nWhat follows is about the others.\n\n"
 
 
@@ -258,8 +258,6 @@ def remarks(result: Mapping[str, Any]) -> Iterator[str]:
     cells = [cell for own in verdicts.of_group(result["cells"], "A").values() for cell in own]
     if cells:
         yield _accused_words(cells)
-    if result["oracles"]:
-        yield _told_words(result["oracles"].values())
     if sums := verdicts.all_sums(cells):
         yield _sum_words(sums)
     yield _machine_words(result)
@@ -277,15 +275,6 @@ def _accused_words(cells: Sequence[Cell]) -> str:
         for item in verdicts.accusations(cell)
     ]
     return f"{said}: {'; '.join(names)}."
-
-
-def _told_words(oracles: Collection[Cell]) -> str:
-    """Whether fits kept to the time step and the timing that they were told."""
-    kept = sum(all(own["fit"].get(key) == value for key, value in own["given"].items()) for own in oracles)
-    return (
-        "A fit looks for a better step and timing also where it is told the right ones: of those that were told, "
-        f"{kept} of\n{len(oracles)} kept to both."
-    )
 
 
 def _sum_words(sums: Sequence[Number]) -> str:

@@ -4,7 +4,6 @@ import json
 import math
 import sys
 from concurrent.futures import Future
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,12 +11,10 @@ from benchmarks import __main__ as command
 from benchmarks import foreign
 from benchmarks import foreign_verdicts as verdicts
 from benchmarks.foreign_cases import CASES
-from benchmarks.foreign_truth import make
 
 from foreign_cells import PAYLOAD, TRUTH, cell, fit_result, number, parameter
 from trueup.core.check_result import CheckResult, Finding
 from trueup.core.close_result import CloseResult, Step
-from trueup.robots import load_robot
 
 
 def test_a_number_stands_beside_its_truth_or_beside_none():
@@ -195,7 +192,7 @@ def test_the_bars_of_robots_whose_model_can_be_right():
     assert not found["A: fits with the status ok"].ok
     assert found["A: fits that leave at most 1.3 times the noise"].value == 100.0
     assert found["A: error of numbers called determined, median"].value == pytest.approx(1.0)
-    wide = found["A: widths over those with step and timing known, one"]
+    wide = found["A: widths over the narrowest that there can be, one"]
     assert wide.value == pytest.approx(math.log(60 / 40) / math.log(55 / 45))
     assert not [name for name in found if name.startswith("B")]
 
@@ -247,19 +244,6 @@ def test_a_folder_without_a_fit_says_why(tmp_path, severity, status):
     assert foreign.found_in(tmp_path / "nothing", TRUTH, 1)["status"] == "failed"
 
 
-def test_a_fit_that_is_told_step_and_timing_keeps_the_rest(tmp_path):
-    plain = foreign.told("name: x\nreplay:\n  window_s: 0.5\n", timestep_s=0.00025, command="linear")
-    assert "window_s: 0.5" in plain
-    case = next(case for case in CASES if case.name == "demo_arm")
-    make(replace(case, engine="mujoco", motions=2, duration_s=3.0), 0, tmp_path)
-    path = tmp_path / "robot.known.yaml"
-    path.write_text(foreign.told((tmp_path / "robot.yaml").read_text(), timestep_s=0.00025, command="linear"))
-    robot, before = load_robot(path), load_robot(tmp_path / "robot.yaml")
-    assert (robot.simulation.timestep_s, robot.replay.command) == (0.00025, "linear")
-    assert robot.joints == before.joints
-    assert robot.controller == before.controller
-
-
 class Here:
     """A pool whose work is done when it is asked for."""
 
@@ -289,19 +273,21 @@ def measured(monkeypatch):
     """Which cells were measured; those of `panda` fail."""
     asked = []
 
-    def made(kind):
-        def one(name, seed, *, threads, budget=""):
-            assert budget == ""
-            asked.append((kind, name, seed, threads))
-            if name == "panda":
-                raise RuntimeError("out of range")
-            return cell(case=name, seed=seed)
+    def closed(name, seed, *, threads, budget=""):
+        assert budget == ""
+        asked.append(("cells", name, seed, threads))
+        if name == "panda":
+            raise RuntimeError("out of range")
+        return cell(case=name, seed=seed, numbers=[number("kp[a]", (45, 50, 55), 51)])
 
-        return one
+    def known(name, seed, own):
+        assert own["case"] == name
+        asked.append(("oracles", name, seed, 0))
+        return {"numbers": own["numbers"]}
 
     monkeypatch.setattr(foreign, "ThreadPoolExecutor", Here)
-    monkeypatch.setattr(foreign, "closed", made("cells"))
-    monkeypatch.setattr(foreign, "known", made("oracles"))
+    monkeypatch.setattr(foreign, "closed", closed)
+    monkeypatch.setattr(foreign, "known", known)
     monkeypatch.setattr(foreign, "foreign_folder", lambda: foreign.RESULT.parent)
     monkeypatch.setattr(foreign.os, "cpu_count", lambda: 4)
     return asked
@@ -321,7 +307,7 @@ def test_cells_are_kept_one_by_one_and_not_measured_twice(measured, tmp_path, ca
     measured.clear()
     found = foreign.measure(foreign.Wanted(("demo_arm", "panda", "ur5e_sign"), (0,), oracle=True), path)
     assert sorted((kind, name) for kind, name, *_ in measured) == [
-        *(("cells", "panda"), ("cells", "ur5e_sign"), ("oracles", "demo_arm"), ("oracles", "panda"))
+        *(("cells", "panda"), ("cells", "ur5e_sign"), ("oracles", "demo_arm"))
     ]
     assert {row.name: row.value for row in found}["cells"] == 5
     assert list(foreign.stored(path)["oracles"]) == ["demo_arm/0"]
