@@ -121,14 +121,6 @@ def test_every_command_and_option_is_explained(command):
     assert not missing - {"--help"}
 
 
-@pytest.mark.parametrize(("command", "page"), [("gap", "report"), ("close", "close"), ("deploy ros2", "ros2")])
-def test_every_option_stands_in_a_table_of_its_page(command, page):
-    options = {opt for parameter in COMMANDS[command].params for opt in parameter.opts if opt.startswith("--")}
-    firsts = re.findall(r"^\| ([^|]+) \|", TEXT[page], re.M)
-    known = {word.split()[0] for first in firsts for word in re.findall(r"`([^`]+)`", first)}
-    assert not options - known - {"--help"}
-
-
 def quality_kinds():
     """Every kind of flag that is set anywhere: the strings in the `kind` of a `Flag(...)`."""
     kinds = set(KINDS)
