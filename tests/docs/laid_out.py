@@ -12,11 +12,11 @@ import yaml
 from benchmarks.networks import real_time
 
 from dataset.test_import_rosbag import ARRAY, JOINT_STATE, ROS2, START_NS, STEP_NS, array, motion, states, write_bag
-from docs import smaller
+from docs import smaller, user_files
 from docs.command_lines import blocks_of, lines
 from trueup.cli.main import main
 from trueup.dataset import Dataset, DatasetWriter
-from trueup.policy import grid
+from trueup.lab import record_demo
 from trueup.robots import find_model, load_robot
 from trueup.stages import demonstrating
 
@@ -31,6 +31,26 @@ LIMITS = """<custom>
     <numeric name="velocity_limit" data="3 3 3"/>
     <numeric name="acceleration_limit" data="20 20 20"/>
   </custom>"""
+
+# The demo arm without its drives, of which a mesh is missing.
+URDF = """<robot name="arm">
+  <link name="base"/>
+  <link name="column">
+    <visual><geometry><mesh filename="package://arm/meshes/column.stl"/></geometry></visual>
+    <inertial><mass value="0.8"/>
+      <inertia ixx="0.0012" iyy="0.0012" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="upper_arm"><inertial><origin xyz="0.12 0 0"/><mass value="0.7"/>
+    <inertia ixx="0.0006" iyy="0.004" izz="0.004" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="forearm"><inertial><origin xyz="0.11 0 0"/><mass value="0.45"/>
+    <inertia ixx="0.0002" iyy="0.0016" izz="0.0016" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="yaw" type="revolute"><parent link="base"/><child link="column"/><origin xyz="0 0 0.12"/>
+    <axis xyz="0 0 1"/><limit lower="-2.8" upper="2.8" effort="12" velocity="5"/></joint>
+  <joint name="shoulder" type="revolute"><parent link="column"/><child link="upper_arm"/><origin xyz="0 0 0.05"/>
+    <axis xyz="0 1 0"/><limit lower="-1.9" upper="1.9" effort="12" velocity="5"/></joint>
+  <joint name="elbow" type="revolute"><parent link="upper_arm"/><child link="forearm"/><origin xyz="0.25 0 0"/>
+    <axis xyz="0 1 0"/><limit lower="-2.4" upper="2.4" effort="12" velocity="5"/></joint>
+</robot>
+"""
 
 
 def run(*words):
@@ -134,6 +154,26 @@ def demo_logs(shelf, path):
     run("export", shelf.demo, "--out", path)
 
 
+def demo_table(_, path):
+    """A CSV file for each of them, in milliseconds and degrees."""
+    path.mkdir()
+    for episode in list(record_demo())[:3]:
+        series = episode.measured, episode.command
+        rows = np.column_stack([1000 * series[0].time_s, *(np.degrees(kind["position"]) for kind in series)])
+        header = "t_ms,yaw,shoulder,elbow,yaw_cmd,shoulder_cmd,elbow_cmd"
+        np.savetxt(path / f"{episode.id}.csv", rows, fmt="%.4f", delimiter=",", header=header, comments="")
+
+
+def demo_tables(_, path):
+    """A folder for each of them: states, and commands at half the rate in a file of their own."""
+    for episode in list(record_demo())[:3]:
+        (path / episode.id).mkdir(parents=True)
+        for name, series, letter, step in (("state", episode.measured, "q", 1), ("command", episode.command, "u", 2)):
+            rows = np.column_stack([series.time_s, series["position"]])[::step]
+            header = ",".join(["t", *(f"{letter}{number}" for number in (1, 2, 3))])
+            np.savetxt(path / episode.id / f"{name}.csv", rows, delimiter=",", header=header, comments="")
+
+
 def demo_with(kg):
     """Motions of the demo arm that carry this [kg], as a dataset under data/ and as logs elsewhere."""
 
@@ -155,6 +195,23 @@ def demo_robot(_, path):
     model = find_model(robot).read_text()
     assert model.count("<default>") == 1
     path.with_suffix(".xml").write_text(model.replace("<default>", f"{LIMITS}\n  <default>"))
+
+
+def mirrored_logs(shelf, path):
+    """The demo arm's logs under other names of joints, of which the last counts the other way round in what is measured."""
+    whole, data = Dataset(shelf.demo), Path("small", "mirrored")
+    names = dict(zip(whole.info.joints, ("joint_1", "joint_2", "joint_3"), strict=True))
+
+    def called(series, signs):
+        signals = {signal: values * signs for signal, values in series.signals.items()}
+        return replace(series, joints=tuple(names[joint] for joint in series.joints), signals=signals)
+
+    units = {signal: {names[joint]: unit for joint, unit in own.items()} for signal, own in whole.info.units.items()}
+    with DatasetWriter.create(data, replace(whole.info, joints=tuple(names.values()), units=units, robot="")) as writer:
+        for episode in map(whole.episode, whole.ids):
+            series = {"measured": called(episode.measured, (1, 1, -1)), "command": called(episode.command, (1, 1, 1))}
+            writer.append(replace(episode, **series))
+    run("export", data, "--out", path)
 
 
 def panda(unit):
@@ -222,7 +279,13 @@ LAID = {
     "fleet": {"data/line-1": panda(1), "data/line-2": panda(2), "fit.yaml": text(smaller.FILES["identify.yaml"])},
     "identification": {"logs/arm": demo_logs, "runs/arm/dataset": demo_data, "arm.yaml": demo_robot},
     "index": {"logs/so101_sage": so101},
-    "logs": {"logs/so101_sage": so101, "logs/run2": bag, "bag.yaml": of_the_page("logs", "command_joints:")},
+    "lerobot": {"pick": user_files.lerobot, "so101.xml": user_files.so101},
+    "log-formats": {
+        "logs/two_files": demo_tables,
+        "logs/run2": bag,
+        "bag.yaml": of_the_page("log-formats", "command_joints:"),
+    },
+    "logs": {"logs/so101_sage": so101, "logs/mine": demo_table, "arm.yaml": demo_robot},
     "payload": {
         "arm.yaml": demo_robot,
         **{
@@ -240,14 +303,16 @@ LAID = {
         ),
     },
     "real-robots": {"logs/so101_sage": so101, "logs/dfki_double_pendulum_A0": pendulum},
-    "robots": {"logs/dfki_double_pendulum_A0": pendulum},
+    "robots": {"logs/arm": mirrored_logs, "arm.urdf": text(URDF)},
+    "ros2-arm": {"arm.urdf": user_files.urdf, "bags": user_files.ros2_arm},
     "runtime": {"models/panda-rt": network},
     "selftest": {
-        "data/arm": demo_data,
         "logs/arm": demo_logs,
         "arm.yaml": demo_robot,
         "fit.yaml": text(smaller.FILES["identify.yaml"]),
     },
+    "torque-rig": {"logs": user_files.rig_logs, "rig.xml": user_files.rig_model},
+    "training": {"logs": user_files.rollouts, "robot.xml": user_files.trained_model},
 }
 
 # What it takes to be there further down.
@@ -270,11 +335,6 @@ def trained_one(shelf, monkeypatch):
     """The one that has hardly been trained, with networks to go on with."""
     shutil.rmtree("runs/first")
     shutil.move("runs/hardly-trained", "runs/first")
-
-
-def corner_of_the_grid(shelf, monkeypatch):
-    """Two of the thesis's 90 points."""
-    monkeypatch.setitem(grid.THESIS, "td3", grid.read_grid({"rate": [0.002], "gamma": [0.99, 0.95]}, "a corner"))
 
 
 def few_motions(shelf, monkeypatch):
@@ -308,7 +368,5 @@ BEFORE = {
     ("index", "demo"): few_motions,
     ("policies", "deploy run runs/first"): one_of_the_zoo,
     ("policies", "policy train --robot runs/fit/robot.fitted.yaml"): trained_one,
-    ("policies", "policy grid --out runs/grid"): corner_of_the_grid,
     ("policies", "policy eval runs/reach-0"): several_policies,
-    ("report", "replay data/loads --robot upper_body"): short("data/loads", 2.0),
 }

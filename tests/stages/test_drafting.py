@@ -17,6 +17,8 @@ from trueup.dataset.importers.base import ImportOptions
 from trueup.errors import ConfigError, DataError, OutputExists
 from trueup.robots import load_robot
 from trueup.stages import draft, plan_import
+from trueup.stages.importing import checked
+from trueup.stages.motions import motions_of
 
 NAMES = {"yaw": "J1_rotation", "lift": "J2_lift", "elbow": "J3_elbow"}
 DEGREES = [scaled(joint, 180 / np.pi) for joint in range(3)]
@@ -86,6 +88,60 @@ def test_logs_are_read_as_they_were_meant(made, change, tmp_path):
         for key, value in (all_of_them | second if joint.name == "lift" else all_of_them).items():
             said = getattr(joint, key)
             assert said == (pytest.approx(value) if isinstance(value, float) else value)
+
+
+@pytest.mark.parametrize("change", ["degrees", "ticks"])
+@pytest.mark.parametrize("made", ["position"], indirect=True)
+def test_units_that_no_log_states_break_no_motion(made, change, tmp_path):
+    """What robot.yaml says of units counts for the quality of a recording, also where that was imported without it."""
+    _, path, episodes = made
+    still = [stuck(episode) for episode in episodes]
+    strange = still
+    for own in CHANGES[change][0]:
+        strange = changed(strange, own)
+    robot = draft(path, written(tmp_path / "data", strange), out=tmp_path / "out").robot
+    assert not any(kinds(checked(episode)) for episode in still)
+    assert not any(kinds(checked(episode, robot)) for episode in Dataset(tmp_path / "data"))
+    with DatasetWriter.create(tmp_path / "imported", DatasetInfo(robot="")) as writer:
+        for episode in map(checked, Dataset(tmp_path / "data")):
+            assert "frozen" in kinds(episode)
+            writer.append(replace(episode, meta=replace(episode.meta, split="train")))
+    fitted = motions_of(Dataset(tmp_path / "imported"), robot).by_split["train"]
+    assert not any(kinds(episode) for episode in fitted)
+
+
+def stuck(episode):
+    """Stiction holds the robot for a second, while its command goes on by half a degree."""
+    rows = slice(0, int(np.searchsorted(episode.measured.time_s, episode.measured.time_s[0] + 1.0)))
+    position, velocity = (episode.measured[name].copy() for name in ("position", "velocity"))
+    position[rows], velocity[rows] = position[rows.stop], 0.0
+    told = episode.command["position"].copy()
+    early = episode.command.time_s < episode.command.time_s[0] + 1.0
+    told[early] = position[0] + np.linspace(0.0, np.radians(0.5), np.count_nonzero(early))[:, None]
+    signals = {**episode.measured.signals, "position": position, "velocity": velocity}
+    return replace(
+        episode,
+        measured=replace(episode.measured, signals=signals),
+        command=replace(episode.command, signals={**episode.command.signals, "position": told}),
+    )
+
+
+def kinds(episode):
+    return sorted({flag.kind for flag in episode.meta.flags if flag.severity == "warning"})
+
+
+@pytest.mark.parametrize("made", ["torque"], indirect=True)
+def test_a_robot_follows_what_most_motions_command(made, tmp_path):
+    """Some recordings of a torque-driven rig hold the path of a controller above it, too."""
+    _, path, episodes = made
+    command = episodes[0].command
+    path_too = {**command.signals, "position": episodes[0].measured["position"][: len(command)]}
+    units = {**command.units, "position": ("rad",) * len(command.joints)}
+    first = replace(episodes[0], command=replace(command, signals=path_too, units=units))
+    found = draft(path, written(tmp_path / "data", [first, *episodes[1:]]), out=tmp_path / "out")
+    assert found.robot.controller.signal == "torque"
+    assert "invented" not in (tmp_path / "out" / "robot.yaml").read_text()
+    assert not found.robot.controller.per_joint
 
 
 def test_names_that_say_nothing_leave_it_to_the_motion(made, tmp_path):

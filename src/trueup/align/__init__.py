@@ -4,7 +4,6 @@ from trueup.align.delay import DelayEstimate, estimate_delay
 from trueup.align.execution import failed_execution, position_mse, robust_threshold
 from trueup.align.joint_rule import JointRule
 from trueup.align.joints import JointMap
-from trueup.align.limits import limits_in_log
 from trueup.align.quality import check_quality
 from trueup.align.quality_config import QualityConfig
 from trueup.align.resample import common_grid, resample
@@ -31,7 +30,6 @@ __all__ = [
     "detect_start",
     "estimate_delay",
     "failed_execution",
-    "limits_in_log",
     "moving_span",
     "position_mse",
     "resample",

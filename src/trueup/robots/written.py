@@ -14,7 +14,10 @@ def robot_yaml(robot: RobotSpec) -> str:
     """A robot description as YAML, without what is default anyway."""
     plain = _without_defaults(robot.to_dict(), RobotSpec(robot.name, robot.joints, robot.model).to_dict())
     joints = [{key: value for key, value in joint.items() if _worth(key, value)} for joint in robot.to_dict()["joints"]]
-    controller = {"kind": robot.controller.kind, "command": robot.controller.signal, **plain.pop("controller", {})}
+    own = {key: value for key, value in plain.pop("controller", {}).items() if key not in ("kind", "command")}
+    said = robot.controller.kind == "model" or bool(robot.controller.command)
+    command = {"command": robot.controller.signal} if said else {}
+    controller = {"kind": robot.controller.kind, **command, **own}
     head = {"schema": robot.schema, "name": robot.name, "model": robot.model}
     lines = [f"- {_dumped(joint, flow=True)}" for joint in joints]
     return _dumped(head, flow=False) + "joints:\n" + "".join(lines) + _dumped({"controller": controller, **plain})

@@ -62,7 +62,7 @@ class Perturbation:
                 f"robot {robot.name!r}: the resistance of its motors moves nothing",
                 got=f"controller {robot.controller.kind!r}, {'a' if robot.motor else 'no'} motor",
                 expected="controller 'servo' and a motor",
-                hint="Describe them in robot.yaml (docs/robots.md), or leave the resistance as it is.",
+                hint="Describe them in robot.yaml (docs/robot-yaml.md), or leave the resistance as it is.",
             )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -278,8 +279,9 @@ def _of_logs(model: Path, episodes: Sequence[Episode]) -> tuple[RobotDraft, Matc
     """The description of a robot that is driven as the logs say, whose joints are those that they know."""
     from trueup.draft import draft_robot, match_names
 
-    commanded = {signal for episode in episodes if episode.command for signal in episode.command.signals}
-    signal = next((one for one in _SIGNALS if one in commanded), None)
+    commanded = Counter(signal for episode in episodes if episode.command for signal in episode.command.signals)
+    # What a few motions command besides is what a controller above the drives has followed.
+    signal = max((one for one in _SIGNALS if one in commanded), key=commanded.__getitem__, default=None)
     whole = draft_robot(model, signal=signal)
     names = list(dict.fromkeys(name for episode in episodes for name in episode.measured.joints))
     matching = match_names(names, whole.robot.joint_names)

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from trueup.align import JointMap, check_quality, limits_in_log
+from trueup.align import JointMap, check_quality
+from trueup.align.quality import KINDS
 from trueup.core.atomic import as_read_back
 from trueup.core.episode import Episode, Flag, warning_kinds
 from trueup.core.provenance import provenance
@@ -29,7 +30,7 @@ from trueup.dataset import (
     refuse_occupied,
     refuse_results,
 )
-from trueup.dataset.importers.base import EpisodeSource, ImportOptions, ImportPlan
+from trueup.dataset.importers.base import ASSUMED, EpisodeSource, ImportOptions, ImportPlan
 from trueup.dataset.importers.detect import find_importer
 from trueup.dataset.importers.packed import opened
 from trueup.errors import ConfigError, DataError, NameMismatch, OutputExists, TrueupError
@@ -185,7 +186,8 @@ def import_logs(
     if isinstance(splits, Path):
         # Read before anything is written: a dataset whose splits cannot be had would pass for one that has none.
         read_split(splits)
-    notes = list(plan.notes)
+    units_known = robot is not None and all(joint.log_unit for joint in robot.joints)
+    notes = [note for note in plan.notes if not (units_known and note.startswith(ASSUMED))]
     config = {"format": plan.format, "source": source.name, "options": _plain(options)}
     info = DatasetInfo(
         robot=robot.name if robot else plan.robot,
@@ -261,7 +263,11 @@ def _load(item: EpisodeSource, split: str, robot: RobotSpec | None, refused: dic
 
 
 def checked(episode: Episode, robot: RobotSpec | None = None) -> Episode:
-    """The episode with what the quality checks find; the limits that the robot's description states count, too."""
+    """The episode with what the quality checks find.
+
+    With a robot, they see the motion in its units: thresholds are in radians, and degrees or encoder ticks of which the
+    log says nothing would look like a robot that runs wild. The limits of its description count, too.
+    """
     if episode.measured.duration_s > _LONGEST_S:
         raise DataError(
             f"episode {episode.id!r} lasts {episode.measured.duration_s:.3g} s",
@@ -277,15 +283,19 @@ def checked(episode: Episode, robot: RobotSpec | None = None) -> Episode:
             meta=replace(episode.meta, flags=tuple(flag for flag in episode.meta.flags if flag.kind != "unit")),
         )
     joint_map = JointMap.from_dict(robot.joint_rules())
-    if not set(joint_map.log_joints) <= set(episode.measured.joints):
-        joint_map = JointMap.identity(robot.joint_names)  # in the robot's own words already
-    positions, torques = limits_in_log(
-        joint_map,
-        episode.measured,
-        positions={joint.name: joint.position_limits for joint in robot.joints if joint.position_limits},
-        torques={joint.name: joint.torque_limit for joint in robot.joints if joint.torque_limit},
+    try:
+        seen = joint_map.of_episode(episode)
+    except TrueupError:  # of another robot, or without what it follows: a replay says so
+        return episode.with_flags(check_quality(episode))
+    flags = check_quality(
+        seen,
+        limits={joint.name: joint.position_limits for joint in robot.joints},
+        torque_limits={joint.name: joint.torque_limit for joint in robot.joints if joint.torque_limit},
     )
-    return episode.with_flags(check_quality(episode, limits=positions, torque_limits=torques))
+    of_log = joint_map.for_series(episode.measured)
+    names = dict(zip(of_log.joints, of_log.log_joints, strict=True))
+    found = (replace(flag, joint=names.get(flag.joint, "")) if flag.kind in KINDS else flag for flag in flags)
+    return episode.with_flags(tuple(found))
 
 
 def _without_empty(episode: Episode) -> Episode:

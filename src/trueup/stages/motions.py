@@ -10,6 +10,7 @@ from trueup.core.episode import Episode
 from trueup.dataset import Dataset
 from trueup.errors import DataError, MissingSignal, TrueupError
 from trueup.robots import RobotSpec
+from trueup.stages.importing import checked
 
 
 @dataclass(frozen=True)
@@ -28,12 +29,17 @@ class Motions:
 def readable(
     dataset: Dataset, robot: RobotSpec, ids: Iterable[str], signal: str
 ) -> tuple[list[Episode], dict[str, TrueupError]]:
-    """Episodes in the robot's names that command a signal, and why others are none."""
+    """Episodes in the robot's names that command a signal, and why others are none.
+
+    Where the robot's description states other units than the dataset, the quality of a recording is looked at anew.
+    """
     joint_map = JointMap.from_dict(robot.joint_rules())
+    other_units = any(rule.log_unit or rule.scale != 1.0 for rule in joint_map.rules)
     found, refused = [], {}
     for name in ids:
         try:
-            episode = joint_map.of_episode(dataset.episode(name))
+            stored = dataset.episode(name)
+            episode = joint_map.of_episode(checked(stored, robot) if other_units else stored)
             _ = episode.commanded()[signal]
         except TrueupError as error:
             refused[name] = error

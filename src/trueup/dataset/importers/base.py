@@ -10,6 +10,9 @@ from typing import Protocol, runtime_checkable
 from trueup.core.episode import Episode
 from trueup.errors import ConfigError
 
+# How a note begins that tells of units which logs do not state.
+ASSUMED = "UNITS ARE ASSUMED"
+
 # As they are called on the command line.
 _OPTIONS = {
     "mapping": "--mapping",

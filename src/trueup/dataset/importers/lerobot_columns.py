@@ -11,6 +11,7 @@ from jaxtyping import Float64
 
 from trueup.core.timeseries import TimeSeries
 from trueup.core.units import SI_UNIT
+from trueup.dataset.importers.base import ASSUMED
 from trueup.dataset.importers.lerobot_info import Feature, LeRobotInfo
 from trueup.dataset.importers.lerobot_rows import vectors
 from trueup.dataset.importers.stated import Stated
@@ -105,7 +106,7 @@ class Columns:
         if assumed:
             said = ", ".join(f"{signal} in {SI_UNIT[signal]}" for signal in assumed)
             notes.append(
-                f"UNITS ARE ASSUMED, the dataset states none for {series}: {said}. LeRobot's robots log degrees or "
+                f"{ASSUMED}, the dataset states none for {series}: {said}. LeRobot's robots log degrees or "
                 "-100 to 100: state the unit, e.g. position=deg or position=%"
             )
         needed = {name: feature for name, feature in features.items() if name in used}
