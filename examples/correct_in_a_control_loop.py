@@ -1,7 +1,6 @@
 """How do I correct a simulator inside a control loop?
 
-The network that comes with the package corrects a simulated Panda, sample by sample; what it answers says whether it is
-to be trusted.
+The network in the package corrects a simulated Panda; `status` says whether to trust it.
 
     python examples/correct_in_a_control_loop.py
 """

@@ -1,6 +1,6 @@
 """How do I import a log of my own, from arrays?
 
-What your logger has as arrays becomes a dataset in a few lines; files of a known format need none: `trueup import`.
+A few lines turn your arrays into a dataset. For files of a known format, use `trueup import`.
 
     python examples/from_arrays_to_a_dataset.py OUT
 """

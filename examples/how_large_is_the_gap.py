@@ -1,7 +1,6 @@
 """How large is the gap of my robot, and where?
 
-A three-joint arm whose hardware its model does not know is recorded, replayed and measured; with your own logs, begin
-at `import_logs(...)` in place of `demo_dataset`.
+A virtual arm. With your own logs, use `import_logs(...)` instead of `demo_dataset`.
 
     python examples/how_large_is_the_gap.py OUT
 """

@@ -1,7 +1,6 @@
 """How do I train my own agent in a corrected simulator?
 
-Any Gymnasium environment over MuJoCo becomes one whose observations are what the robot would have measured, with one
-line; Stable-Baselines3 need not know.
+One line corrects the observations of a Gymnasium environment based on MuJoCo.
 
     python examples/train_in_a_corrected_simulator.py [STEPS]
 """

@@ -1,7 +1,6 @@
 """What has my model wrong, and how sure is that?
 
-Gains and delays of a small arm are fitted; each number comes with an interval, and with whether the motions determine
-it.
+It fits gains and delays of a small arm.
 
     python examples/what_has_the_model_wrong.py OUT
 """

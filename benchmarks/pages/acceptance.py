@@ -6,26 +6,29 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
+from benchmarks.acceptance.lines import explained
+from benchmarks.pages.grouped import grouped, shown
 from benchmarks.pages.markdown import table
 from benchmarks.table import bound
 
 TEXT = """# What was asked, and what is reached
 
-Every promise of the first {count} parts
-({names}),
-as they stood on {date}, with the command that measures it, the figure and the bar that was set before the part was
-built. What came later, and newer figures of these, stand in the [table of all benchmarks](benchmarks.md), which
-`python -m benchmarks` makes. All of this was measured on one commit, `{commit}`, in {hours:.1f} hours, by
+Before each part of trueup was built, bars were set for it. This page shows the bars of the first {count} parts
+({names})
+and what was measured on {date}. Later and newer figures are in the [table of all benchmarks](benchmarks.md).
 
 ```sh
-make acceptance
+make acceptance                 # measure everything on one commit and write this page
+python -m benchmarks NAME       # one line; where a line names test files, `python -m pytest FILES`
 ```
 
-which writes this page. A figure without a bar is shown for comparison. {verdict}{notes}
+{verdict} Where several figures have the same bar, the
+table shows the one nearest to it. Measured on commit `{commit}` in {hours:.1f} hours{notes}
 
 {parts}
 """
 
+TESTS = "tests that failed or were skipped"
 _COUNTS = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
 
 
@@ -45,7 +48,7 @@ def page(result: Mapping[str, Any]) -> str:
         date=made["created"][:10],
         hours=made["config"]["seconds"] / 3600,
         verdict=_verdict(lines),
-        notes="".join(f"\n\n{note}" for note in result.get("notes", ())),
+        notes="".join((".", *(f" {note}" for note in result.get("notes", ())))),
         parts="\n\n".join(parts),
     )
 
@@ -55,22 +58,31 @@ def _verdict(lines: Sequence[Mapping[str, Any]]) -> str:
     missed = sum(not row["ok"] for row in rows)
     if not missed:
         return f"All {len(rows)} bars are kept."
-    return f"Of {len(rows)} bars, {len(rows) - missed} are kept; below each table stands why the others are not."
+    return f"Of {len(rows)} bars, {len(rows) - missed} are kept; the reasons for the others are below each table."
 
 
 def _table(lines: Sequence[Mapping[str, Any]]) -> str:
-    heads = ("asked", "measured by", "figure", "found", "bar", "")
-    return table(heads, [cells for line in lines for cells in _cells(line)], left=3)
+    return table(("asked", "measured by", "found (bar)"), [_cells(line) for line in lines], left=3)
 
 
-def _cells(line: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """A line of the table for each figure; what was asked stands at the first."""
-    rows = []
-    for number, row in enumerate(line["rows"]):
-        asked = (f"*{line['kind']}:* {line['asks']}", f"`{line['command']}`") if number == 0 else ("", "")
-        verdict = "" if row["limit"] is None else "kept" if row["ok"] else "**missed**"
-        rows.append((*asked, row["name"], f"{row['value']:.4g} {row['unit']}".strip(), bound(row), verdict))
-    return rows
+def _cells(line: Mapping[str, Any]) -> tuple[str, ...]:
+    """A row of the table; its last cell has every figure that is held against a bar."""
+    command = line["command"].replace("python -m benchmarks ", "").replace("python -m pytest ", "")
+    found = "<br>".join(_figure(row, count) for row, count in grouped(line["rows"])) or _best(line["rows"])
+    return line["asks"], " ".join(f"`{name}`" for name in command.split()), found
+
+
+def _figure(row: Mapping[str, Any], count: int) -> str:
+    if row["name"] == TESTS:
+        return f"{shown(row)} tests failed or were skipped{'' if row['ok'] else ' **missed**'}"
+    worst = f", worst of {count}" if count > 1 else ""
+    missed = "" if row["ok"] else " **missed**"
+    return f"{row['name']}: {shown(row)} ({bound(row)}{worst}){missed}"
+
+
+def _best(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Of a line that sets no bar, the ratios."""
+    return "<br>".join(f"{row['name']}: {shown(row)}" for row in rows if row["unit"] == "x")
 
 
 def _reasons(lines: Sequence[Mapping[str, Any]], part: str) -> str:
@@ -78,8 +90,6 @@ def _reasons(lines: Sequence[Mapping[str, Any]], part: str) -> str:
     for line in lines:
         for row in line["rows"]:
             if line["part"] == part and not row["ok"]:
-                missed.setdefault(row["reason"], []).append(row["name"])
-    return "".join(
-        f"\n\n**Missed: {'; '.join(names)}.** {reason or 'Nobody knows why: a defect.'}"
-        for reason, names in missed.items()
-    )
+                told = explained(row["name"]) or row["reason"] or "Nobody knows why: a defect."
+                missed.setdefault(told, []).append(row["name"])
+    return "".join(f"\n\n**Missed: {'; '.join(names)}.** {told}" for told, names in missed.items())

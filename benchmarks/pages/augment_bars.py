@@ -42,7 +42,7 @@ def bars(data: Learned) -> list[Bar]:
     found += [_least(data.lab, model, "cartesian", LINES) for model in TORQUE]
     found += [_no_worse(data.lab, model) for model in TORQUE]
     found += [
-        _least(result, model, "", OTHER_UNIT, f"unit {unit}, ")
+        _least(result, model, "", OTHER_UNIT, f"unit {unit}")
         for model in (PRECISE, REAL_TIME, ZOO)
         for unit, result in data.others.items()
     ]
@@ -52,9 +52,10 @@ def bars(data: Learned) -> list[Bar]:
 def bar_table(found: Sequence[Bar]) -> str:
     """The bars, and which of them are kept."""
     rows = [
-        (bar.what, bar.bar, bar.found, bar.verdict if bar.verdict == "kept" else f"**{bar.verdict}**") for bar in found
+        (bar.what, f"{bar.found} ({bar.bar})" + ("" if bar.verdict == "kept" else f" **{bar.verdict}**"))
+        for bar in found
     ]
-    return table(("", "asked", "found", ""), rows)
+    return table(("", "found (bar)"), rows)
 
 
 def bar_words(found: Sequence[Bar]) -> str:
@@ -69,9 +70,9 @@ def bar_words(found: Sequence[Bar]) -> str:
 def _least(result: AugmentResult, model: str, condition: str, bar: float, where: str = "") -> Bar:
     """Torque MSE, by the joint on which least is gained."""
     joint, cut = least_cut(joint_cuts(result, model, condition, "torque"))
-    what = f"`{model}`: {where}torque, {TEST_NAMES[condition]}"
+    what = f"`{model}`: torque, {where or TEST_NAMES[condition]}"
     verdict = "kept" if _gained(cut) >= bar else "missed"
-    return Bar(what, f"x{bar:g} on every joint", f"x{factor(cut.factor)} on {joint}, the least", verdict)
+    return Bar(what, f"≥ {bar:g}", f"{factor(cut.factor)} {joint}", verdict)
 
 
 def least_cut(cuts: Mapping[str, Cut]) -> tuple[str, Cut]:
@@ -95,8 +96,8 @@ def _no_worse(result: AugmentResult, model: str) -> Bar:
     worse = [where for item, where in found if item.verdict == "worse"]
     item, where = min(found, key=lambda pair: _gained(pair[0]))
     verdict = "missed" if worse else "kept" if _gained(item) >= 1.0 else "undecided"
-    told = f"{len(worse)} of {len(found)} worse; least x{factor(item.factor, item.verdict)} ({where})"
-    return Bar(f"`{model}`: position, velocity, all tests", "nowhere worse", told, verdict)
+    told = f"{len(worse)} of {len(found)} worse; {factor(item.factor, item.verdict)} {where}"
+    return Bar(f"`{model}`: position, velocity, all tests", "0 worse", told, verdict)
 
 
 def _arm(data: Learned) -> Iterator[Bar]:
@@ -105,5 +106,5 @@ def _arm(data: Learned) -> Iterator[Bar]:
         rung = data.arm_rungs.get(f"fitted+{model}")
         if rung is not None:
             value = rung.total.value
-            what, asked = f"`{model}`: SO-101, position, test", f"at most {bar:.4f} rad"
+            what, asked = f"`{model}`: SO-101, position, test", f"≤ {bar:.4f} rad"
             yield Bar(what, asked, f"{value:.5f} rad", "kept" if value <= bar else "missed")

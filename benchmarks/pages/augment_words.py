@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.pages.augment_bars import ARM, least_cut
+from benchmarks.pages.augment_bars import ARM
 from benchmarks.pages.augment_cells import factor, listed, short, span
 from benchmarks.pages.augment_data import (
     BASELINES,
@@ -26,6 +26,7 @@ from benchmarks.pages.augment_data import (
 )
 from trueup.core.augment_result import ALL_JOINTS, AugmentResult
 from trueup.report.augment_words import against
+from trueup.report.numbers import NOTHING
 
 
 def duel(result: AugmentResult, model: str, other: str, condition: str, signal: str = "torque") -> str:
@@ -38,17 +39,21 @@ def duel(result: AugmentResult, model: str, other: str, condition: str, signal: 
     if verdict == "worse":
         turned, _ = against(result, other, model, condition, signal)
         return f"the MSE of `{model}` is {factor(turned or found)} times larger than that of `{other}`"
-    return f"between `{model}` and `{other}` nothing is decided ({factor(found)})"
+    return f"no significant difference between `{model}` and `{other}` ({factor(found)})"
 
 
 def rivals(lab: AugmentResult) -> str:
     """Our two networks against the best baseline that may see as much, and against the papers' numbers."""
     lines = []
     for test in ("multi-joint", "cartesian"):
-        duels = [duel(lab, model, best_baseline(lab, model, test), test) for model in (PRECISE, REAL_TIME)]
-        lines.append(f"- {TEST_NAMES[test].capitalize()}, against the best baseline: {'; '.join(duels)}.")
-        duels = [duel(lab, model, PAPER_OF[model], test) for model in (PRECISE, REAL_TIME)]
-        lines.append(f"- {TEST_NAMES[test].capitalize()}, against the papers' numbers: {'; '.join(duels)}.")
+        duels = []
+        for model in (PRECISE, REAL_TIME):
+            told = []
+            for other in (best_baseline(lab, model, test), PAPER_OF[model]):
+                found, verdict = against(lab, model, other, test, "torque")
+                told.append(f"`{other}` {NOTHING if found is None else factor(found, verdict)}")
+            duels.append(f"`{model}` against {' and '.join(told)}")
+        lines.append(f"- {TEST_NAMES[test].capitalize()}: {'; '.join(duels)}.")
     return "\n".join(lines)
 
 
@@ -60,22 +65,10 @@ def best_baseline(lab: AugmentResult, model: str, test: str) -> str:
     return min(known, key=lambda name: lab.model(name).cuts[test]["torque"][ALL_JOINTS].mse.value)
 
 
-def average(lab: AugmentResult) -> str:
+def average() -> str:
     """The thesis's own baseline."""
     there = 1 / (1 - THESIS_AVERAGE_PERCENT / 100) ** 2
-    cuts = [lab.model("moving-average").cuts[test]["torque"][ALL_JOINTS] for test in ("multi-joint", "cartesian")]
-    here = " and ".join(factor(item.factor, item.verdict) for item in cuts)
-    return (
-        f"Averaging over 0.5 s cut the thesis's torque RMSE by {THESIS_AVERAGE_PERCENT} %, so its MSE by a factor of "
-        f"{there:.1f} (6.1); here, joints together, by {here}."
-    )
-
-
-def units(data: Learned) -> str:
-    """What a network gains from having seen several units."""
-    return (
-        ". ".join(f"On unit {unit}, {duel(result, ZOO, REAL_TIME, '')}" for unit, result in data.others.items()) + "."
-    )
+    return f"Averaging over 0.5 s gave a factor of {there:.1f} in the thesis (6.1)."
 
 
 def rough(data: Learned) -> str:
@@ -85,13 +78,14 @@ def rough(data: Learned) -> str:
         good = joint_cuts(data.lab, model, "multi-joint", "torque")
         bad = joint_cuts(data.rough, name, "multi-joint", "torque")
         ratios = [bad[joint].rmse.value / good[joint].rmse.value for joint in good]
-        lines.append(f"`{name}` leaves {span(ratios)} times the RMSE that `{model}` leaves, by joint")
+        left = span((item.rmse.value for item in bad.values()), 2)
+        lines.append(f"`{name}` leaves {left} Nm, {span(ratios)} times what `{model}` leaves")
     thesis = [bad / good for bad, good in zip(THESIS_BAD[1], THESIS_GOOD[1], strict=True)]
-    joint, cut = least_cut(joint_cuts(data.rough, "rough", "multi-joint", "torque"))
+    simulated = data.rough.simulated["multi-joint"]["torque"]
+    before = span((simulated[joint].rmse.value for joint in data.rough.joints), 2)
     return (
-        f"{'; '.join(lines)}. In the thesis it was {span(thesis[1:])} times, and {thesis[0]:.0f} times on joint 0. "
-        f"With `rough`, least is gained on {joint}: the MSE falls by a factor of {factor(cut.factor, cut.verdict)}. "
-        "(Two networks on two simulators: these ratios have no paired interval.)"
+        f"of {before} Nm, {'; '.join(lines)}. In the thesis (6.4) it was {span(thesis[1:])} times, and {thesis[0]:.0f} "
+        "times on joint 0."
     )
 
 
@@ -116,20 +110,16 @@ def _loss_words(verdicts: Mapping[int, str]) -> str:
     """`better` is the residual loss."""
     by = {kind: [count for count, verdict in verdicts.items() if verdict == kind] for kind in ("better", "worse")}
     if len(by["worse"]) == len(verdicts):
-        return "the plain loss leaves less whatever the amount, as the thesis found"
+        return "the plain loss is better with every amount, as in the thesis"
     if not by["better"] and not by["worse"]:
-        return "nothing is decided between the two losses; the thesis found the plain one better everywhere"
+        return "no significant difference between the losses; in the thesis the plain one is better everywhere"
     parts = [
-        f"the {loss} loss leaves less with {listed(map(str, by[kind]))} motions"
+        f"the {loss} loss is better with {listed(map(str, by[kind]))} motions"
         for kind, loss in (("better", "residual"), ("worse", "plain"))
         if by[kind]
     ]
-    rest = len(verdicts) - len(by["better"]) - len(by["worse"])
-    parts += [f"with {rest} of {len(verdicts)} amounts nothing is decided"] if rest else []
-    ending = (
-        "against the thesis, which found the plain one better everywhere" if by["better"] else "as the thesis found"
-    )
-    return f"{'; '.join(parts)}: {ending}"
+    ending = "unlike in the thesis, where the plain one is better everywhere" if by["better"] else "as in the thesis"
+    return f"{'; '.join(parts)}, {ending}"
 
 
 def _more_words(amounts: AugmentResult, counts: Sequence[int], test: str) -> str:
@@ -140,10 +130,10 @@ def _more_words(amounts: AugmentResult, counts: Sequence[int], test: str) -> str
     if found is None:
         return f"{told} was not compared"
     if verdict == "better":
-        return f"{told} still gains: MSE {factor(found)} times smaller"
+        return f"{told} still improves: MSE {factor(found)} times smaller"
     if verdict == "worse":
-        return f"{told} gains nothing more: the MSE grew (factor {factor(found)})"
-    return f"{told} gains nothing that is decided ({factor(found)})"
+        return f"{told} gets worse (factor {factor(found)})"
+    return f"{told} does not improve significantly ({factor(found)})"
 
 
 def promises(data: Learned) -> str:
@@ -151,8 +141,8 @@ def promises(data: Learned) -> str:
     seen = [(data.lab, model, test) for model in (PRECISE, REAL_TIME) for test in ("multi-joint", "single-joint")]
     lines = [(data.lab, model, "cartesian") for model in (PRECISE, REAL_TIME)]
     units = [(result, model, "") for result in data.others.values() for model in (PRECISE, REAL_TIME, ZOO)]
-    groups = {"on motions of the kinds that were trained on": seen, "on straight lines": lines, "on other units": units}
-    return f"Less than promised for sure: {'; '.join(f'{_broken(group)} {where}' for where, group in groups.items())}."
+    groups = {"on motions of the trained kinds": seen, "on straight lines": lines, "on other units": units}
+    return f"Significantly below: {'; '.join(f'{_broken(group)} {where}' for where, group in groups.items())}."
 
 
 def _broken(group: Sequence[tuple[AugmentResult, str, str]]) -> str:
@@ -184,11 +174,9 @@ def training(data: Learned) -> str:
     for model, paper in PAPER_OF.items():
         ours, theirs = data.training[model], data.training[paper]
         left = [f"{val_left(item, 'torque'):.1f}" for item in (ours, theirs)]
-        lines.append(
-            f"`{model}` took {ours['seconds'] / theirs['seconds']:.2f} times the seconds of `{paper}` and leaves "
-            f"{left[0]} % of the torque MSE on val, mean of the joints; `{paper}` leaves {left[1]} %."
-        )
-    return " ".join(lines)
+        times = ours["seconds"] / theirs["seconds"]
+        lines.append(f"`{model}` takes {times:.2f} times as long as `{paper}` and leaves {left[0]} %, not {left[1]} %")
+    return f"Training, and torque MSE left on val: {'; '.join(lines)}."
 
 
 def val_left(item: Mapping[str, Any], signal: str) -> float:
@@ -207,8 +195,8 @@ def arm_bars(data: Learned) -> str:
     if not kept:
         return "The identified simulator alone keeps none of the bars."
     return (
-        f"The identified simulator alone, {own:.5f} rad, already keeps the bar of {listed(kept)}: what a network adds "
-        "is what the paired comparison below says, and nothing else."
+        f"The identified simulator alone, {own:.5f} rad, already keeps the bar of {listed(kept)}, so only the "
+        "paired comparison says what a network adds."
     )
 
 
@@ -228,11 +216,11 @@ def claims(arm: AugmentResult) -> str:
                 kinds.setdefault(cuts[joint].verdict, []).append(joint)
         for kind, joints in kinds.items():
             {"better": claimed, "worse": harmed}.get(kind, open_ones).append(f"{name}: {listed(joints)}")
-    lines = [f"Claimed: {'; '.join(claimed)}." if claimed else "No improvement is claimed."]
-    lines += [f"Made worse for sure: {'; '.join(harmed)}."] if harmed else []
-    lines += [f"Not claimed, since the paired interval holds 1: {'; '.join(open_ones)}."] if open_ones else []
+    lines = [f"Significantly better: {'; '.join(claimed)}." if claimed else "No improvement is significant."]
+    lines += [f"Significantly worse: {'; '.join(harmed)}."] if harmed else []
+    lines += [f"Not significant: {'; '.join(open_ones)}."] if open_ones and (claimed or harmed) else []
     names = [model.name for model in arm.models]
-    lines += [f"Joints together, {duel(arm, names[-1], names[0], '', 'position')}."] if len(names) > 1 else []
+    lines += [f"Joints together: {duel(arm, names[-1], names[0], '', 'position')}."] if len(names) > 1 else []
     return " ".join(lines)
 
 
@@ -247,5 +235,5 @@ def harms(lab: AugmentResult) -> str:
         if cut.verdict == "worse"
     ]
     if not worse:
-        return f"Neither `{PRECISE}` nor `{REAL_TIME}` makes any output of any test worse for sure."
-    return f"Worse for sure: {'; '.join(worse)}."
+        return f"Neither `{PRECISE}` nor `{REAL_TIME}` makes any output of any test significantly worse."
+    return f"Significantly worse: {'; '.join(worse)}."

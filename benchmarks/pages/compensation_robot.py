@@ -9,45 +9,36 @@ from benchmarks.pages.augment_cells import span
 from benchmarks.pages.compensation import over_neighbors
 from benchmarks.pages.markdown import table
 
-# Reference -> title, how many of the metrics.
-REFERENCES = {
-    "simulator": ("Against the simulator with empty hands", 6),
-    "target": ("Against the targets", 2),
+# Reference and metric -> head, factor, digits.
+COLUMNS = {
+    ("simulator", "mae"): ("mean error [mrad]", 1e3, 1),
+    ("target", "mae"): ("to the targets [mrad]", 1e3, 1),
+    ("simulator", "large_gap_ratio"): ("large gaps [%]", 1e2, 2),
+    ("simulator", "smoothness"): ("smoothness [rad/s²]", 1.0, 2),
 }
-# Metric -> head, factor, digits.
-METRICS = {
-    "mae": ("mean error [mrad]", 1e3, 1),
-    "large_gap_ratio": ("large gaps [%]", 1e2, 2),
-    "iqr": ("interquartile range [mrad]", 1e3, 1),
-    "range": ("range [mrad]", 1e3, 0),
-    "trajectory_consistency": ("consistency [rad/s²]", 1.0, 2),
-    "smoothness": ("smoothness [rad/s²]", 1.0, 2),
+# Test -> what is said of its payloads, and which of them are shown [kg].
+TESTS = {
+    "test": ("", ("0", "2", "3")),
+    "test-unseen-payload": (", untrained", ("3.5",)),
+    "test-200hz": (", targets at 200 Hz", ("3",)),
 }
-TESTS = {"test": "50 Hz", "test-unseen-payload": "50 Hz, payload never trained", "test-200hz": "targets at 200 Hz"}
 TEXT = """## On a robot
 
-A network for the robot, trained on the identified simulator of three individuals so that the robot moves as the stock
-simulator does with empty hands ([how](compensation.md#for-the-robot-itself)), beside a fourth individual of the virtual
-hardware that no training has seen, on motions that none has seen, standing, squatting and walking. The same motions
-were recorded without it. It is told what is carried. {seeds} of training: {minutes} min on one core; the tables are of
-the first.
+A network for the robot ([how](compensation.md#for-the-robot-itself)), trained so that the robot with its payload moves
+as the stock simulator does with empty hands. It runs beside the held-out individual, standing, squatting and walking,
+and is told the payload. {seeds} of training, {minutes} min on one core each; the table is of the first.
 
 ```sh
 python -m benchmarks compensation_robot
 ```
 
-Each cell: without, with, and the difference with its 95 % interval over whole motions, paired. Large gaps are errors of
-{tau:g} rad and more.
+Each cell: without, with, and the paired difference with its 95 % interval over motions. Errors are to the simulator
+unless the head says otherwise; large gaps are errors of {tau:g} rad and more.
 
-{tables}
+{table}
 
-Positions come nearer; accelerations do not: with what the network adds, consistency and smoothness, which are
-differences of accelerations, are {rougher} times those without. With payloads that were never trained, the mean error
-to the simulator is {unseen} times that of the worse of the trained neighbors.
-
-{spread}
-
-The third figure of Table 2, robustness, is the noise that it adds, and says nothing of a robot ([why](metrics.md)).
+The price is rougher accelerations: consistency and smoothness are {rougher} times those without. Untrained payloads
+have {unseen} times the error of the worse trained neighbor. {spread}
 """
 
 
@@ -55,30 +46,31 @@ def part(result: Mapping[str, Any]) -> str:
     """The section as Markdown."""
     seeds = result["seeds"]
     tests = next(iter(seeds.values()))["tests"]
-    minutes = ", ".join(f"{own['minutes']:.0f}" for own in seeds.values())
+    minutes = span((own["minutes"] for own in seeds.values()), 0)
     return TEXT.format(
         seeds=f"{len(seeds)} seeds" if len(seeds) > 1 else "One seed",
         minutes=minutes,
         tau=result["tau_rad"],
+        table=by_payload(tests),
         rougher=span(rougher_by(tests), 1),
         unseen=span(_unseen(tests)),
         spread=_spread(seeds),
-        tables="\n\n".join(
-            f"### {title}\n\n{by_payload(tests, reference, count)}" for reference, (title, count) in REFERENCES.items()
-        ),
     )
 
 
-def by_payload(tests: Mapping[str, Any], reference: str, count: int) -> str:
-    """A row for each payload at each rate, a column for each of the first metrics."""
-    shown, rows = dict(list(METRICS.items())[:count]), []
-    for test, title in TESTS.items():
+def by_payload(tests: Mapping[str, Any]) -> str:
+    """A row for each payload at each rate."""
+    rows = []
+    for test, (said, payloads) in TESTS.items():
         if test in tests:
-            for payload, references in tests[test]["payloads"].items():
-                found = references[reference]
-                cells = [_cell(found[metric], factor, digits) for metric, (_, factor, digits) in shown.items()]
-                rows.append([payload, title, *cells])
-    return table(["kg", "", *(head for head, _, _ in shown.values())], rows, left=2)
+            for payload in payloads:
+                found = tests[test]["payloads"][payload]
+                cells = [
+                    _cell(found[where][metric], factor, digits)
+                    for (where, metric), (_, factor, digits) in COLUMNS.items()
+                ]
+                rows.append([f"{payload} kg{said}", *cells])
+    return table(["", *(head for head, _, _ in COLUMNS.values())], rows)
 
 
 def _spread(seeds: Mapping[str, Any]) -> str:
@@ -88,8 +80,8 @@ def _spread(seeds: Mapping[str, Any]) -> str:
         kg: [1e3 * own["tests"]["test"]["payloads"][kg]["simulator"]["mae"]["compensated"] for own in seeds.values()]
         for kg in payloads
     }
-    said = "; ".join(f"{', '.join(f'{error:.1f}' for error in own)} mrad at {kg} kg" for kg, own in errors.items())
-    return f"From seed to seed, the mean error to the simulator is {said}."
+    said = "; ".join(f"{', '.join(f'{error:.1f}' for error in own)} ({kg} kg)" for kg, own in errors.items())
+    return f"Mean error by seed [mrad]: {said}."
 
 
 def rougher_by(tests: Mapping[str, Any]) -> list[float]:

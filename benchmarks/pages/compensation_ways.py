@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,17 +10,14 @@ import numpy as np
 from benchmarks.pages.compensation import cell
 from benchmarks.pages.markdown import table
 
-WAYS = {
-    "direct": "directly, through rollouts and slopes",
-    "delta": "delta action by delta action",
-    "ppo": "by reinforcement (PPO)",
-}
+WAYS = ("direct", "delta", "ppo")
+# Payloads of the table [kg].
+SHOWN = ("0", "3")
 TEXT = """## Three ways to train
 
-One operator for the stock simulator, trained on the same data in [three ways](compensation.md#how-it-learns); mean
-error [mrad] on the unseen motions of an unseen individual, with its 95 % interval over motions. One seed. Energy is
-processor time at a stated 8 W a core, nothing measured it; what all three share, the linear models of the train
-motions, is left out. `val` are other motions of the individuals that were trained on, all payloads together.
+One operator for the stock simulator, trained in each of the [three ways](compensation.md#how-it-learns) on the same
+data, one seed. Mean error [mrad] on the held-out individual with its 95 % interval over motions; `val` are other
+motions of the trained individuals. The time is without the linear models, which all three share.
 
 ```sh
 python -m benchmarks compensation_ways
@@ -35,23 +32,22 @@ python -m benchmarks compensation_ways
 def part(result: Mapping[str, Any]) -> str:
     """The section as Markdown."""
     payloads = sorted(result["none"]["test"], key=float)
-    rows = [["not at all", *_cells(result["none"], payloads), "", "", ""]]
-    for way, title in WAYS.items():
+    rows = [["untrained", *_cells(result["none"], SHOWN), "", ""]]
+    for way in WAYS:
         own = result["ways"][way]
         rows.append(
             [
-                title,
-                *_cells(own["tables"], payloads),
+                f"`{way}`",
+                *_cells(own["tables"], SHOWN),
                 f"{1e3 * own['val']:.1f}",
                 f"{own['cpu_seconds']:.0f}",
-                f"{own['joules'] / 1e3:.1f}",
             ]
         )
-    heads = ["trained", *(f"{kg} kg" for kg in payloads), "val", "processor time [s]", "energy [kJ]"]
+    heads = ["way", *(f"{kg} kg" for kg in SHOWN), "val", "processor time [s]"]
     return TEXT.format(table=table(heads, rows), verdict=_verdict(result, payloads))
 
 
-def _cells(tables: Mapping[str, Any], payloads: list[str]) -> list[str]:
+def _cells(tables: Mapping[str, Any], payloads: Sequence[str]) -> list[str]:
     return [cell(1e3 * np.array(tables["test"][kg]["mae"]), 1) for kg in payloads]
 
 
@@ -65,13 +61,12 @@ def _verdict(result: Mapping[str, Any], payloads: list[str]) -> str:
     best, chosen = min(means, key=means.__getitem__), min(vals, key=vals.__getitem__)
     times = result["ways"]["ppo"]["cpu_seconds"] / result["ways"]["direct"]["cpu_seconds"]
     said = (
-        f"Over all payloads, {means['direct'] * 1e3:.1f} mrad directly, {means['delta'] * 1e3:.1f} delta action by "
-        f"delta action, {means['ppo'] * 1e3:.1f} by reinforcement, which takes {times:.1f} times the processor time of "
-        "the first. "
+        f"Over all payloads: `direct` {means['direct'] * 1e3:.1f} mrad, `delta` {means['delta'] * 1e3:.1f}, "
+        f"`ppo` {means['ppo'] * 1e3:.1f} in {times:.1f} times the processor time of `direct`. "
     )
     if best == chosen:
-        return f"{said}The least error is that of `{best}`, on val too."
+        return f"{said}`{best}` has the smallest error, on val too."
     return (
-        f"{said}The least error on this individual is that of `{best}`; on val, which chooses, `{chosen}` is ahead "
-        f"({vals[chosen]:.1f} to {vals[best]:.1f} mrad), and is the default."
+        f"{said}`{best}` has the smallest error on this individual, `{chosen}` on val ({vals[chosen]:.1f} against "
+        f"{vals[best]:.1f} mrad), which decides: `{chosen}` is the default."
     )

@@ -3,54 +3,78 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 from benchmarks.__main__ import LONG, NAMES
-from benchmarks.figures import cells, known
+from benchmarks.figures import known, rows_of
+from benchmarks.pages.grouped import grouped, shown
 from benchmarks.pages.markdown import table
+from benchmarks.table import bound
 
-TEXT = """# Benchmarks
+TEXT = """# All benchmarks
 
 ```sh
-python -m benchmarks
+make bench                      # install the programs to compare with, then measure everything that takes minutes
+python -m benchmarks            # the same without installing
+python -m benchmarks NAME       # one benchmark
+python -m benchmarks --anew     # everything: a day
+python -m benchmarks --table    # print all stored figures, measure nothing
 ```
 
-measures everything that takes minutes, and prints one table of all figures: what was measured, its limit, or the peer
-that it is held against, the ratio, the date and the commit. What takes hours ({long}) stands in it as it was kept;
-`--anew` measures that again, too, `python -m benchmarks NAME` one alone, and `--table` nothing. `make bench` installs
-the peers first. Timings are compared within one run, for machines differ; what was promised is a ratio wherever there
-is somebody to stand beside.
-
-Here are the figures that have a limit: {kept} are kept, {missed} missed. Figures without one are in the table of the
-command.
+Each run prints figures beside their limits and exits with 1 if one misses its limit. This page shows the stored
+figures that have a limit: {kept} keep it, {missed} miss it. `--table` also prints the figures without a limit. Since
+machines differ, a limit on speed is a ratio to another program in the same run wherever there is one to compare with.
 {absent}
-{tables}
+## Missed limits
+
+{missed_table}
+
+## Kept limits
+
+Where several figures have the same limit, the row shows the one nearest to it.
+
+{kept_table}
+
+## When they were measured
+
+Benchmarks with a \\* take hours. They are measured only by name or with `--anew`.
+
+{when}
 """
+LONG_MARK = "\\*"
+HEADS = ("figure", "found", "limit")
 
 
 def pages() -> dict[str, str]:
     """The page, from all that is kept."""
     found = {name: entry for name in NAMES if (entry := known(name)) is not None}
-    lines = {name: [line for line in cells(name, entry) if line[3]] for name, entry in found.items()}
-    words = [line[6] for own in lines.values() for line in own]
+    rows = [(name, asdict(row)) for name, entry in found.items() for row in rows_of(entry) if row.limit is not None]
     absent = [name for name in NAMES if name not in found]
     return {
         "benchmarks.md": TEXT.format(
-            long=", ".join(f"`{name}`" for name in LONG),
-            kept=words.count("ok"),
-            missed=words.count("MISSED"),
+            kept=sum(row["ok"] for _, row in rows),
+            missed=sum(not row["ok"] for _, row in rows),
             absent=f"\nNot measured yet: {', '.join(f'`{name}`' for name in absent)}.\n" if absent else "",
-            tables="\n\n".join(_section(name, found[name], own) for name, own in lines.items() if own),
+            missed_table=_table(found, ok=False),
+            kept_table=_table(found, ok=True),
+            when=_when(found),
         )
     }
 
 
-def _section(name: str, entry: Mapping[str, Any], lines: list[tuple[str, ...]]) -> str:
-    heads = ["what", "figure", "limit", "ratio", "unit", ""]
-    rows = [[*line[1:6], _word(line[6])] for line in lines]
-    when = f"{entry['created'][:10]}, {entry['git']}"
-    return f"## {name}\n\nMeasured on {when}.\n\n{table(heads, rows)}"
+def _table(found: Mapping[str, Mapping[str, Any]], *, ok: bool) -> str:
+    lines = [
+        (f"`{name}`: {row['name']}", f"{shown(row)}{f' (worst of {count})' if count > 1 else ''}", bound(row))
+        for name, entry in found.items()
+        for row, count in grouped(own for own in map(asdict, rows_of(entry)) if own["ok"] == ok)
+    ]
+    return table(HEADS, lines)
 
 
-def _word(verdict: str) -> str:
-    return "kept" if verdict == "ok" else "**missed**"
+def _when(found: Mapping[str, Mapping[str, Any]]) -> str:
+    """Date and commit -> benchmarks."""
+    runs: dict[tuple[str, str], list[str]] = {}
+    for name, entry in found.items():
+        runs.setdefault((entry["created"][:10], entry["git"]), []).append(f"`{name}`{LONG_MARK * (name in LONG)}")
+    return "\n".join(f"- {date}, `{commit}`: {', '.join(names)}" for (date, commit), names in sorted(runs.items()))

@@ -16,72 +16,67 @@ from benchmarks.pages.markdown import table
 from benchmarks.table import bound
 
 NAME = "verdict-worth.svg"
+# Of what is quoted [characters].
+LONGEST = 70
 ABOUT = "How far the truth is from each number called determined, in units of its interval"
 TEXT = """# What the verdict is worth
 
-`trueup identify` says of each number whether the data determine it, and of itself whether it is `ok`
-([how sure](identification.md#how-sure)). Here this is held against the truth, on robots of other people. Their logs are
-simulated at {step_ms:g} ms by code that shares nothing with trueup, in MuJoCo or DART, with noise on every measurement:
+`trueup identify` says of each parameter whether the data determine it, and of the fit whether it is `ok`
+([how sure](identification.md#how-sure)). This note compares these statements with the truth. Robots of other makers are
+simulated at {step_ms:g} ms in MuJoCo or DART by code that shares nothing with trueup, with noise on every measurement:
 
-- **Group A**, {a} robots with a drive each: the nominal model is wrong in numbers that a fit can find, such as gains,
-  friction, armatures, delays and masses.
-- **Group B**, {b} robots: the same, and one thing that no number expresses: late feedback, an integral part,
-  play or springs in the gears, a payload that nobody mentions, a sign that is wrong in the log.
+- **Group A**, {a} robots: the nominal model has wrong parameters that a fit can find (gains, friction, armatures,
+  delays, masses).
+- **Group B**, {b} robots: the same, and one thing that no parameter expresses: late feedback, an integral term,
+  backlash or elasticity in the gears, an unknown payload, a wrong sign in the log.
 
-Each is drawn with {seeds} seeds and given to the command as its user would, without any configuration:
+Each case is drawn with {seeds} seeds and identified without any configuration:
 `trueup close logs --robot robot.yaml --out out --until identify --splits 70/15/15`.
 
 {missing}## The bars
 
 {bars}
 
-A number *called determined* was fitted and has `identified: yes`. It *holds the truth* if the truth lies in its
-interval; numbers without a truth are not counted. *Error* is that of numbers that are positive by nature (gains,
-friction, armatures, masses, delays), relative to the truth. What a fit leaves is held against the noise that was added
-to the positions, not against what the fit takes for noise. A fit that did not come about keeps no bar.
+A parameter is *called determined* if it was fitted and has `identified: yes`. It *holds the truth* if the truth is in
+its interval. *Error* is relative to the truth and only of positive quantities (gains, friction, armatures, masses,
+delays). The noise is the one that was added to the positions. The narrowest widths are the Cramér-Rao bound at the
+truth with the fit's priors, of seed {oracle_seed}.
 
-## Robots whose model can be right
+## Group A: the model can be right
 
 {robots}
 
-*Status* is said by seed. *Determined* is of the numbers that were fitted, over all seeds; *error* is a median, *left /
-noise* that of the worst seed, *s* the time of the whole command, a median. *Widths* are those of intervals over the
-narrowest that there can be, of seed {oracle_seed}, as a median over the numbers called determined. These know the
-robot, its time step, the timing of commands and the noise: they are the Cramér-Rao bound at the truth, with the fit's
-priors, from the same motions, in plain MuJoCo at {step_ms:g} ms.
+*Determined* counts the fitted parameters over all seeds, *error* and *widths* are medians, *left / noise* is the worst
+seed's remaining error over the noise.
 
 {remarks}
 
 ![{about}]({name})
 
-By kind of number:
+By kind of parameter:
 
 {kinds}
 
-## Robots with something that no number expresses
+## Group B: the model lacks something
 
 {causes}
 
-A cause is *named* if a finding of the [check](check.md) that is certain or likely, or a sentence of the fit, says one
-of the words for it; if that names joints, one of them must be the cause's. Causes that a sentence says were looked for
-in vain do not count. The words:
+A cause is *named* if a certain or likely finding of the [check](check.md), or a sentence of the fit, has a word for it
+and, if it names joints, at least one of the right ones; `ACCEPTED` in `benchmarks/foreign_verdicts.py` lists the words.
+A cause that is named second, as looking alike, counts.
+*Wrong* counts determined parameters whose interval does not hold the truth; in fits with status `ok` they break the
+bar. `stopped` means that the check was certain and nothing was fitted.
 
-{words}
-
-*Wrong* counts numbers called determined whose interval does not hold the truth; where the status is `ok`, they break
-the bar. `stopped` means that the check was certain, so that nothing was fitted. A payload belongs to the mass of the
-body that it hangs at.
-
-## Make this page again
+## Measure it again
 
 ```sh
 python -m benchmarks foreign --oracle
+make pages
 ```
 
-measures what `benchmarks/results/foreign.json` does not have yet, and `make pages` writes the page. A call that is
-interrupted loses the cell that it was at. `--cases demo_arm,ur5e`, `--seeds 0` and `--jobs 2` choose what is measured,
-and how many at a time; `--again` measures what is there, too; without `--oracle`, the narrowest intervals are left
-out. The file has every number of every fit, so that it can be asked something else.
+The first command measures what `benchmarks/results/foreign.json` lacks; the file has every parameter of every fit.
+`--cases demo_arm,ur5e`, `--seeds 0` and `--jobs 2` choose, `--again` repeats. Without `--oracle`, the widths are left
+out.
 """
 
 
@@ -99,7 +94,6 @@ def page(result: Mapping[str, Any]) -> str:
         robots=robot_table(a, verdicts.ratios(result)) if a else "Not measured yet.",
         oracle_seed=ORACLE_SEED,
         remarks="\n\n".join(filter(None, remarks(result))),
-        words=word_table(),
         about=ABOUT,
         name=NAME,
         kinds=kind_table(verdicts.all_numbers(cell for own in a.values() for cell in own))
@@ -144,12 +138,15 @@ def missing_words(result: Mapping[str, Any]) -> str:
             for name, seeds in cells.items()
             if len(seeds) < len(SEEDS)
         ]
+        if len(cells) == len(BY_NAME) and not whole and len(set(map(tuple, cells.values()))) == 1:
+            parts = [f"every robot with seed {' and '.join(map(str, next(iter(cells.values()))))}"]
         names = "; ".join([f"all of {', '.join(whole)}"] * bool(whole) + parts)
         said.append(f"{count} of {len(SEEDS) * len(BY_NAME)} fits are missing: {names}.")
     if oracles := left.get("oracles"):
-        names = ", ".join(f"`{name}`" for name in oracles)
+        every = len(oracles) == sum(case.group == "A" for case in BY_NAME.values())
+        names = "every robot" if every else ", ".join(f"`{name}`" for name in oracles)
         said.append(f"The narrowest intervals are missing of {names}.")
-    return f"**Incomplete.** {' '.join(said)}\nWhat follows is about the others.\n\n"
+    return f"**Incomplete.** {' '.join(said)}\n\n"
 
 
 def bar_table(result: Mapping[str, Any]) -> str:
@@ -169,7 +166,7 @@ def bar_table(result: Mapping[str, Any]) -> str:
 
 def robot_table(cases: Mapping[str, Sequence[Cell]], ratios: Mapping[str, float]) -> str:
     """One row per robot and drive of group A."""
-    heads = ("robot", "drive, commands", "engine", "status", "determined", "hold the truth", "error", "left / noise")
+    heads = ("robot", "drive, commands, engine", "status", "determined", "hold the truth", "error", "left / noise")
     rows = []
     for case, cells in cases.items():
         numbers = verdicts.all_numbers(cells)
@@ -177,18 +174,16 @@ def robot_table(cases: Mapping[str, Sequence[Cell]], ratios: Mapping[str, float]
         rows.append(
             (
                 f"`{case}`",
-                f"{cells[0]['drive']}, {cells[0]['commands']}",
-                cells[0]["engine"],
+                ", ".join(cells[0][key] for key in ("drive", "commands", "engine")),
                 ", ".join(_status(cell) for cell in cells),
-                f"{len(verdicts.called(numbers))} of {sum(not row['frozen'] for row in numbers)}",
+                f"{len(verdicts.called(numbers))}/{sum(not row['frozen'] for row in numbers)}",
                 _held(numbers),
                 _percent(verdicts.middle_error(numbers)),
                 f"{max(left):.2f}" if left else "",
-                f"{ratios[case]:.2f}" if case in ratios else "",
-                f"{median(cell['seconds'] for cell in cells):.0f}",
+                *([f"{ratios[case]:.2f}" if case in ratios else ""] if ratios else []),
             )
         )
-    return table((*heads, "widths", "s"), rows, left=4)
+    return table((*heads, "widths") if ratios else heads, rows, left=3)
 
 
 def kind_table(rows: Sequence[Number]) -> str:
@@ -208,7 +203,7 @@ def kind_table(rows: Sequence[Number]) -> str:
 
 def cause_table(cases: Mapping[str, Sequence[Cell]]) -> str:
     """One row per fit of group B, since what is said differs from seed to seed."""
-    heads = ("robot", "seed", "cause", "status", "named", "what was said", "wrong", "left / noise", "s")
+    heads = ("robot", "cause", "status", "named", "what was said", "wrong", "left / noise")
     rows = []
     for case, cells in cases.items():
         for cell in cells:
@@ -216,18 +211,16 @@ def cause_table(cases: Mapping[str, Sequence[Cell]]) -> str:
             wrong = [row for row in judged if not verdicts.holds(row)]
             rows.append(
                 (
-                    f"`{case}`",
-                    str(cell["seed"]),
+                    f"`{case}`, seed {cell['seed']}",
                     cell["cause"]["kind"],
                     _status(cell),
                     "yes" if verdicts.naming(cell) else "**no**",
                     _said(cell),
-                    f"{len(wrong)} of {len(judged)}" if cell["numbers"] else "",
+                    f"{len(wrong)}/{len(judged)}" if cell["numbers"] else "",
                     "" if left is None else f"{left:.2f}",
-                    f"{cell['seconds']:.0f}",
                 )
             )
-    return table(heads, rows, left=6)
+    return table(heads, rows, left=5)
 
 
 def _said(cell: Cell) -> str:
@@ -240,17 +233,13 @@ def _said(cell: Cell) -> str:
         text = cell["statements"][0]
     else:
         text = (cell["said"].splitlines() or [""])[-1]
-    text = " ".join(text.split()).replace("|", "\\|").replace("<", "&lt;")
-    return text if len(text) <= 220 else f"{text[:220].rsplit(' ', 1)[0]} …"
-
-
-def word_table() -> str:
-    """What names a cause."""
-    rows = [
-        (cause, ", ".join(f"`{kind}`" for kind in kinds), " ".join(f"`{word}`" for word in words))
-        for cause, (kinds, words) in verdicts.ACCEPTED.items()
-    ]
-    return table(("cause", "kind of finding", "words of a sentence, as regular expressions"), rows, left=3)
+    text = " ".join(text.split()).removeprefix("what the model lacks: ").removeprefix("the robot carries ")
+    if len(text) > LONGEST:
+        clause = next((part for part in text.split(";")[1:] if verdicts.names_cause(cell, part)), "")
+        text = f"{text[:LONGEST].rsplit(' ', 1)[0]} …"
+        if clause and not verdicts.names_cause(cell, text):
+            text += clause
+    return text.replace("|", "\\|").replace("<", "&lt;")
 
 
 def remarks(result: Mapping[str, Any]) -> Iterator[str]:
@@ -281,8 +270,7 @@ def _sum_words(sums: Sequence[Number]) -> str:
     """What is known of sums whose parts are not."""
     held = sum(map(verdicts.holds, sums))
     return (
-        "On a position servo, `kv` and `damping` act alike, and mostly only their sum shows. A fit states no sums, so\n"
-        "they are in no bar; a part that it calls determined counts by itself. Over all "
+        "On a position servo, `kv` and `damping` act alike, and mostly only their sum can be identified. Over all "
         f"{len(sums)} joints of such servos\nthe sum is off by {100 * verdicts.sum_error(sums):.1f} % (median), and "
         f"95 % of the draws in `fit.samples.npz` hold the true one in {held}."
     )
@@ -296,12 +284,13 @@ def _machine_words(result: Mapping[str, Any]) -> str:
     machines, commits = (sorted({str(own[key]) for own in made}) for key in ("machine", "git"))
     days = sorted({own["created"][:10] for own in made})
     when = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
-    several = ", which are several" if len(commits) > 1 else ""
     budgets = sorted({cell["budget"] for cell in result["cells"].values() if "budget" in cell})
     given = sum("budget" in cell for cell in result["cells"].values())
-    more = f" {given} of the commands had `--budget {', '.join(budgets)}`, on cores with other work." if given else ""
+    more = f" {given} of the commands had `--budget {', '.join(budgets)}`, on busy cores." if given else ""
+    seconds = [cell["seconds"] for cell in result["cells"].values()]
+    more += f" A command took {median(seconds):.0f} s (median), {max(seconds):.0f} s at most." if seconds else ""
     named = ", ".join(f"`{own}`" for own in commits)
-    return f"Measured on {'; '.join(machines)}, {when}, commit {named}{several}.{more}"
+    return f"Measured on {'; '.join(machines)}, {when}, {'commits' if len(commits) > 1 else 'commit'} {named}.{more}"
 
 
 def _status(cell: Cell) -> str:
@@ -311,7 +300,7 @@ def _status(cell: Cell) -> str:
 
 def _held(rows: Sequence[Number]) -> str:
     judged = verdicts.judged(rows)
-    return f"{sum(map(verdicts.holds, judged))} of {len(judged)}" if judged else ""
+    return f"{sum(map(verdicts.holds, judged))}/{len(judged)}" if judged else ""
 
 
 def _percent(share: float | None) -> str:

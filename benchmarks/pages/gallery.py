@@ -35,10 +35,8 @@ EXAMPLES = (
 )
 TEXT = """# Gallery
 
-One script for each question, in `examples/` of a checkout. What they print and show below is what they printed and
-showed on {date}; times are those of a busy machine. A test runs all of them.
-`pip install '.[learn,rl,plan]' 'gymnasium[mujoco]'` has all that they need, and `python -m benchmarks.pages.gallery`
-makes this page again.
+One script for each question, and what it prints on a busy machine. They need
+`pip install '.[learn,rl,plan]' 'gymnasium[mujoco]'`.
 
 {sections}
 """
@@ -89,8 +87,7 @@ def pages() -> Mapping[str, str]:
         shown = f"![{result['examples'][name]['figure']['title']}]({file})\n\n" if file in drawn else ""
         printed = result["examples"][name]["printed"]
         sections.append(SECTION.format(question=asks, about=about, figure=shown, name=name, printed=printed))
-    date = result["provenance"]["created"][:10]
-    page = TEXT.format(date=date, sections="\n".join(sections).rstrip())
+    page = TEXT.format(sections="\n".join(sections).rstrip())
     return {NAME: page, **drawn}
 
 

@@ -10,16 +10,16 @@ from trueup.identify import QUANTITIES
 from trueup.measure import METRICS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-_BETTER = {True: "lower", False: "higher", None: "nearer to 0"}
-_UNITS = {"signal": "of the signal", "signal^2": "squared", "signal/s^2": "signal/s²"}
+_BETTER = {True: "", False: " ↑", None: " 0"}
+_UNITS = {"signal^2": "signal²", "signal/s^2": "signal/s²"}
 
 
 def pages() -> Mapping[str, str]:
     """Page -> its text with its table as the code has it."""
     return {
         "logs.md": _with_table("logs.md", ("name", "looks for", "one episode is", "what is assumed"), _formats()),
-        "metrics.md": _with_table("metrics.md", ("name", "formula", "unit", "better", "signals", "source"), _metrics()),
-        "good-data.md": _with_table("good-data.md", ("with the joint, or the body", "tells"), _motions()),
+        "metrics.md": _with_table("metrics.md", ("name", "formula", "unit", "signals"), _metrics()),
+        "good-data.md": _with_table("good-data.md", ("what the joint or body does", "shows"), _motions()),
         "augmentation.md": _with_table("augmentation.md", ("method", "what it is", "in a control loop"), _methods()),
     }
 
@@ -34,7 +34,7 @@ def _metrics() -> Iterable[Sequence[str]]:
     for name, item in METRICS.items():
         signals = item.kind if item.kind != "joint" else ", ".join(item.signals) or "all"
         unit, better = _UNITS.get(item.unit, item.unit), _BETTER[item.lower_is_better]
-        yield f"`{name}`", item.description, unit, better, signals, item.source
+        yield f"`{name}`{better}", item.description, unit, signals
 
 
 def _methods() -> Iterable[Sequence[str]]:

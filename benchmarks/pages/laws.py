@@ -13,33 +13,34 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 def pages() -> Mapping[str, str]:
     """Page -> its text with its tables as the laws are."""
     return {
-        name: of((DOCS / name).read_text()) for name, of in (("friction.md", _laws), ("identification.md", _fitted))
+        name: of((DOCS / name).read_text())
+        for name, of in (("friction.md", _laws), ("identification-reference.md", _fitted))
     }
 
 
 def _laws(text: str) -> str:
-    brakes = [_row(name, law, f"`{law.formula}`", _at_rest(law)) for name, law in LAWS.items() if law.brake]
-    others = [_row(name, law, law.formula, law.drive or "any joint") for name, law in LAWS.items() if not law.brake]
-    text = with_rows(text, ("law", "torque", "at rest", "from"), brakes)
-    text = with_rows(text, ("law", "what it does", "of", "from"), others)
-    numbers = [(f"`{own.name}`", own.unit, str(own.default), own.label) for own in NUMBERS]
-    return with_rows(text, ("number", "unit", "default", "meaning"), numbers)
+    laws = [(name.replace("_", " "), _effect(law), law.source) for name, law in LAWS.items()]
+    text = with_rows(text, ("law", "torque or effect", "from"), laws)
+    numbers = [(f"`{own.name}`", str(own.default), f"{own.label} [{own.unit}]") for own in NUMBERS]
+    return with_rows(text, ("number", "default", "meaning"), numbers)
 
 
 def _fitted(text: str) -> str:
-    """Some rows of the table of everything that can be fitted."""
+    """Some rows of the table of everything that can be fitted; numbers of one unit and scale share a row."""
+    alike: dict[tuple[str, str], list[str]] = {}
+    for own in NUMBERS:
+        if own.excite:
+            alike.setdefault((own.unit, own.search.transform), []).append(f"`{own.name}`")
     rows = [
-        f"| `{own.name}` | {own.unit} | joint | {own.search.transform} | friction | the joint's `user` |\n"
-        for own in NUMBERS
-        if own.excite
+        f"| {', '.join(names)} | {unit} | joint | {scale} | friction | `user` |\n"
+        for (unit, scale), names in alike.items()
     ]
-    return re.sub(r"(^\|.*\| the joint's `user` \|\n)+", "".join(rows), text, count=1, flags=re.M)
+    return re.sub(r"(^\|.*\| `user` \|\n)+", "".join(rows), text, count=1, flags=re.M)
 
 
-def _row(name: str, law: Law, formula: str, note: str) -> tuple[str, ...]:
-    return name.replace("_", " "), formula, note, law.source
-
-
-def _at_rest(law: Law) -> str:
-    held = law.brake is not None and law.brake(0.0, 1.0, 1.0, [1.0] * len(law.numbers))
-    return "holds" if held else "zero"
+def _effect(law: Law) -> str:
+    if law.brake is None:
+        return law.formula
+    held = law.brake(0.0, 1.0, 1.0, [1.0] * len(law.numbers))
+    formula = re.sub(r" ([*/+]) ", r"\1", law.formula)
+    return f"`{formula}`, {'holds' if held else 'zero'} at rest"

@@ -14,41 +14,31 @@ NAME = "elsewhere.md"
 
 TEXT = """## Measured side by side
 
-The same task, the same data, the same {threads} cores, on {date} (`{commit}`; the commands stand in
-[what was asked](acceptance.md)). *Ratio* is trueup over the other: below 1 trueup is quicker, or nearer.
+Same task, data and {threads} cores, on {date} (`{commit}`, [details](acceptance.md)). Time of trueup over that of the
+other, or error where it says so: below 1, trueup is better.
 
 {beside}
 
-In the first rows all three minimize the same residual and end in the same minimum, so that errors are alike. scipy was
-given batches of `mujoco.rollout` over two threads, written for this; out of the box it simulates one candidate after
-the other. Where a ratio is above 1, the other is better: a bare rollout reads no stamps of a log.
+The three fits end in the same minimum. scipy got batches of `mujoco.rollout`, written for this. A bare rollout reads no
+time stamps.
 
-Numbers that others have published are of other machines, robots or motions. They say what is usual, and no ratio is
-made of them:
+Published numbers come from other machines, robots or motions, so there is no ratio:
 
 {published}
 """
 
 # What was compared, task, its row.
 BESIDE = (
-    ("`mujoco.sysid`", "21 numbers of a Panda, 4 x 2 s: time", "time, trueup / mujoco.sysid"),
-    ("", "the same: median error of the numbers", "median error, trueup / mujoco.sysid"),
-    ("`scipy.optimize.least_squares`", "21 numbers of a Panda, 4 x 2 s: time", "time, trueup / scipy"),
-    ("", "the same: median error of the numbers", "median error, trueup / scipy"),
-    (
-        "bare `mujoco.rollout`",
-        "replay of logs: time per simulated step, 1 thread",
-        "replay / raw mujoco.rollout, 1 threads",
-    ),
-    ("", "the same, 2 threads", "replay / raw mujoco.rollout, 2 threads"),
-    ("bare pyarrow", "write 1000 episodes of 500 x 21: time", "write, over plain pyarrow"),
-    ("", "read them: time", "read, over plain pyarrow by row group"),
-    (
-        "bare torch loop",
-        "an epoch of the precise network: time",
-        "realeasy, paper: an epoch over that of a bare torch loop",
-    ),
-    ("", "of the real-time one: time", "realeasy-rt, paper: an epoch over that of a bare torch loop"),
+    ("`mujoco.sysid`", "identify 21 parameters, 4 x 2 s", "time, trueup / mujoco.sysid"),
+    ("`mujoco.sysid`", "the same, median error", "median error, trueup / mujoco.sysid"),
+    ("`scipy.optimize.least_squares`", "the same", "time, trueup / scipy"),
+    ("`scipy.optimize.least_squares`", "the same, median error", "median error, trueup / scipy"),
+    ("`mujoco.rollout`", "replay, 1 thread", "replay / raw mujoco.rollout, 1 threads"),
+    ("`mujoco.rollout`", "replay, 2 threads", "replay / raw mujoco.rollout, 2 threads"),
+    ("pyarrow", "write 1000 episodes", "write, over plain pyarrow"),
+    ("pyarrow", "read them", "read, over plain pyarrow by row group"),
+    ("torch", "epoch of `realeasy`", "realeasy, paper: an epoch over that of a bare torch loop"),
+    ("torch", "epoch of `realeasy-rt`", "realeasy-rt, paper: an epoch over that of a bare torch loop"),
 )
 # Rows that are trueup's speed over the other's; all else is its time, or its error.
 SPEEDS = {f"replay / raw mujoco.rollout, {threads} threads" for threads in (1, 2)}
@@ -81,7 +71,7 @@ def _result(name: str) -> Mapping[str, Any]:
 def _beside(rows: Mapping[str, Any]) -> str:
     lines = [[other, task, _ratio(rows[name]["value"], name)] for other, task, name in BESIDE]
     mcap = next(row for name, row in rows.items() if name.startswith("import 500000 MCAP"))
-    lines.append(["rosbags", "500,000 joint states of an MCAP file: time", f"{mcap['value'] / mcap['limit']:.2f}"])
+    lines.append(["rosbags", "500,000 MCAP joint states", f"{mcap['value'] / mcap['limit']:.2f}"])
     return table(["other", "task", "ratio"], lines, left=2)
 
 
@@ -96,27 +86,21 @@ def _published(rows: Mapping[str, Any]) -> str:
     arm = [rows[f"SO-101, test: {what}"]["value"] for what in ("stock", "position RMSE")]
     step = rows["Stream.step_vector, p50"]["value"]
     in_loop = _result("streaming")["loop"]["step"]["p50_us"]
-    thesis = rows["robot 0, auto: error cut, worst joint"]["value"]
     lines = [
         [
             "PACE",
-            "49 numbers of 12 joints, chirp of 20 s: 2 h 15 min on an RTX 3080",
-            f"{pace:.0f} s on two cores, a simulated robot of the same size",
+            "49 parameters, 20 s chirp: 2 h 15 min on an RTX 3080",
+            f"{pace:.0f} s on two cores, simulated robot",
         ],
         [
             "AnchorBench",
-            "SO-101, position RMSE 0.0450 to 0.0156 rad; 42 motions fitted, 8 held out",
-            f"{arm[0]:.4f} to {arm[1]:.4f} rad; 43 of these motions: 33 fitted, 4 for the choice, 6 held out",
+            "SO-101, RMSE 0.0450 to 0.0156 rad; 42 motions fitted, 8 held out",
+            f"{arm[0]:.4f} to {arm[1]:.4f} rad; [33 fitted, 6 held out](real-robots.md)",
         ],
         [
             "Realeasy",
-            "a step of the real-time network: less than 390 us (V)",
-            f"{step:.0f} us in a row of steps, {in_loop:.0f} us (median) in a loop at 1 kHz ([steps](step-times.md))",
-        ],
-        [
-            "ES thesis",
-            "error of the worst joint cut by 81.3 % (Table 3.6), a real robot",
-            f"by {thesis:.1f} %, a virtual one ([the thesis's experiment](thesis.md))",
+            "real-time step: less than 390 us (V)",
+            f"{step:.0f} us in a row, {in_loop:.0f} us in a 1 kHz loop ([note](step-times.md))",
         ],
     ]
     return table(["who", "published", "here"], lines, left=3)

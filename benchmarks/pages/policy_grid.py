@@ -31,9 +31,8 @@ THESIS = {
 }
 TEXT = """## What their numbers do
 
-One number at a time, as in Fig. 2.1 to 2.5 and 2.7 of the thesis: {steps:,} control steps, {seeds} seeds, the laptop's
-other numbers, one reward at a time and a learning rate that stays. Lines are means over seeds, bands go from the least
-to the largest.
+One number at a time, otherwise the laptop's with one reward at a time and a constant learning rate; {steps:,} control
+steps, {seeds} seeds. Differences smaller than the ranges say nothing.
 
 ```sh
 python -m benchmarks policy_grid
@@ -41,13 +40,11 @@ python -m benchmarks policy_grid
 
 ![{about}]({name})
 
-Reward of a control step in the best round, mean over seeds (least and largest), and median distance there:
+Best round: reward of a control step, mean over seeds (least, largest), and median distance.
 
 {rows}
 
-Seeds are few and trainings short: differences smaller than the ranges say nothing. [`trueup policy
-grid`](policies.md#grid-search) searches the grid of the thesis's 2.3.2, and [`trueup policy
-curves`](policies.md#curves-of-trainings) draws such figures of it.
+For your own: [grid search](policies.md#grid-search), [curves](policies.md#curves-of-trainings).
 """
 
 
@@ -59,15 +56,14 @@ def part(result: Mapping[str, Any]) -> str:
         for number, group in enumerate(question["groups"]):
             rows.append(
                 [
-                    f"{TITLES[key]} ({question['figure']})" if number == 0 else "",
-                    "" if number else THESIS[key],
+                    "" if number else f"{TITLES[key]} (Fig. {question['figure']}; {THESIS[key]})",
                     _value(group["value"]),
                     *_ends(group["curves"]),
                 ]
             )
-    heads = ["varied (figure)", "the thesis says", "", "reward", "distance [cm]"]
+    heads = ["varied (figure; what the thesis says)", "", "reward", "distance [cm]"]
     return TEXT.format(
-        steps=result["steps"], seeds=result["seeds"], about=ABOUT, name=NAME, rows=table(heads, rows, left=3)
+        steps=result["steps"], seeds=result["seeds"], about=ABOUT, name=NAME, rows=table(heads, rows, left=2)
     )
 
 

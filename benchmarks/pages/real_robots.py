@@ -7,24 +7,22 @@ from typing import Any
 from benchmarks.pages.markdown import table
 
 STOCK, FITTED = "mujoco/stock", "mujoco/fitted"
-SO101_JOINTS = {
-    "shoulder_pan": "pan",
-    "shoulder_lift": "lift",
-    "elbow_flex": "elbow",
-    "wrist_flex": "wrist flex",
-    "wrist_roll": "wrist roll",
-}
+# Joints that carry weight.
+LOADED_JOINTS = {"shoulder_lift": "lift", "elbow_flex": "elbow"}
 
 TEXT = """# Real robots
 
-Two recordings that others have published, identified by `trueup identify` without any configuration. This page is made
-from what `python -m benchmarks real_robots` measures (`make pages` writes it); {threads} threads.
+`trueup identify` without any configuration on two published recordings, {threads} threads. Brackets are 95 % intervals.
+
+```sh
+python -m benchmarks real_robots
+```
 
 ## SO-101: a hobby arm with position servos
 
-43 motions of an arm with five joints and a gripper, recorded with SAGE ([where to get logs, model and
-split](first-hour.md#the-recording)). Errors are the RMSE of positions over whole motions, open loop from the first
-measured pose, mean over joints 1 to 5 and over motions. 33 motions are fitted, 4 choose the model, 6 test it.
+43 motions of a five-joint arm with a gripper, recorded with SAGE ([where to get logs, model and
+split](first-hour.md#the-recording)): 33 are fitted, 4 choose the model, 6 test it. The error is the position RMSE over
+whole motions from the first measured pose, mean over joints 1 to 5 and motions.
 
 ```sh
 trueup import logs/so101_sage --out data/so101
@@ -35,15 +33,15 @@ trueup identify data/so101 --robot so101 --out runs/so101
 
 {so101_models}
 
-`*` was chosen, by val. The command took {so101_seconds:.0f} s. What it says of itself: status `{so101_status}`; of
-{so101_count} parameters the motions determine {yes}, {weakly} weakly, {no} not. So the *motion* is right; many of the
-numbers rest on what was believed before.
+`*` was chosen by val. The command took {so101_seconds:.0f} s. Status `{so101_status}`: of {so101_count}
+parameters the motions determine {yes}, {weakly} weakly, {no} not. The motion is right; many values rest on their
+priors.
 
-### Which part does friction have?
+### The role of friction
 
-Nine friction models on the same drive (delay, gain, armature, offset, link masses), each fitted from the same start.
-*Soft* is how MuJoCo holds dry friction by default; *hard* is how `identify` does it
-([why](friction.md#why-mujocos-friction-creeps)). RMSE in mrad, joint by joint on test.
+Nine friction models on the same drive (delay, gain, armature, offset, link masses), fitted from the same start. *Soft*
+is MuJoCo's default dry friction; *hard* is what `identify` uses ([why](friction.md#why-mujocos-friction-creeps)). RMSE
+in mrad, the joints on test.
 
 {friction}
 
@@ -51,17 +49,14 @@ Nine friction models on the same drive (delay, gain, armature, offset, link mass
 
 ## Double pendulum: quasi-direct drives, torque-controlled
 
-Seven recordings of 6 to 10 s of a planar double pendulum of the DFKI, 500 Hz, with the numbers that its makers have
-identified. They are in
+Seven recordings of 6 to 10 s at 500 Hz, from DFKI's
 [dfki-ric-underactuated-lab/double_pendulum](https://github.com/dfki-ric-underactuated-lab/double_pendulum)
 (BSD-3-Clause), commit `1e8544e67f`: `trajectory_00` to `03` and `11` to `13` of
-`data/experiment_records/design_A.0/20220815/sys_id`. The model, `double_pendulum_A0.xml`, is not: it is an MJCF that
-was written from the numbers in `data/system_identification/identified_parameters/design_A.0/model_2.0`, two hanging
-links on hinges `joint1` and `joint2` with a torque motor each. It lies in the folder `model` beside the recordings, and
-a `split.json` has the splits below.
-
-The motion is chaotic, so it is compared over windows of 0.5 s that start from the measured state. Four recordings are
-fitted, one chooses, two test.
+`data/experiment_records/design_A.0/20220815/sys_id`. The model is not in that repository:
+`model/double_pendulum_A0.xml` is an MJCF with the values of
+`data/system_identification/identified_parameters/design_A.0/model_2.0`, two hanging links on hinges `joint1` and
+`joint2` with a torque motor each. `split.json` has the splits: four recordings are fitted, one chooses, two test. The
+motion is chaotic, so errors are over windows of 0.5 s from the measured state.
 
 ```sh
 trueup import logs/dfki_double_pendulum_A0 --out data/pendulum
@@ -72,13 +67,12 @@ trueup identify data/pendulum --robot double_pendulum --out runs/pendulum
 
 {pendulum_models}
 
-By recording, RMSE of joint 1 and joint 2 [deg]:
+RMSE of joint 1 and joint 2 [deg] by recording that was not fitted:
 
 {pendulum_files}
 
-The command took {pendulum_seconds:.0f} s; status `{pendulum_status}`. Each recording has zeros of its own for its
-incremental encoders. Those of the train motions are estimated, to keep them out of the other numbers; test motions are
-compared as they come.
+The command took {pendulum_seconds:.0f} s; status `{pendulum_status}`. The incremental encoders have a different zero in
+each recording. Zeros of train motions are estimated; test motions are compared as they are.
 """
 
 
@@ -124,34 +118,27 @@ def model_table(models: list[Mapping[str, Any]], unit: str, shown: Any) -> str:
             row["name"] + (" *" if row["chosen"] else ""),
             str(row["parameters"]),
             *(shown(row["splits"][split]["value"]) for split in ("train", "val", "test")),
-            f"{row['seconds']:.0f}",
         ]
         for row in models
     ]
-    return table(["model", "parameters", *(f"{split} [{unit}]" for split in ("train", "val", "test")), "s"], rows)
+    return table(["model", "parameters", *(f"{split} [{unit}]" for split in ("train", "val", "test"))], rows)
 
 
 def friction_table(result: Mapping[str, Any]) -> str:
     """One row per friction model; the stock model above."""
     stock = result["so101"]["runs"][STOCK]
-    rows = [
-        [
-            "stock model, nothing fitted",
-            "0",
-            *(f"{1e3 * stock[split]['value']:.2f}" for split in ("train", "val", "test")),
-            *(f"{1e3 * stock['test']['per_joint'][joint]['value']:.1f}" for joint in SO101_JOINTS),
-        ]
-    ]
+    joints = {name: own["value"] for name, own in stock["test"]["per_joint"].items()}
+    rows = [_friction_row("stock model, nothing fitted", 0, stock, joints)]
     rows += [
-        [
-            row["name"],
-            str(row["parameters"]),
-            *(f"{1e3 * row['splits'][split]['value']:.2f}" for split in ("train", "val", "test")),
-            *(f"{1e3 * row['per_joint']['test'][joint]:.1f}" for joint in SO101_JOINTS),
-        ]
+        _friction_row(row["name"], row["parameters"], row["splits"], row["per_joint"]["test"])
         for row in result["friction"]
     ]
-    return table(["friction", "parameters", "train", "val", "test", *SO101_JOINTS.values()], rows)
+    return table(["friction", "parameters", "val", "test", *LOADED_JOINTS.values()], rows)
+
+
+def _friction_row(name: str, count: int, splits: Mapping[str, Any], joints: Mapping[str, float]) -> list[str]:
+    errors = (f"{1e3 * splits[split]['value']:.2f}" for split in ("val", "test"))
+    return [name, str(count), *errors, *(f"{1e3 * joints[joint]:.1f}" for joint in LOADED_JOINTS)]
 
 
 def friction_words(rows: list[Mapping[str, Any]]) -> str:
@@ -166,18 +153,18 @@ def friction_words(rows: list[Mapping[str, Any]]) -> str:
     elbow = [1e3 * own[name]["per_joint"]["test"]["elbow_flex"] for name in (soft, hard)]
     best = min(own, key=lambda name: value(name, "val"))
     return (
-        f"On val, viscous friction alone leaves {value('viscous', 'val'):.1f} mrad, Coulomb friction that creeps\n"
-        f"{value(soft, 'val'):.1f}, Coulomb friction that holds {value(hard, 'val'):.1f}. On test, holding changes\n"
-        f"lift from {lift[0]:.1f} to {lift[1]:.1f} mrad and elbow from {elbow[0]:.1f} to {elbow[1]:.1f}: the joints\n"
-        "that carry weight, whose standing errors are stiction under gravity.\n"
-        f"Best on val: *{best}*, {value(best, 'val'):.2f} mrad."
+        f"Hard Coulomb friction changes lift from {lift[0]:.1f} to {lift[1]:.1f} mrad and elbow from\n"
+        f"{elbow[0]:.1f} to {elbow[1]:.1f}: these joints carry weight, and their standing errors are stiction under\n"
+        f"gravity. Best on val: *{best}*, {value(best, 'val'):.2f} mrad."
     )
 
 
 def file_table(episodes: Mapping[str, Any]) -> str:
-    """Each recording before and after."""
+    """Each recording that was not fitted, before and after."""
     rows = []
     for name, own in episodes.items():
+        if own["split"] == "train":
+            continue
         cells = [" / ".join(f"{degrees(value):.1f}" for value in own[label].values()) for label in (STOCK, FITTED)]
         rows.append([name, own["split"], *cells])
     return table(["recording", "split", "stock", "fitted"], rows)

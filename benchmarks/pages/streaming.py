@@ -14,26 +14,29 @@ OURS = ("Stream.step", "Stream.step_vector")
 
 TEXT = """# What a step takes
 
-One step of Realeasy's real-time network (21 -> 100 -> 21 units, seven joints, three signals) by
-[`Stream`](runtime.md), with its state and all its checks, beside what it could run on instead. On one core of
-{machine}; onnxruntime {ort}, torch {torch}; {count} steps of each, the alternatives taking turns. This page is made
-from what `python -m benchmarks streaming` measures (`make pages` writes it).
+One step of Realeasy's real-time network (21-100-21 units, seven joints, three signals) through
+[`Stream`](runtime.md), with its state and all checks, compared with other ways to compute it. One core of {machine};
+onnxruntime {ort}, torch {torch}; {count} steps each, in turns.
 
-Microseconds; first the median over the turns of each percentile, then the percentile over all steps. A shared machine
-slows down now and then for some tenths of a second, which the second shows and the first does not.
+```sh
+python -m benchmarks streaming
+```
+
+Microseconds. *All* is the percentile over all steps; the others are the median over turns, which leaves out the tenths
+of a second in which a shared machine slows down.
 
 {steps}
 
-*Two products*: the products of weights and inputs of both recurrent layers alone, by numpy. *io-binding*: onnxruntime
-with all tensors bound beforehand; what `Stream` adds to it is the copying of the sample, checks of range, time and
-stalls, and of what comes out, and the histogram. The paper's step takes {paper:.0f} us (Realeasy, V).
+*Two products* is numpy's product of weights and inputs of both recurrent layers. *io-binding* is
+onnxruntime with preallocated tensors; `Stream` adds copies, checks of range, time, stalls and outputs, and a histogram.
+The paper's step takes {paper:.0f} us (Realeasy, V).
 
-Asked of `Stream`: half of the steps within {p50:.0f} us, 99 % within {p99:.0f}, 99.9 % within {p999:.0f}. {verdict}
+Bars for `Stream`: half of the steps within {p50:.0f} us, 99 % within {p99:.0f}, 99.9 % within {p999:.0f}. {verdict}
 
-In a loop at {rate:.0f} Hz for {seconds:.0f} s, with nothing else on the machine: {by_step} deadlines missed by the
-step, {by_waiting} because the step was interrupted, {by_wakeup} because the loop was woken late, {skipped} cycles left
-out. A step took {loop_p50:.0f} us in the median, 99.9 % took less than {loop_p999:.0f}, the longest {loop_max:.0f}:
-longer than in a row, since caches are cold and the CPU has slowed down after each sleep.
+In a loop at {rate:.0f} Hz for {seconds:.0f} s on an otherwise idle machine, {by_step} deadlines were missed because of
+the step, {by_waiting} because it was interrupted, and {by_wakeup} because the loop woke up late; {skipped} cycles were
+skipped. A step took {loop_p50:.0f} us (median), {loop_p999:.0f} (99.9 %), at most {loop_max:.0f}: longer than in a row,
+since caches are cold and the CPU slows down in each sleep.
 """
 
 NAMES = {
@@ -84,4 +87,4 @@ def verdict(result: Mapping[str, Any]) -> str:
         for key, bar in BARS.items()
         if result["step"][name]["typical"][key] > bar
     ]
-    return f"Missed: {', '.join(missed)}." if missed else "In a typical turn all are kept."
+    return f"Missed: {', '.join(missed)}." if missed else "All are kept in a typical turn."

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.pages.augment_cells import MARKS
+from benchmarks.pages.augment_cells import MARKS, span
 from benchmarks.pages.markdown import table
 
 REFERENCES = {"follows": "The simulated arms follow", "empty": "The simulated arms hang as with empty hands"}
@@ -14,33 +14,28 @@ MAIN = {
     "drift_mean": ("drift, mean [cm]", 100.0),
     "drift_end": ("drift, end [cm]", 100.0),
     "tilt_rms": ("tilt, RMS [deg]", 1.0),
-    "tilt_max": ("tilt, largest [deg]", 1.0),
     "arms_mae": ("arms [mrad]", 1000.0),
 }
-TABLE_2 = {"trajectory_consistency": "consistency", "smoothness": "smoothness"}
-PARTS = {"arms": "arms [rad]", "base": "base [m]", "tilt": "tilt [rad]"}
+BODY_PARTS = ("arms", "base", "tilt")
+# Payloads of the tables [kg].
+SHOWN = ("0", "2", "3")
 
 TEXT = """## What a payload does
 
-{motions} motions of {seconds:g} s, each on {bodies} individuals that nothing was designed on, with a payload in each
-hand: {names}.
+{motions} motions of {seconds:g} s on {bodies} individuals, with a payload in each hand. Means with 95 % intervals over
+motions, marked where the paired difference to plain PD may be zero (`~`) or is above it (**worse**). {falls}
 
 ```sh
 python -m benchmarks whole_body
 ```
 
-Means with 95 % intervals over whole motions, individuals averaged. `~`: the paired interval of the difference to
-plain PD holds zero; **worse**: it lies above.
-
 {sections}
 
-### Table 2's three figures
+### Roughness
 
-Trajectory consistency and smoothness, both differences of accelerations, per second squared; means over motions. The
-third, robustness, is the noise that it adds, and says nothing of a body ([why](metrics.md)): it is {robustness}
-everywhere, in rad and in m.
+[Smoothness](metrics.md) (smaller is smoother) as a multiple of that of plain PD, over all payloads.
 
-{table_2}
+{roughness}
 """
 
 
@@ -49,70 +44,48 @@ def part(result: Mapping[str, Any]) -> str:
     return TEXT.format(
         motions=len(result["motions"]),
         seconds=result["seconds"],
-        names=", ".join(result["motions"]),
         bodies=len(result["bodies"]),
+        falls=_falls(result),
         sections="\n\n".join(_section(result, reference) for reference in REFERENCES),
-        table_2=table_2(result),
-        robustness=_robustness(result),
+        roughness=roughness_table(result),
     )
 
 
 def main_table(result: Mapping[str, Any], reference: str) -> str:
     """One row per payload and way of commanding the arms."""
     rows = []
-    for payload, ways in result["payloads"].items():
-        for name, own in _of(result, ways, reference).items():
+    for payload in SHOWN:
+        for name, own in _of(result, result["payloads"][payload], reference).items():
             cells = [_cell(own, metric, factor) for metric, (_, factor) in MAIN.items()]
-            rows.append([payload, _short(name), *cells, f"{own['falls']}"])
-    return table(["kg", "", *(head for head, _ in MAIN.values()), "falls"], rows, left=2)
+            rows.append([payload, _short(name), *cells])
+    return table(["kg", "", *(head for head, _ in MAIN.values())], rows, left=2)
 
 
-def difference_table(result: Mapping[str, Any], reference: str) -> str:
-    """What each way changes against plain PD; empty where there is none."""
+def roughness_table(result: Mapping[str, Any]) -> str:
+    """How many times rougher than plain PD each way is, from payload to payload."""
     rows = []
-    for payload, ways in result["payloads"].items():
-        for name, own in _of(result, ways, reference).items():
-            if own["differences"]:
-                found = [
-                    _interval(own["differences"][metric]["difference"], factor, sign=True)
-                    for metric, (_, factor) in MAIN.items()
-                ]
-                rows.append([payload, _short(name), *found])
-    return table(["kg", "", *(head for head, _ in MAIN.values())], rows, left=2) if rows else ""
+    for name, reference in result["references"].items():
+        plain = f"plain PD, {reference}"
+        if name != plain:
+            ratios = (_ratios(result, name, plain, f"{body_part}_smoothness") for body_part in BODY_PARTS)
+            rows.append([_short(name), *map(span, ratios)])
+    return table(["", *BODY_PARTS], rows)
 
 
-def table_2(result: Mapping[str, Any]) -> str:
-    """The two figures that depend on the body, of each part."""
-    heads = ["kg", "", *(f"{short}, {part_name}" for part_name in PARTS.values() for short in TABLE_2.values())]
-    rows = []
-    for payload, ways in result["payloads"].items():
-        for name, own in ways.items():
-            cells = []
-            for part_name in PARTS:
-                for metric in TABLE_2:
-                    key = f"{part_name}_{metric}"
-                    found = own["differences"].get(key)
-                    mark = MARKS[found["verdict"]] if found else ""
-                    cells.append(f"{_text(own['figures'][key]['value'])}{mark}")
-            rows.append([payload, name, *cells])
-    return table(heads, rows, left=2)
-
-
-def _robustness(result: Mapping[str, Any]) -> str:
-    found = {
-        _text(own["figures"][f"{part_name}_robustness"]["value"])
+def _ratios(result: Mapping[str, Any], name: str, plain: str, key: str) -> list[float]:
+    return [
+        ways[name]["figures"][key]["value"] / ways[plain]["figures"][key]["value"]
         for ways in result["payloads"].values()
-        for own in ways.values()
-        for part_name in PARTS
-    }
-    return " to ".join(sorted(found))
+    ]
+
+
+def _falls(result: Mapping[str, Any]) -> str:
+    falls = sum(own["falls"] for ways in result["payloads"].values() for own in ways.values())
+    return "No body fell." if not falls else f"Bodies fell {falls} times, and have no figures then."
 
 
 def _section(result: Mapping[str, Any], reference: str) -> str:
-    pieces = [f"### {REFERENCES[reference]}", main_table(result, reference)]
-    if differences := difference_table(result, reference):
-        pieces += ["Difference to plain PD:", differences]
-    return "\n\n".join(pieces)
+    return f"### {REFERENCES[reference]}\n\n{main_table(result, reference)}"
 
 
 def _of(result: Mapping[str, Any], ways: Mapping[str, Any], reference: str) -> dict[str, Any]:
@@ -128,13 +101,9 @@ def _cell(own: Mapping[str, Any], metric: str, factor: float) -> str:
     return f"{_interval(own['figures'][metric], factor)}{mark}"
 
 
-def _interval(item: Mapping[str, Any], factor: float, *, sign: bool = False) -> str:
+def _interval(item: Mapping[str, Any], factor: float) -> str:
     values: Sequence[float | None] = [item[key] for key in ("value", "low", "high")]
     if any(value is None for value in values):
         return "-"
-    texts = [format(factor * value, "+.2f" if sign else ".2f") for value in values if value is not None]
-    return f"{texts[0]} [{texts[1]}, {texts[2]}]".replace("-", "\N{MINUS SIGN}")
-
-
-def _text(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}"
+    texts = [f"{factor * value:.2f}" for value in values if value is not None]
+    return f"{texts[0]} [{texts[1]}, {texts[2]}]"

@@ -26,7 +26,6 @@ ELSEWHERE = {
         "[text]": "tests/docs/test_gallery.py::test_it_shows_what_the_example_says_and_its_code",
         "[py]": "tests/docs/test_gallery.py::test_it_shows_what_the_example_says_and_its_code",
     },
-    "good-data": {"as recorded": "tests/docs/test_good_data.py::test_the_example_prints_what_is_shown"},
     "identification": {
         "import yaml": "tests/docs/test_identification_docs.py::test_the_lines_for_isaac_lab_are_those_of_the_report"
     },
@@ -53,21 +52,27 @@ COMMANDS_ELSEWHERE = ("extending", "ros2")
 _RUN = "test_the_commands_of_a_page_run_in_order"
 HERE = {
     "augmentation": {"[yaml]": "test_a_configuration_of_a_network_is_trained_with", "[json]": _RUN},
+    "cheat-sheet": {
+        "schema: trueup.robot/1": "test_the_files_of_the_cheat_sheet_are_read",
+        "joints: [shoulder, elbow]": "test_the_files_of_the_cheat_sheet_are_read",
+    },
     "close": {"[json]": _RUN},
     "compensation": {"from trueup.stages import": "test_what_is_imported_can_be"},
     "dataset": {"data/arm/": "test_a_dataset_has_these_files"},
     "experiments": {"class MyRobot:": "test_a_robot_of_ones_own_has_what_an_experiment_needs"},
+    "files": {"[json]": _RUN},
     "friction": {"friction:": "test_friction_is_read_from_the_description_of_a_robot"},
-    "logs": {"command_joints:": _RUN},
+    "log-formats": {"command_joints:": _RUN},
     "policies": {"fit:": _RUN, "rate:": _RUN},
-    "report": {"[json]": _RUN},
-    "robots": {
+    "robot-yaml": {
+        "schema: trueup.robot/1": "test_the_description_that_is_shown_is_read",
         "- {name: gripper": "test_the_jaw_of_the_so101_is_described_as_its_robot_has_it",
         "controller: {kind: torque}": "test_a_robot_that_takes_torques_is_described_so",
         "controller: {kind: position, kp: 0.7, kv: 0.02, kp_setting: 400}": "test_a_gain_that_differs_from_motion_to_motion_is_described_so",
         "base: held": "test_the_ways_to_hold_a_base_and_other_joints_are_read",
         "unlisted: lock": "test_the_ways_to_hold_a_base_and_other_joints_are_read",
     },
+    "robots": {"schema: trueup.robot/1": "test_init_writes_the_description_that_is_shown"},
     "runtime": {"[cpp]": "test_the_states_of_a_network_are_named_as_in_cpp"},
 }
 
@@ -75,7 +80,7 @@ HERE = {
 SHOWN = {
     "README": {"rung ": "the table of the command above it, from all of the recording"},
     "architecture": {"logs ──import──▶": "a drawing"},
-    "logs": {"t_ms,yaw,shoulder,elbow": "the file that the marked block above it writes, its first rows"},
+    "logs": {"t_ms,yaw,shoulder,elbow": "the beginning of a file that the commands below it read"},
     "realtime": {"│ kernel": "what the command above it says of another machine"},
 }
 
@@ -98,6 +103,7 @@ OTHER_DATA = {
         r"mujoco/fitted",
         r"warning: status",
     ),
+    "logs": (r"splits: ",),
     "identification": (
         r"note: (\d+ of \d+ parameters are not determined|left as they are)",
         r"warning: status",

@@ -48,6 +48,7 @@ TABLE = (
     Smaller("identify", {"--config": "small/identify.yaml"}, "a fit takes minutes", lacks="--config"),
     Smaller("identify runs/arm/dataset", {"--config": "small/models.yaml"}, "the same, with a model that is tried"),
     Smaller("close", {"--jobs": "1", "--config": "small/identify.yaml"}, "as above"),
+    Smaller("close", {"--config": "small/gains.yaml"}, "its gains are what is wrong", page="lerobot"),
     Smaller("close", {"--budget": "2s"}, "15 minutes if not given", lacks="--until"),
     Smaller("close", {"--budget": "10s"}, "enough for a moment of every step", has="--budget none"),
     Smaller("demo", {"--budget": "2s", "--jobs": "1"}, "5 minutes if not given"),

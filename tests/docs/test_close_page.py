@@ -49,10 +49,11 @@ def test_the_section_shows_the_ladder_and_the_steps(tmp_path):
     assert "| identify | cut short | 21 of 30 | 400 |" in made
     assert "36 \\| 40" in made
     assert "18.0 min" in made
-    assert "The fit says `at-bound` of itself." in made
+    assert "**fitted** is the best on val" in made
+    assert "Status of the fit: `at-bound`." in made
     said = " ".join(made.split())
-    assert "on test of 10.1 mrad after identification, where the model as it came has 40.0 and the command" in said
-    assert "the motion, 50.0; `command` is marked as the best on val. Its fit says `not-converged` of itself." in said
+    assert "`trueup demo --full` took 5.0 min. Test errors: command 50.0, stock 40.0, fitted 10.1 mrad." in said
+    assert "Best on val: `command`. Status of the fit: `not-converged`." in said
     assert with_section(made, part(result(tmp_path))) == made
 
 

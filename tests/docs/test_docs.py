@@ -147,31 +147,33 @@ def names_of(*kinds):
 
 def test_every_quality_flag_is_explained():
     assert len(quality_kinds()) > len(KINDS)
-    assert not in_a_table("logs", quality_kinds())
+    assert not in_a_table("log-formats", quality_kinds())
 
 
 def test_no_quality_flag_is_explained_that_does_not_exist():
-    table = TEXT["logs"].split("| kind | what it means")[1].split("\n\n")[0]
+    table = TEXT["log-formats"].split("| kind | what it means")[1].split("\n\n")[0]
     assert set(re.findall(r"^\| `(\w+)` \|", table, re.M)) == quality_kinds()
 
 
 def test_the_kinds_that_keep_a_motion_from_a_fit_are_marked():
-    table = TEXT["logs"].split("| kind | what it means")[1].split("\n\n")[0]
+    table = TEXT["log-formats"].split("| kind | what it means")[1].split("\n\n")[0]
     marked = set(re.findall(r"^\| `(\w+)` \|.*\| yes[^|]*\|$", table, re.M))
     assert marked == BROKEN_MEASUREMENT - {"silent"}  # that one is in docs/recording.md
 
 
 def test_every_key_of_a_mapping_is_explained():
     assert not in_a_table(
-        "logs", names_of(TableMapping, SeriesColumns, SignalColumns) - {"name", "joint_pattern"} | set(stated._KEYS)
+        "log-formats",
+        names_of(TableMapping, SeriesColumns, SignalColumns) - {"name", "joint_pattern"} | set(stated._KEYS),
     )
-    assert all(f"{{{key}" in TEXT["logs"] or f"{key}:" in TEXT["logs"] for key in names_of(ClockColumn))
+    page = TEXT["log-formats"]
+    assert all(f"{{{key}" in page or f"{key}:" in page for key in names_of(ClockColumn))
 
 
 def test_every_key_of_a_robot_and_every_controller_is_explained():
     keys = names_of(RobotSpec, JointSpec, ControllerSpec, MotorSpec, SimulationSpec, ReplaySpec) - {"folder"}
-    assert not in_a_table("robots", keys)
-    assert not in_a_table("robots", get_args(ControllerKind))
+    assert not in_a_table("robot-yaml", keys)
+    assert not in_a_table("robot-yaml", get_args(ControllerKind))
     (said,) = re.findall(r"^These come with trueup: (.*?)\.", TEXT["robots"], re.M | re.S)
     assert set(re.findall(r"`(\w+)`", said)) <= {file.stem for file in shipped_robots()}
 
@@ -180,7 +182,7 @@ def test_defaults_of_a_robot_are_those_that_the_page_states():
     for kind in (JointSpec, ControllerSpec, SimulationSpec):
         for item in fields(kind):
             if isinstance(item.default, bool | int | float):
-                (row,) = re.findall(rf"^\| `{item.name}` \|.*$", TEXT["robots"], re.M)
+                (row,) = re.findall(rf"^\| `{item.name}` \|.*$", TEXT["robot-yaml"], re.M)
                 assert row.split("|")[2].strip() == str(item.default).lower(), row
 
 
@@ -207,3 +209,13 @@ def test_every_page_is_in_the_navigation_and_names_no_machine():
     for page in PAGES:
         assert page.name in navigation
         assert not re.search(r"(?<![\w.])/(work|tmp|home|root)\b", page.read_text()), page
+
+
+def test_pages_for_users_are_few_and_short():
+    """Fifteen that a user reads, in the first two sections; the other pages are looked up."""
+    navigation = (ROOT / "mkdocs.yml").read_text().partition("nav:")[2]
+    first = navigation[navigation.index("- Start:") : navigation.index("- Topics:")]
+    pages = re.findall(r"([\w-]+)\.md", first)
+    assert len(pages) <= 15
+    assert all(len(TEXT[page].split()) <= 1500 for page in pages)
+    assert sum(len(text.split()) for text in TEXT.values()) <= 69_000

@@ -28,6 +28,7 @@ from docs.command_lines import PAGES, ROOT, SHELL, TEXT, blocks_of, lines, lines
 from trueup.cli.main import app, main
 from trueup.core.episode import EpisodeMeta
 from trueup.core.protocols import RobotIO
+from trueup.dataset import Dataset
 from trueup.robots import load_robot, setup_of, with_kp_factor
 
 RUN = [page for page in PAGES if page not in blocks.COMMANDS_ELSEWHERE and lines(page, "trueup")]
@@ -271,20 +272,22 @@ def test_friction_is_read_from_the_description_of_a_robot(tmp_path):
 
 def test_the_jaw_of_the_so101_is_described_as_its_robot_has_it():
     (joint,) = yaml.safe_load(
-        next(block.body for block in blocks_of("robots") if block.first.startswith("- {name: gri"))
+        next(block.body for block in blocks_of("robot-yaml") if block.first.startswith("- {name: gri"))
     )
     (shipped,) = [item for item in load_robot("so101").to_dict()["joints"] if item["name"] == "gripper"]
     assert joint.items() <= shipped.items()
 
 
 def test_a_robot_that_takes_torques_is_described_so(tmp_path):
-    tree = yaml.safe_load(the_block("robots", "controller: {kind: torque}").body)
+    tree = yaml.safe_load(the_block("robot-yaml", "controller: {kind: torque}").body)
     robot = described("demo_arm", tmp_path, **tree)
     assert (robot.controller.kind, robot.replay.window_s) == ("torque", 0.5)
 
 
 def test_a_gain_that_differs_from_motion_to_motion_is_described_so(tmp_path):
-    tree = yaml.safe_load(the_block("robots", "controller: {kind: position, kp: 0.7, kv: 0.02, kp_setting: 400}").body)
+    tree = yaml.safe_load(
+        the_block("robot-yaml", "controller: {kind: position, kp: 0.7, kv: 0.02, kp_setting: 400}").body
+    )
     robot = described("demo_arm", tmp_path, **tree)
     quarter = setup_of(robot, EpisodeMeta("one", kp_setting=100.0))
     assert with_kp_factor(robot, quarter.kp_factor).controller.kp == pytest.approx(0.7 / 4)
@@ -293,11 +296,40 @@ def test_a_gain_that_differs_from_motion_to_motion_is_described_so(tmp_path):
 @pytest.mark.parametrize("first", ["base: held", "unlisted: lock"])
 def test_the_ways_to_hold_a_base_and_other_joints_are_read(first, tmp_path):
     """Each line is one way to write the same key."""
-    (block,) = [block for block in blocks_of("robots") if block.first.startswith(first)]
+    (block,) = [block for block in blocks_of("robot-yaml") if block.first.startswith(first)]
     for line in block.body.splitlines():
         (entry,) = yaml.safe_load(line).items()
         robot = described("demo_arm", tmp_path, **dict([entry]))
         assert getattr(robot, entry[0]) is not None, line
+
+
+def test_the_description_that_is_shown_is_read(tmp_path):
+    (tmp_path / "robot.yaml").write_text(the_block("robot-yaml", "schema: trueup.robot/1").body)
+    assert load_robot(tmp_path / "robot.yaml").joint_names == ("shoulder", "elbow")
+
+
+def test_init_writes_the_description_that_is_shown(shelf, run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    laid_out.lay(shelf, "robots")
+    run(next(line for line in lines("robots", "trueup") if line.begins("init")))
+    written = Path("described/robot.yaml").read_text()
+    shown = the_block("robots", "schema: trueup.robot/1").body
+    assert masked(shown) == masked(re.sub(r"^#.*\n", "", written, flags=re.M))
+    assert yaml.safe_load(shown)["joints"] == yaml.safe_load(written)["joints"]
+
+
+def test_the_files_of_the_cheat_sheet_are_read(tmp_path):
+    description, mapping = (block.body for block in blocks_of("cheat-sheet") if block.kind == "yaml")
+    (tmp_path / "robot.yaml").write_text(description)
+    assert [joint.log_unit for joint in load_robot(tmp_path / "robot.yaml").joints] == ["deg", "deg"]
+    rows = "\n".join(f"{20 * k},{k},{-k},{k + 1},{-k - 1}" for k in range(50))
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "one.csv").write_text(f"t_ms,q1,q2,q1_cmd,q2_cmd\n{rows}\n")
+    (tmp_path / "logs" / "mapping.yaml").write_text(mapping)
+    laid_out.run("import", tmp_path / "logs", "--out", tmp_path / "data")
+    (episode,) = Dataset(tmp_path / "data")
+    assert episode.measured.units["position"] == ("deg", "deg")
+    assert episode.command["position"][3].tolist() == [4.0, -4.0]
 
 
 def described(name, folder, **changes):

@@ -13,9 +13,11 @@ from pathlib import Path
 import pytest
 
 import trueup
+from docs.snippets import with_snippets
 from trueup.lab import record_demo
 
-TEXT = (Path(__file__).parent.parent.parent / "docs" / "extending.md").read_text().partition("\n## A robot\n")[0]
+PAGE = (Path(__file__).parent.parent.parent / "docs" / "extending.md").read_text()
+TEXT = with_snippets(PAGE).partition("\n## A robot\n")[0]
 FILES = dict(re.findall(r"whole file,\s`(src/trueup/[\w/]+\.py)`:\n\n```python\n(.*?)^```$", TEXT, re.M | re.S))
 LINES = re.findall(r"^The line, in `(src/trueup/[\w/]+\.py)`[^\n]*\n\n```diff\n(.*?)^```$", TEXT, re.M | re.S)
 COMMANDS = [shlex.split(line)[1:] for line in re.findall(r"^(trueup .*)$", TEXT, re.M)]

@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 import trueup
+from docs.snippets import with_snippets
 from trueup.dataset import Dataset
 
 ROOT = Path(__file__).parent.parent.parent
-PAGE = (ROOT / "docs" / "extending.md").read_text().partition("\n## An engine\n")[2]
+PAGE = with_snippets((ROOT / "docs" / "extending.md").read_text()).partition("\n## An engine\n")[2]
 FROM_PYTHON, WHOLE_FILE = re.findall(r"^```python\n(.*?)^```$", PAGE, re.M | re.S)
 FILE, TABLE = "src/trueup/sim/explicit_engine.py", "src/trueup/sim/engines.py"
 CHANGES = re.findall(r"^```diff\n(.*?)^```$", PAGE, re.M | re.S)

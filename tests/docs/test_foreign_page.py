@@ -63,6 +63,11 @@ def test_missing_cells_are_named():
     said = flat(page.page(own))
     assert f"**Incomplete.** 2 of {len(SEEDS) * len(BY_NAME)} fits are missing: `ur5e` with seed 1 and 2." in said
     assert "The narrowest intervals are missing of `panda`." in said
+    for name in BY_NAME:
+        for seed in (1, 2):
+            own["cells"].pop(f"{name}/{seed}", None)
+    said = flat(page.page(own))
+    assert f"{2 * len(BY_NAME)} of {len(SEEDS) * len(BY_NAME)} fits are missing: every robot with seed 1 and 2." in said
     empty = page.page(result())
     assert "fits are missing: all of `ur5e`, `iiwa14_torque`," in flat(empty)
     assert empty.count("| not measured |") == 8
@@ -86,12 +91,9 @@ def test_the_tables_say_what_the_cells_say():
     one = cell(numbers=rows, left={"a": {"rms": 6e-4, "noise": 3e-4}})
     two = cell(seed=1, status="at-bound", numbers=rows[:1], fit={"short_of_time": True}, seconds=300.0)
     made = page.page(result(one, two))
-    assert (
-        "| `demo_arm` | position, held | dart | `ok`, `at-bound` (short of time) | 4 of 4 | 2 of 3 | 2.0 % | 2.00 |"
-        in made
-    )
-    assert "|  | 200 |" in made
-    assert "| `kp` | 3 | 3 | 2 of 3 | 2.0 % |" in made
+    assert "| `demo_arm` | position, held, dart | `ok`, `at-bound` (short of time) | 4/4 | 2/3 | 2.0 % | 2.00 |" in made
+    assert "A command took 200 s (median), 300 s at most." in made
+    assert "| `kp` | 3 | 3 | 2/3 | 2.0 % |" in made
     assert "| `kv` | 1 | 1 |  |  |" in made
 
 
@@ -102,9 +104,9 @@ def test_what_was_said_of_a_cause_stands_beside_it():
     silent = cell("B", cause=cause, seed=1, statements=["the search ended"])
     broken = cell("B", cause=cause, seed=2, status="failed", numbers=[], left={}, said="a\nerror: no room")
     made = page.page(result(stopped, silent, broken))
-    assert "| 0 | sign | `stopped` | yes | a counts \\| other &lt;way> |  |  | 100 |" in made
-    assert "| 1 | sign | `ok` | **no** | the search ended | 0 of 1 | 1.03 | 100 |" in made
-    assert "| 2 | sign | `failed` | **no** | error: no room |  |  | 100 |" in made
+    assert "seed 0 | sign | `stopped` | yes | a counts \\| other &lt;way> |  |  |" in made
+    assert "seed 1 | sign | `ok` | **no** | the search ended | 0/1 | 1.03 |" in made
+    assert "seed 2 | sign | `failed` | **no** | error: no room |  |  |" in made
 
 
 def test_remarks_are_about_robots_whose_model_can_be_right():
@@ -119,7 +121,7 @@ def test_remarks_are_about_robots_whose_model_can_be_right():
     assert "hold the true one in 2." in said
     later = cell(seed=1, made={"machine": "a machine", "git": "aaaa", "created": "2026-11-26T10:00:00+00:00"})
     said = flat(page.page(result(cell(), later)))
-    assert "2026-11-25 to 2026-11-26, commit `0123456789`, `aaaa`, which are several." in said
+    assert "2026-11-25 to 2026-11-26, commits `0123456789`, `aaaa`." in said
 
 
 def test_the_figure_has_every_number_once():

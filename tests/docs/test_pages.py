@@ -62,10 +62,10 @@ def test_going_on_says_what_was_measured_and_nothing_else():
     measured = {(simulator, draws) for simulator, own in result["policies"].items() for draws in own}
     assert measured == {("stock", "none"), ("identified", "posterior")}
     said = " ".join(policy_going_on.part(result).split())
-    assert "in the simulator as it comes without randomization; or in the one that was identified with draws" in said
+    assert "in the stock simulator without randomization, or in the identified one with draws" in said
     result["policies"]["stock"]["thesis"] = result["policies"]["stock"]["none"]
     said = " ".join(policy_going_on.part(result).split())
-    assert "as it comes without randomization or with the thesis's; or in" in said
+    assert "in the stock simulator without randomization or with the thesis's, or in" in said
 
 
 def test_what_was_asked_says_which_parts_it_covers():

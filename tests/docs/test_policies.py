@@ -16,28 +16,16 @@ from trueup.policy.randomization import RandomizationConfig
 TEXT = (Path(__file__).parent.parent.parent / "docs" / "policies.md").read_text()
 
 
-# The page's training takes an hour.
-SHORT = ("steps=400_000", "steps=640, rounds=2, learner=LearnerConfig(starts=320, updates=1, layers=(16,))")
-
-
 def test_the_python_of_the_page_runs(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    names = {"LearnerConfig": LearnerConfig}
-    assert SHORT[0] in TEXT
-    for block in re.findall(r"^```python\n(.*?)^```$", TEXT.replace(*SHORT), re.M | re.S):
+    names = {}
+    for block in re.findall(r"^```python\n(.*?)^```$", TEXT, re.M | re.S):
         exec(compile(block, "policies.md", "exec"), names)
-    out = capsys.readouterr().out
-    assert "m from the goal" in out
-    assert "2 of 2:" in out
-    assert names["found"].estimates()["distance"].value < 1.0
-    assert len(names["found"].goals) == 100
+    assert "m from the goal" in capsys.readouterr().out
     assert names["said"].sound
     assert names["vector"].num_envs == 16
-    for _ in range(5):
-        seen, reward, terminated, _, _ = names["real"].step(names["real"].action_space.high)
-        assert -10 < reward < 0
-        assert not terminated
-        assert abs(seen).max() <= 1
+    assert names["seen"].shape == (24,)
+    assert abs(names["seen"]).max() <= 1
     assert len({model.dof_damping[0] for _ in range(3) for model, _ in [names["drawn"](names["vector"]._rng)]}) == 3
 
 

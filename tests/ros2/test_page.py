@@ -143,13 +143,12 @@ def test_an_hour_is_a_part_of_the_page():
     assert cells["memory at the end"] == "150.3 MB"
     assert (
         "It lost 1. 9999 answers carried the simulator's own values, mostly while the network warmed up again. "
-        "Its memory grew by 0.35 MB at most, and by 0.26 MB at the end; asked was no more than 1 MB, which is met"
-        in part
+        "Its memory grew by 0.35 MB at most, and by 0.26 MB at the end; the limit of 1 MB is met" in part
     )
     all_ok = {**HOUR["bridge"], "counts": {"ok": 3599999}}
     assert "It lost 1. Its memory grew" in ros2_hour.part({**HOUR, "bridge": all_ok})
     grown = ros2_hour.part({**HOUR, "memory_mb": [150.0, 150.5, 151.6, 150.1]})
-    assert "grew by 1.60 MB at most, and by 0.10 MB at the end; asked was no more than 1 MB, which is missed" in grown
+    assert "grew by 1.60 MB at most, and by 0.10 MB at the end; the limit of 1 MB is missed" in grown
     assert page.split("## For an hour")[0] == TEXT.split("## For an hour")[0]
 
 

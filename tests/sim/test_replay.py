@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,7 +10,7 @@ from trueup.core.timeseries import TimeSeries
 from trueup.core.windows import window_starts
 from trueup.errors import ConfigError, DataError
 from trueup.robots import ControllerSpec
-from trueup.sim import ReplaySettings, replay, replay_episode
+from trueup.sim import ReplayPlan, ReplaySettings, replay, replay_episode
 from trueup.sim.replay_plan import held_commands
 
 SERVO = ControllerSpec(kind="position", kp=40.0, kv=2.0)
@@ -52,6 +54,18 @@ def test_every_window_starts_in_the_measured_state(tmp_path):
     assert len(starts) == 6
     np.testing.assert_allclose(result["position"][starts], noisy[starts])
     assert np.abs(result["position"] - noisy)[starts[1] - 1].max() > 1e-3
+
+
+def test_a_log_in_single_precision_is_worked_with_in_double(tmp_path):
+    simulator = two_links(tmp_path, SERVO)
+    log = logged_motion(simulator)
+    single = {name: np.float32(values) for name, values in log.measured.signals.items()}
+    plan = ReplayPlan(
+        episode(replace(log.measured, signals=single), log.commanded()), simulator, ReplaySettings(window_s=0.25)
+    )
+    assert {values.dtype for values in plan.measured.signals.values()} == {np.dtype(np.float64)}
+    assert plan.request(np.zeros(2)).position.dtype == np.float64
+    np.testing.assert_allclose(plan.measured["position"], log.measured["position"], atol=1e-6)
 
 
 def sagging_log(simulator, seconds=0.5):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float, Float64, Int
 from scipy.interpolate import make_interp_spline
@@ -52,7 +54,10 @@ class ReplayPlan:
                 got=f"{measured.time_s[-1]:.3f} s",
                 expected=f"at least {self._command.time_s[0]:.3f} s",
             )
-        self.measured = measured.rows(slice(int(rows[0]), None))
+        used = measured.rows(slice(int(rows[0]), None))
+        # LeRobot and others keep single precision.
+        double = {name: np.asarray(values, np.float64) for name, values in used.signals.items()}
+        self.measured = replace(used, signals=double)
         self.starts = window_starts(self.measured.time_s, settings.window_s)
         self._step_s = simulator.timestep_s
         settle_s = 0.0 if settings.window_s else settings.settle_s
