@@ -45,7 +45,7 @@ def test_the_verdict_is_that_of_the_fit(found):
     assert f"status: {found.fit.status};" in PAGE
     words = [parameter.identified for parameter in found.fit.parameters]
     known = f"{words.count('yes')}, {words.count('effective')} as effective values, {words.count('weakly')} weakly"
-    counts = f"of {len(words)} parameters that were fitted, the data determine {known}"
+    counts = f"of {len(words)} fitted parameters, the data determine {known}"
     assert counts in PAGE
     rungs = {rung.name: rung.splits["test"]["position"]["rmse"].total for rung in found.ladder.rungs}
     assert "│ command │ " in PAGE

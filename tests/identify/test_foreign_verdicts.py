@@ -125,18 +125,18 @@ def test_a_sentence_names_its_cause_and_no_other(kind, about):
 def test_what_every_fit_may_say_names_nothing(kind):
     usual = [
         (
-            "what is left is 2.1 times the noise of the measurement (most of a: 0.0012, noise 0.0003): the model lacks "
-            "something, and fitted numbers may be off by more than their intervals to make up for it; none of late feedback, "
+            "the remaining error is 2.1 times the sensor noise (largest at a: 0.0012, noise 0.0003). The model lacks "
+            "something, so fitted numbers may be off by more than their intervals; none of late feedback, "
             "an integral term, backlash, an elastic gear, friction that grows with the load or falls with time, a largest "
             "speed, a payload and a mirrored joint explains it"
         ),
         (
-            "the fitted model simulates a logged signal worse than the nominal one: velocity of a (0.1 -> 0.2); its numbers "
+            "the fitted model simulates a logged signal worse than the original model: velocity of a (0.1 -> 0.2). Its numbers "
             "are not the robot's, or the signal has another sign, scale or unit"
         ),
         (
-            "2 of 24 parameters are not determined by these motions: delay_s[a], mass[hand]; their values rest on the model "
-            "that you gave"
+            "2 of 24 parameters are not determined by these motions: delay_s[a], mass[hand]; their values come from your "
+            "model"
         ),
         "the search stopped early (time): raise solver.max_iterations, or give it more time",
         "the command moves on between its stamps: this explains the logs better",

@@ -373,7 +373,7 @@ _STATEMENTS = {
     "not-identifiable": ("4 of 21 parameters are not determined by these motions: {0}; their values are the prior's",),
     "at-bound": ("ended on a bound: kp[{0}] = 3e+04 Nm/rad",),
     "not-converged": ("the search stopped early (out of iterations): run longer, or with --resume",),
-    "no-better": ("the fitted model is no better than the nominal one on val; is this the log of another robot?",),
+    "no-better": ("the fitted model is no better than the original one on val; is this the log of another robot?",),
 }
 
 
@@ -554,7 +554,7 @@ CLOSE_RUNS = (
 )
 STEPS = (
     Step("import", "done", 1.2, "8 motions"),
-    Step("replay", "kept", 3.1, "8 motions simulated by the model as it came"),
+    Step("replay", "kept", 3.1, "8 motions simulated with the original model"),
     Step("gap", "done", 2.0, "position rmse 0.0407 rad on test"),
     Step("explain", "failed", 0.4, "nothing was moved that could be fitted"),
     Step("identify", "cut short", 186.0, "17 of 21 parameters determined, status ok, model 'load'"),

@@ -204,7 +204,7 @@ def test_the_run_that_a_dataset_came_with_is_not_one_of_an_earlier_close(data, t
     assert quick(data, tmp_path / "one", until="replay").result.step("replay").status == "done"
     first = quick(data, tmp_path / "two", until="replay").result
     (step,) = first.steps
-    assert (step.status, step.what) == ("done", "12 motions simulated by the model as it came, as the dataset has them")
+    assert (step.status, step.what) == ("done", "12 motions simulated with the original model, as the dataset has them")
     assert "several calls" not in time_words(first)
     assert first.provenance["data_hash"] == Dataset(data).hash
     assert quick(data, tmp_path / "two", until="replay", resume=True).result.step("replay").status == "kept"

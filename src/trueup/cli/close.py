@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 Step = Literal["import", "replay", "gap", "check", "explain", "identify", "augment"]
 UntilStep = Annotated[Step, typer.Option("--until", help="The last step.")]
 _BEGINS: dict[StepName, str] = {
-    "import": "import: logs to a dataset",
-    "replay": "replay: the commands through the simulator as it came",
-    "gap": "gap: how far it is from the robot",
-    "check": "check: whether logs, robot.yaml and model fit together",
-    "explain": "explain: where that comes from",
-    "identify": "identify: the numbers that the model has wrong",
-    "augment": "augment: networks for what is left",
+    "import": "import: reading the logs",
+    "replay": "replay: simulating the logged commands with the original model",
+    "gap": "gap: comparing the simulation with the robot",
+    "check": "check: comparing logs, robot.yaml and model",
+    "explain": "explain: finding where the gap comes from",
+    "identify": "identify: fitting the model",
+    "augment": "augment: training networks on the remaining error",
 }
 _BEFORE_GAP: tuple[StepName, ...] = ("import", "replay")
 # What is said of a fit at the end of everything: the report says the rest.
@@ -147,7 +147,7 @@ def exit_code(closed: Closed, *, skip_bad: bool = False) -> int:
         return 2
     missing = lacking(closed)
     if closed.stopped:
-        problem("the set-up is wrong, and a fit would bend numbers until that is hidden: nothing was fitted", GO_ON)
+        problem("nothing was fitted, because the set-up is wrong and a fit would hide that in its numbers", GO_ON)
     elif missing:
         problem(
             "; ".join(missing),

@@ -103,11 +103,11 @@ def status_line(fit: FitResult) -> tuple[str, str | None]:
     count = {word: sum(item.identified == word for item in free) for word in IDENTIFIED}
     effective = f"{count['effective']} as effective values, " if count["effective"] else ""
     text = (
-        f"status: {fit.status}; of {len(free)} parameters that were fitted, the data determine {count['yes']}, "
+        f"status: {fit.status}; of {len(free)} fitted parameters, the data determine {count['yes']}, "
         f"{effective}{count['weakly']} weakly, {count['no']} not"
     )
     if fit.ended_by_time:
-        return f"{text}; the time has ended the search", "Give it more time (--budget), and run again with --overwrite."
+        return f"{text}; stopped at the time limit", "Give it more time (--budget), and run again with --overwrite."
     return text, _HINT.get(fit.status)
 
 

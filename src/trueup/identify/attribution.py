@@ -98,12 +98,12 @@ def explain(
     statements = [
         *left_out(nested.unused(broken)),
         *nested.seen.statements,
-        "each cause is taken away after those to its left; another order would share the gap differently",
+        "causes are removed from left to right; another order would split the gap differently",
     ]
     if nested.unfinished:
         statements.append(f"{SHORT_OF_TIME} {', '.join(nested.unfinished)}")
     if nested.split == "train":
-        statements.insert(0, "scored on the motions that it was fitted to: there are no others")
+        statements.insert(0, "scored on the motions it was fitted to, because there are no others")
     return Attribution.of(
         nested.split,
         nested.unit,

@@ -121,10 +121,10 @@ def _of_what_is_left(evidence: Evidence) -> _Judged | None:
     item = evidence.whiteness[joint]
     return _Judged(
         "unexplained",
-        f"what is left is {ratio:.2g} times the noise of the measurement (most of {joint}: {item.rms:.3g}, noise "
-        f"{item.noise or 0.0:.2g}): the model lacks something, and fitted numbers may be off by more than their "
-        "intervals to make up for it" + _or_else(evidence),
-        "more is left than noise",
+        f"the remaining error is {ratio:.2g} times the sensor noise (largest at {joint}: {item.rms:.3g}, noise "
+        f"{item.noise or 0.0:.2g}). The model lacks something, so fitted numbers may be off by more than their "
+        "intervals" + _or_else(evidence),
+        "the remaining error is more than noise",
     )
 
 
@@ -167,8 +167,8 @@ def _of_numbers(evidence: Evidence) -> _Judged | None:
     asked = evidence.chosen_by_user or not any(item.identified == "yes" for item in free)
     return _Judged(
         "not-identifiable" if asked else "ok",
-        f"{len(unknown)} of {len(free)} parameters are not determined by these motions: {names}; their values rest on "
-        "the model that you gave, and their intervals say how far they may be from the robot's",
+        f"{len(unknown)} of {len(free)} parameters are not determined by these motions: {names}; their values come "
+        "from your model, and their intervals say how far off they may be",
     )
 
 
@@ -207,9 +207,9 @@ def _of_signals(evidence: Evidence) -> _Judged | None:
         return None
     return _Judged(
         "signal-worse",
-        f"the fitted model simulates a logged signal worse than the nominal one: {', '.join(worse[:6])}"
+        f"the fitted model simulates a logged signal worse than the original model: {', '.join(worse[:6])}"
         + (", …" if len(worse) > 6 else "")
-        + "; its numbers are not the robot's, or the signal has another sign, scale or unit",
+        + ". Its numbers are not the robot's, or the signal has another sign, scale or unit",
         "a logged signal became worse",
     )
 
@@ -230,7 +230,7 @@ def _of_motion(evidence: Evidence) -> list[_Judged]:
         return []
     found = []
     after = errors["fitted"][judge]
-    rivals = {"nominal": "the nominal one", "command": "the command itself, taken as the motion"}
+    rivals = {"nominal": "the original one", "command": "the command taken as the motion"}
     for run, rival in rivals.items():
         before = errors.get(run, {}).get(judge)
         if before is not None and not after.value < before.value:
@@ -240,7 +240,7 @@ def _of_motion(evidence: Evidence) -> list[_Judged]:
             )
             found.append(_Judged("no-better", text, "it makes motions no better"))
     if judge == "train":
-        found.append(_Judged("ok", "there is no val split: the fit is judged on the motions that it was fitted to"))
+        found.append(_Judged("ok", "there are no val motions, so the fit is judged on the motions it was fitted to"))
     return found
 
 
@@ -252,10 +252,9 @@ def _remarks(evidence: Evidence) -> list[str]:
     parameters = evidence.parameters
     fitted = {split_name(item.name)[0] for item in parameters if not item.frozen}
     if "kp" in fitted and not evidence.torque_seen:
-        rest = "the priors of the masses" if "mass" in fitted else "the model's masses"
         remarks.append(
-            f"positions tell torques only relative to weights: the common scale of gains, friction and armature rests "
-            f"on {rest}; weigh the torque signal to fix it, if the robot has one"
+            "without logged torques, gains, friction and armature are known only relative to the model's masses; log "
+            "torques if the robot measures them"
         )
     if not evidence.chosen_by_user:
         gone = [item.name for item in parameters if item.frozen and item.value == 0.0 and item.nominal]
@@ -263,7 +262,7 @@ def _remarks(evidence: Evidence) -> list[str]:
             remarks.append(f"the robot has none of these, though the model does: {', '.join(gone)}")
         idle = [item.name for item in parameters if item.frozen and item.value == item.nominal]
         if idle:
-            remarks.append(f"left as they are, since these motions do not show them: {', '.join(idle)}")
+            remarks.append(f"not fitted, because these motions do not show them: {', '.join(idle)}")
     return remarks
 
 

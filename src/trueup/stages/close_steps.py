@@ -184,7 +184,7 @@ class CloseSteps:
             done = replay_unless_same(
                 self.dataset, robot, model=self.model, label=STOCK, jobs=self.jobs, track=self.track
             )
-            step.what = f"{done.replayed + done.kept} motions simulated by the model as it came"
+            step.what = f"{done.replayed + done.kept} motions simulated with the original model"
             if done.replaced:
                 step.what += f", in place of the run {STOCK} of another robot, model, setting or version"
             step.made = bool(done.replayed)
