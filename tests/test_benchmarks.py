@@ -56,6 +56,7 @@ def test_every_benchmark_is_there():
     assert not [name for name in stored() if own_result(name).is_file()]
 
 
+@pytest.mark.long
 def test_the_command_prints_the_table_without_measuring():
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks", "--table"],
@@ -79,6 +80,7 @@ def test_the_command_prints_the_table_without_measuring():
     assert "no benchmark nothing" in done.stderr
 
 
+@pytest.mark.long
 def test_the_command_measures_in_another_process_and_prints_the_figures():
     lines = ("import runpy, sys, benchmarks.figures as figures", "figures.keep = lambda name, rows: None")
     start = "; ".join(

@@ -18,6 +18,7 @@ SAID = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SAID)
 def test_it_runs(name, tmp_path):
     words, said = SAID[name]

@@ -103,6 +103,7 @@ def test_an_unknown_name_is_refused_by_the_commands(run, command, tmp_path, monk
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
 
 
+@pytest.mark.long
 def test_it_is_evaluated_like_a_network_of_ones_own(run, panda, tmp_path):
     code, out, _ = run(
         *("eval", panda.path, "--model", "zoo:panda-realeasy-rt", "--split", "all", "--out", tmp_path / "out")

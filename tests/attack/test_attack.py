@@ -11,6 +11,8 @@ from attack.full import filled
 from attack.harness import Attacker, all_parsers, attack
 from attack.kill import WRITERS, assaulted
 
+pytestmark = pytest.mark.long
+
 MUTATIONS = int(os.environ.get("TRUEUP_MUTATIONS", "20"))
 
 

@@ -93,6 +93,7 @@ def test_one_scale_for_each_quantity(trained):
             assert channel.quantity == "body.position" or center == 0.0
 
 
+@pytest.mark.long
 def test_it_helps_on_bodies_that_it_never_saw(trained):
     folder, _, _ = trained
     other = make_bodies(folder / "other", counts=(1, 1, 12), noise=1e-4, seed=5, bodies=("hand", "head"))

@@ -67,12 +67,14 @@ def test_it_does_not_see_what_it_must_say(sensed):
     assert np.abs(first[31:] - second[31:]).max() > 0.1
 
 
+@pytest.mark.long
 def test_it_is_evaluated_like_any_other(sensed, tmp_path):
     folder, data = sensed
     found = evaluate(data, [folder / "model"], tmp_path / "out", run=RUN)
     assert found.result.model("sensed").cuts[""]["torque"]["lift"].factor.low > 2
 
 
+@pytest.mark.long
 def test_a_stream_that_is_given_the_readings_is_the_motion_offline(sensed):
     folder, data = sensed
     episode = data.episode("test0", runs=[RUN])

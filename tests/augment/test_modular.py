@@ -200,6 +200,7 @@ def test_who_does_not_read_a_position_corrects_it_the_same_elsewhere(upright):
     assert np.abs(added(models["plain"], 40.0) - added(models["plain"], 0.0)).max() > 0.01
 
 
+@pytest.mark.long
 def test_a_stream_trusts_it_wherever_a_joint_stands(upright):
     """How far the command is from the joint is read, not where both are."""
     folder, data, models = upright

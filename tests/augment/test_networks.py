@@ -93,6 +93,7 @@ def test_steps_equal_the_whole(config):
     np.testing.assert_allclose(stepwise(corrector, session, x), whole(corrector, session, x), atol=1e-5)
 
 
+@pytest.mark.long
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     kind=st.sampled_from(["lstm", "gru"]),

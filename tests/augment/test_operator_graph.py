@@ -55,6 +55,7 @@ def run(corrector, session, x):
     return np.stack(out)
 
 
+@pytest.mark.long
 @settings(max_examples=20, deadline=None)
 @given(
     seed=st.integers(0, 2**20),

@@ -130,6 +130,7 @@ def test_what_is_computed_again_is_not_kept(monkeypatch):
     assert kept(200) < kept(100)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("config", ABLATIONS.values(), ids=ABLATIONS.keys())
 def test_mixed_precision_says_and_learns_about_the_same(config):
     x, wanted = (part.float() for part in data())

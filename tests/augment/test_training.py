@@ -67,6 +67,7 @@ def data(tmp_path_factory):
     return make_dataset(tmp_path_factory.mktemp("data") / "arm")
 
 
+@pytest.mark.long
 def test_it_learns_what_the_simulator_has_wrong(data, tmp_path):
     made = augment([data], tmp_path, run=RUN, config=replace(SMALL, epochs=40))
     val = made.augmentation.card.metrics["val"]
@@ -793,6 +794,7 @@ def test_a_moving_average_of_the_simulator_is_one(data, tmp_path, method):
         assert found["corrected"] == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.long
 def test_networks_feel_the_stops_of_joints(tmp_path):
     """What a stop carries is told by how deep the simulated joint leans into it, and by nothing else."""
     rng = np.random.default_rng(0)
@@ -821,6 +823,7 @@ def test_networks_feel_the_stops_of_joints(tmp_path):
     assert left[True] < 0.6 * left[False]
 
 
+@pytest.mark.long
 def test_commands_are_read_as_how_far_they_are_from_the_simulator(tmp_path):
     """The robot stops short of its command by a share of the servo's error, which is small beside the motion."""
     rng = np.random.default_rng(0)

@@ -57,6 +57,7 @@ def test_a_set_up_that_is_right_raises_nothing(made, signal, seed):
     assert look(*made(signal, seed)) == ()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("signal", "joint", "side"),
     [
@@ -77,6 +78,7 @@ def test_a_mirrored_joint_is_named(made, signal, joint, side):
         assert (rule.sign, sign) == (-1 if measured else 1, -1 if command else 1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("side", ["measured", "command"])
 def test_a_whole_robot_that_counts_the_other_way_round_is_named_by_one_finding(made, side):
     robot, path, episodes = made("position")
@@ -85,6 +87,7 @@ def test_a_whole_robot_that_counts_the_other_way_round_is_named_by_one_finding(m
     assert_named(robot, path, wrong, "sign", NAMES)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("signal", SIGNALS)
 def test_swapped_joints_are_named(made, signal, side):
@@ -95,6 +98,7 @@ def test_swapped_joints_are_named(made, signal, side):
     assert {joint.log for joint in right.joints if joint.log} == ({"lift", "elbow"} if measured else set())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("signal", "side", "factor", "zero", "rule"),
     [
@@ -116,6 +120,7 @@ def test_units_are_named(made, signal, side, factor, zero, rule):
         assert right.joints[1].command.log_unit == "mrad"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("signal", SIGNALS)
 def test_a_whole_log_in_degrees_is_named_by_one_finding(made, signal):
     robot, path, episodes = made(signal)
@@ -124,6 +129,7 @@ def test_a_whole_log_in_degrees_is_named_by_one_finding(made, signal):
     assert [joint.log_unit for joint in right.joints] == ["deg"] * 3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("side", ["measured", "command"])
 def test_one_series_in_degrees_is_named_by_one_finding(made, side):
     robot, path, episodes = made("position")
@@ -150,6 +156,7 @@ def test_a_zero_that_is_a_quarter_turn_off_is_named(made, signal, side):
     assert right.joints[1].offset == pytest.approx(-0.5 * math.pi, abs=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("signal", SIGNALS)
 def test_a_gear_is_named(made, signal):
     robot, path, episodes = made(signal)
@@ -160,6 +167,7 @@ def test_a_gear_is_named(made, signal):
     assert right.joints[2].command.scale == pytest.approx(10.0**exponent, rel=0.05)
 
 
+@pytest.mark.long
 def test_commands_of_motors_behind_gears_that_are_alike_are_named_by_one_finding(made):
     robot, path, episodes = made("position")
     wrong = changed(episodes, lambda _, values: 100.0 * values, measured=False)
@@ -188,6 +196,7 @@ def test_weight_that_something_else_carries_is_named(tmp_path):
     assert right.simulation.gravity_compensation
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("signal", "late_s"), [("position", -0.4), ("torque", 0.3), ("torque", -0.15), ("velocity", -0.3)]
 )
@@ -236,6 +245,7 @@ def test_positions_in_torque_motors_are_named(made, tmp_path):
     assert certain(look(mended(robot, found.mends[0].lines), path, episodes)) == []
 
 
+@pytest.mark.long
 def test_two_mistakes_are_named_one_after_the_other(made):
     robot, path, episodes = made("torque")
     wrong = changed(changed(episodes, mirrored(1)), scaled(2, 180 / math.pi), command=False)
@@ -337,6 +347,7 @@ def test_a_model_that_is_imprecise_is_no_wrong_set_up(tmp_path, signal, seed):
     assert certain(look(robot, path, changed(episodes, coarse, command=False))) == []
 
 
+@pytest.mark.long
 def test_drawn_mistakes_are_named(made):
     """Of mistakes drawn at random at least 95 in 100 are named, and mended by their first lines."""
     rng, total, named = np.random.default_rng(11), 0, 0
@@ -388,6 +399,7 @@ def test_what_is_written_for_a_unit_is_that_unit(kind, limits):
 OF_READING = {"sign", "swap", "offset", "unit", "relation", "gear", "gravity", "clock", "delay", "control-mode"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("name", ["arm", "ur5e"])
 def test_a_robot_that_follows_by_itself_is_read_as_it_is(tmp_path, request, name, seed):

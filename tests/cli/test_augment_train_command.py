@@ -44,6 +44,7 @@ def small(folder, **over):
     return path
 
 
+@pytest.mark.long
 def test_it_says_how_good_it_is_on_val_and_what_to_do_next(run, data, tmp_path):
     code, out, err = run(
         *("augment", "train", data, "--out", tmp_path / "m", "--config", small(tmp_path), "--name", "arm-rt"),
@@ -122,6 +123,7 @@ def test_a_signal_that_is_chosen_need_not_be_the_one_that_its_method_is_blind_to
     assert configured("sat", None, None, None, None).data.blind == ("position",)
 
 
+@pytest.mark.long
 def test_what_no_sensor_measured_is_said(run, tmp_path):
     """A servo without a current sensor: its current stays as simulated, and nobody need guess so."""
     path = make_dataset(tmp_path / "arm", unmeasured=("torque",)).path
@@ -136,6 +138,7 @@ def test_what_no_sensor_measured_is_said(run, tmp_path):
     assert "the measurement of episode 'train0' has no torque: available: position, velocity" in err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("method", "history", "said"),
     [("sat", 300, True), ("sat", 20, False), ("mlp", 300, True), ("mlp", 20, False), ("gru", 300, False)],
@@ -158,6 +161,7 @@ def test_method_and_file_exclude_one_another(run, data, tmp_path):
     assert "Write method: into the file." in err
 
 
+@pytest.mark.long
 def test_papers_numbers_come_with_the_word_paper(run, data, tmp_path):
     code, _, _ = run(
         *("augment", "train", data, "--out", tmp_path / "m", "--method", "realeasy", "--config", "paper"),
@@ -172,6 +176,7 @@ def test_papers_numbers_come_with_the_word_paper(run, data, tmp_path):
     assert (config["data"]["normalization"], config["loss"]["scale"]) == ("limits", "normalized")
 
 
+@pytest.mark.long
 def test_killed_and_resumed_from_the_command_line(data, tmp_path):
     config, out = small(tmp_path, epochs=400, window={"samples": 40, "draws": 8}), tmp_path / "m"
     command = [sys.executable, "-m", "trueup.cli.main", "augment", "train", data, "--out", out, "--config", config]

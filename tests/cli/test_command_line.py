@@ -113,6 +113,7 @@ def test_doctor_says_what_is_there_and_how_to_get_the_rest(run, monkeypatch):
     assert "'.[dart]'" not in out
 
 
+@pytest.mark.long
 def test_the_steps_one_by_one(run, demo, tmp_path):
     code, out, _ = run("replay", demo, "--robot", "demo_arm", "--label", "mujoco/steps", "--jobs", 2)
     assert (code, "12 episodes replayed" in out) == (0, True)
@@ -153,6 +154,7 @@ def test_a_second_engine_makes_a_run_of_its_own(run, demo, tmp_path):
     assert (code, "mujoco, dart" in err) == (2, True)
 
 
+@pytest.mark.long
 def test_close_writes_the_ladder_and_says_whether_it_is_better(run, demo, tmp_path):
     code, out, _ = run("close", demo, "--until", "gap", "--robot", "demo_arm", "--out", tmp_path / "out")
     assert code == 0
@@ -187,6 +189,7 @@ def test_a_bar_that_is_none_is_refused_before_the_work(run, demo, tmp_path, bar)
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.long
 def test_results_are_not_overwritten_unasked(run, demo, tmp_path):
     assert run("close", demo, "--until", "gap", "--robot", "demo_arm", "--out", tmp_path / "out")[0] == 0
     code, _, err = run("close", demo, "--until", "gap", "--robot", "demo_arm", "--out", tmp_path / "out")
@@ -320,6 +323,7 @@ def kill_after(logs, out, *, episodes):
     process.wait(timeout=60)
 
 
+@pytest.mark.long
 def test_an_import_that_was_killed_goes_on_with_resume(motion, tmp_path, run):
     """kill -9 in the middle: what was finished is readable, and a rerun completes it."""
     for index in range(60):
@@ -345,6 +349,7 @@ def test_an_import_that_was_killed_goes_on_with_resume(motion, tmp_path, run):
     assert whole.hash == Dataset(tmp_path / "straight").hash
 
 
+@pytest.mark.long
 def test_gap_json_is_what_other_programs_read(run, demo, tmp_path):
     run("replay", demo, "--robot", "demo_arm", "--label", "mujoco/json")
     run("gap", demo, "--runs", "mujoco/json", "--out", tmp_path / "gap")
@@ -453,6 +458,7 @@ OUT_IS_A_FOLDER = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("words", OUT_IS_A_FOLDER.values(), ids=OUT_IS_A_FOLDER)
 @pytest.mark.parametrize("place", ["file", "file/below"])
 def test_an_out_that_is_a_file_is_refused_before_any_work(run, demo, tmp_path, words, place):
@@ -465,6 +471,7 @@ def test_an_out_that_is_a_file_is_refused_before_any_work(run, demo, tmp_path, w
     assert (tmp_path / "file").read_text() == "mine"
 
 
+@pytest.mark.long
 def test_results_are_not_taken_for_data(run, tmp_path):
     assert run("demo", "--robot", "demo_arm", "--until", "gap", "--out", tmp_path / "results")[0] == 0
     results, data = tmp_path / "results", tmp_path / "results" / "dataset"
@@ -489,6 +496,7 @@ def test_a_damaged_dataset_is_not_taken_for_logs(run, demo, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.long
 def test_a_demo_that_was_interrupted_goes_on_with_what_it_recorded(run, tmp_path):
     words = ("demo", "--robot", "demo_arm", "--out", tmp_path / "out")
     assert run(*words, "--until", "replay")[0] == 0
@@ -503,6 +511,7 @@ def test_a_demo_that_was_interrupted_goes_on_with_what_it_recorded(run, tmp_path
     assert (tmp_path / "out" / "gap.json").is_file()
 
 
+@pytest.mark.long
 def test_a_demo_with_a_failed_step_is_exit_code_3(run, tmp_path, monkeypatch):
     monkeypatch.setattr("trueup.cli.close.lacking", lambda _: ["identify failed"])
     code, _, err = run("demo", "--robot", "demo_arm", "--until", "gap", "--out", tmp_path / "out")

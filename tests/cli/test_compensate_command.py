@@ -43,6 +43,7 @@ def run(capsys):
     return call
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", [("train", "--out", "net"), ("replay", "--network", "net")])
 def test_without_torch_one_is_told_how_to_get_it(world, tmp_path, command):
     words = ["compensate", command[0], str(world / "data"), "--robot", "demo_arm", *command[1:]]
@@ -53,6 +54,7 @@ def test_without_torch_one_is_told_how_to_get_it(world, tmp_path, command):
     assert not any(tmp_path.iterdir())
 
 
+@pytest.mark.long
 def test_train_and_replay(world, run):
     robot, data = ("--robot", world / "robot" / "arm.yaml"), world / "data"
     code, out, err = run(

@@ -29,6 +29,7 @@ def run(tmp_path, monkeypatch, capsys):
     return call
 
 
+@pytest.mark.long
 def test_goals_one_after_the_other_and_a_log_that_can_be_replayed(run, tmp_path):
     code, out, _ = run("still", "--goals", 2, "--seconds", 0.4, "--unit", 2, "--out", "log")
     assert code == 0
@@ -85,6 +86,7 @@ def test_bad_input(run, tmp_path, arguments, said):
     assert not (tmp_path / "log").exists()
 
 
+@pytest.mark.long
 def test_what_was_driven_can_be_identified_from(tmp_path):
     policy_of(tmp_path / "still", np.zeros(7))
     drive(tmp_path / "still", load_robot("panda_torque"), 5, seconds=0.2, out=tmp_path / "driven")
@@ -92,6 +94,7 @@ def test_what_was_driven_can_be_identified_from(tmp_path):
     assert [len(data.select(split=split)) for split in ("train", "val", "test")] == [3, 1, 1]
 
 
+@pytest.mark.long
 def test_goals_that_are_driven_to_are_not_those_that_are_judged_on(tmp_path):
     """With the seeds that nobody has chosen: what is identified from the runs is not tested on their goals."""
     policy_of(tmp_path / "still", np.zeros(7))

@@ -46,6 +46,7 @@ def quick(tmp_path):
     return path
 
 
+@pytest.mark.long
 def test_identify_climbs_a_rung(run, demo, quick, tmp_path):
     out = tmp_path / "fit"
     code, printed, said = run("identify", demo, "--robot", "demo_arm", "--config", quick, "--out", out, "--jobs", "1")
@@ -79,6 +80,7 @@ def test_identify_climbs_a_rung(run, demo, quick, tmp_path):
     assert "mujoco/again" in printed
 
 
+@pytest.mark.long
 def test_an_unsure_fit_is_loud_and_a_useless_one_fails(run, demo, tmp_path):
     config = tmp_path / "weak.yaml"
     config.write_text("fit: {payload_z: all, kv: all}\nmodels: {}\ndata: {budget_s: 8}\nsolver: {max_iterations: 1}\n")
@@ -89,6 +91,7 @@ def test_an_unsure_fit_is_loud_and_a_useless_one_fails(run, demo, tmp_path):
     assert json.loads((tmp_path / "fit" / "fit.json").read_text())["status"] == "not-converged"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -150,6 +153,7 @@ def measured(run, demo):
     return demo
 
 
+@pytest.mark.long
 def test_a_measurement_outlives_an_explanation_that_fails(run, measured, tmp_path, monkeypatch):
     def fails(*_, **__):
         raise NotIdentifiable("no joint moves in these motions")
@@ -163,6 +167,7 @@ def test_a_measurement_outlives_an_explanation_that_fails(run, measured, tmp_pat
     assert (out / "report.html").is_file()
 
 
+@pytest.mark.long
 def test_a_new_gap_stands_beside_nothing_old(run, measured, tmp_path):
     out = tmp_path / "gap"
     out.mkdir()

@@ -54,6 +54,7 @@ def run(tmp_path, monkeypatch, capsys):
     return call
 
 
+@pytest.mark.long
 def test_seeds_of_one_configuration_are_judged_together(run, policies, tmp_path):
     grid = policies / "grid"
     given = [grid / name for name in ("small-0", "small-1", "gamma-0", "small-2")]
@@ -135,12 +136,14 @@ def test_one_policy_against_another_goal_by_goal(policies):
     assert names == set(gamma)
 
 
+@pytest.mark.long
 def test_cards_say_which_trainings_are_alike(policies):
     said = {path.parent.name: PolicyCard.load(path.parent).provenance["alike"] for path in policies.rglob(POLICY_CARD)}
     assert said["small-0"] == said["small-1"] == said["small-2"]
     assert len(set(said.values())) == 3
 
 
+@pytest.mark.long
 def test_what_is_there_is_not_lost(run, policies, tmp_path):
     policy, places = policies / "grid" / "gamma-0", ("--goals", 2, "--jobs", 1)
     assert run("eval", policy, *places, "--out", "found")[0] == 0
@@ -170,6 +173,7 @@ def test_policies_that_cannot_be_compared(run, policies):
     assert "different robots or rates" in err
 
 
+@pytest.mark.long
 def test_a_policy_meets_friction_as_it_was_trained_with_it(policies, tmp_path, monkeypatch):
     """Friction of actions in simulators, also in DART; on hardware what its gravity lacks (ES thesis, 2.4.2, 3.1)."""
     pytest.importorskip("dartpy")
@@ -198,6 +202,7 @@ def test_a_policy_meets_friction_as_it_was_trained_with_it(policies, tmp_path, m
     assert not made[0][3]._models[0].dof_damping.any()
 
 
+@pytest.mark.long
 def test_tasks_that_differ_in_their_reward_or_goals_are_not_compared(run, policies, tmp_path):
     for name, reach in (("reward", {"reward": {"speed": 0.3}}), ("goals", {"lowest_m": 0.3})):
         other = {**SMALL, "reach": {**SMALL["reach"], **reach}}

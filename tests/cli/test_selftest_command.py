@@ -34,6 +34,7 @@ def drawn(*numbers, seed=0):
     return DrawnRobot(seed, 1, numbers, "ok", "base", 3.0)
 
 
+@pytest.mark.long
 def test_the_command_prints_and_writes_and_refuses_to_overwrite(tmp_path, capsys):
     (tmp_path / "fit.yaml").write_text(yaml.safe_dump(FEW))
     options = ("--robot", "demo_arm", "--config", tmp_path / "fit.yaml", "--jobs", 1, "--out", tmp_path / "s.json")

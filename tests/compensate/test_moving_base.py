@@ -124,6 +124,7 @@ def test_slopes_are_those_on_the_base(world):
     np.testing.assert_allclose(moved, np.einsum("bsj,bj->bs", slopes.command, np.repeat(push, 3, axis=0)), atol=1e-7)
 
 
+@pytest.mark.long
 def test_networks_train_and_replay_on_it(world, tmp_path):
     robot, path, data, prepared, _ = world
     made = compensate(data, robot, tmp_path / "net", config=CONFIG, prepared=prepared, jobs=1)

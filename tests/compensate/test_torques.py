@@ -93,6 +93,7 @@ def test_its_card_says_torques_and_it_is_read_back(trained):
     assert again.card == card
 
 
+@pytest.mark.long
 def test_a_replay_goes_back_to_the_robot_as_often_as_a_plain_one(world, trained):
     robot, path, data, _ = world
     _, folder = trained

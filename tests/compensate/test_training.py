@@ -159,6 +159,7 @@ def test_losses_by_hand():
     assert float(loss_of(torch.zeros(2, 1, 2), deltas, config)) == pytest.approx(0.5 * 4.0 + 0.1 * 2.0)
 
 
+@pytest.mark.long
 def test_delta_actions_one_by_one_teach_it_too(world, tmp_path):
     robot, _, data, prepared = world
     config = replace(CONFIG, training=replace(CONFIG.training, way="delta"))
@@ -192,6 +193,7 @@ def test_what_was_wrong_is_learned_and_kept(world, direct):
     assert finished.errors == made.errors
 
 
+@pytest.mark.long
 def test_the_robot_is_made_to_move_like_its_simulator(world, direct, tmp_path):
     """A network for the robot, trained on the twin that a first network has made, works on the robot itself."""
     robot, path, data, prepared = world
@@ -229,6 +231,7 @@ def test_the_robot_is_made_to_move_like_its_simulator(world, direct, tmp_path):
         assert gaps[1] < 0.5 * gaps[0]
 
 
+@pytest.mark.long
 def test_an_interrupted_training_ends_with_the_same_weights(world, tmp_path, monkeypatch):
     robot, _, data, prepared = world
     config = replace(CONFIG, training=replace(CONFIG.training, updates=8, rounds=4))

@@ -41,6 +41,7 @@ def most_bytes():
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
+@pytest.mark.long
 def test_zeros_that_unpack_to_gigabytes_are_refused_before_memory_is_taken(tmp_path):
     bomb(tmp_path / "x.npz", 1)
     assert (tmp_path / "x.npz").stat().st_size < 2_000_000

@@ -27,6 +27,7 @@ def with_tests(monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(Path(errands.__file__).parents[1]), *sys.path]))
 
 
+@pytest.mark.long
 @needs_ray
 def test_a_worker_that_is_killed_is_replaced_and_nothing_is_lost(tmp_path, with_tests):
     marker = tmp_path / "killed"
@@ -36,6 +37,7 @@ def test_a_worker_that_is_killed_is_replaced_and_nothing_is_lost(tmp_path, with_
     assert found == {item: item[0] ** 2 for item in items}
 
 
+@pytest.mark.long
 @needs_ray
 def test_workers_begin_before_their_first_item_and_errors_arrive_as_they_were(with_tests):
     import ray
@@ -70,6 +72,7 @@ def test_workers_begin_before_their_first_item_and_errors_arrive_as_they_were(wi
         ray.shutdown()
 
 
+@pytest.mark.long
 @needs_ray
 def test_work_that_the_cluster_lacks_is_said(monkeypatch):
     monkeypatch.setenv("PYTHONPATH", "")

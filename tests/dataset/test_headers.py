@@ -191,6 +191,7 @@ def test_an_import_without_a_mapping_prints_one_that_works(tmp_path, capsys):
     assert left.value.code == 0, capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_thousands_of_columns_take_seconds(tmp_path):
     """Each column used to be a walk through all of the file."""
     joints = [f"joint_{number}" for number in range(3000)]

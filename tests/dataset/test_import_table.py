@@ -430,6 +430,7 @@ def assert_same(left, right):
         np.testing.assert_array_equal(values, right[signal])
 
 
+@pytest.mark.long
 @settings(max_examples=15)  # every file is synced to disk
 @given(datasets())
 def test_export_and_import_give_the_same_episodes(made):

@@ -441,6 +441,7 @@ def test_a_pickle_is_not_opened_and_the_way_round_it_is_said(tmp_path, with_mapp
         assert_read(read(logs)[0])
 
 
+@pytest.mark.long
 def test_a_mat_file_that_unpacks_to_gigabytes_is_refused(tmp_path):
     (tmp_path / "logs").mkdir()
     packer = zlib.compressobj(9)
@@ -494,6 +495,7 @@ def a_row_far_below(path):
     workbook(path, '<row r="1"><c r="A1"><v>1</v></c></row><row r="99999999999"/>', "A1:A1")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "write"),
     [

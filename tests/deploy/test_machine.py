@@ -106,6 +106,7 @@ def test_with_all_options(tmp_path, config):
     np.testing.assert_allclose(machine, graph, atol=2e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("target", "gate"), [("plain", 1.0), ("plain", 0.3), ("residual", 0.0)])
 def test_with_all_that_is_around_the_network(tmp_path, target, gate):
     machine, graph, correction = compared(modular(tmp_path, target=target, gate=gate), ("a", "b", "c"))

@@ -163,6 +163,7 @@ def test_what_fills_the_memory_is_refused_before_it_does(nodes, constants):
     refused(model_of(*nodes, constants=constants), "too much memory", "512 MB")
 
 
+@pytest.mark.long
 def test_what_takes_too_long_is_ended(monkeypatch):
     monkeypatch.setattr(trial, "MOST_SECONDS", 0.2)
     square = np.full((1500, 1500), 1e-3, np.float32)

@@ -96,6 +96,7 @@ def test_an_arm_that_leaves_its_workspace_is_stopped_and_stands_soon(tmp_path):
     assert (run.sent[-1] == 0).all()
 
 
+@pytest.mark.long
 def test_joints_stay_within_their_ends_whatever_the_policy_says(tmp_path):
     for sign in (1.0, -1.0):
         policy = policy_of(tmp_path / f"p{sign}", sign * np.array(MOST))
@@ -218,6 +219,7 @@ main(["deploy", "run", sys.argv[1], "--goals", "50", "--real-time", "--late-ms",
 """
 
 
+@pytest.mark.long
 def test_ctrl_c_on_the_command_line_stops_the_arm_and_keeps_what_was_recorded(tmp_path):
     from trueup.dataset import Dataset
 

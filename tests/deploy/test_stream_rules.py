@@ -425,6 +425,7 @@ EVENTS = st.lists(
 )  # fmt: skip
 
 
+@pytest.mark.long
 @given(EVENTS, st.sampled_from([real_time, window]), st.sampled_from(sorted(CARDS)), st.integers(0, 1000))
 def test_the_short_way_of_an_ordinary_sample_is_the_careful_way(events, make, card, seed):
     """Whatever happens in whatever order: a stream that never takes the short way says the same."""

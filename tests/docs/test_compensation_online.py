@@ -16,6 +16,7 @@ TEXT = (Path(__file__).parent.parent.parent / "docs" / "compensation-online.md")
 OWN = {"LIMITED", "TARGET", "PAYLOAD", "NO_PAYLOAD"}
 
 
+@pytest.mark.long
 def test_the_python_of_the_page_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     robot = VirtualRobot(draw_truth(load_lab("upper_body"), unit=1), payload_kg=2.0)

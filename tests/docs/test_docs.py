@@ -66,6 +66,7 @@ def demo(tmp_path_factory):
     return folder / "arm"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [name for name in NAMES if any(block.what == "run" for block in blocks(name))])
 def test_the_blocks_of_a_page_run_in_order(name, demo, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
@@ -145,6 +146,7 @@ def names_of(*kinds):
     return {item.name for kind in kinds for item in fields(kind)}
 
 
+@pytest.mark.long
 def test_every_quality_flag_is_explained():
     assert len(quality_kinds()) > len(KINDS)
     assert not in_a_table("log-formats", quality_kinds())

@@ -123,6 +123,7 @@ def compare(line, printed, place):
             assert masked(shown) in said, f"the page shows: {shown}\n{place}"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("page", RUN)
 def test_the_commands_of_a_page_run_in_order(page, shelf, run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -183,6 +184,7 @@ def test_every_example_of_a_file_is_compared_with_one():
     assert set(blocks.CONTRACTS) <= set(RUN)
 
 
+@pytest.mark.long
 def test_every_benchmark_shows_what_was_measured():
     """Measuring takes a day; without a name it is all of them."""
     command = [sys.executable, "-m", "benchmarks", "--table"]

@@ -98,6 +98,7 @@ def test_every_command_does_what_the_page_says(answer):
     assert answer["codes"] == [3 if "--fail-above" in command else 0 for command in COMMANDS], answer["err"]
 
 
+@pytest.mark.long
 def test_the_format_is_detected_and_read(answer):
     assert "12 episodes imported (axislog)" in answer["out"]
     info = json.loads((answer["folder"] / "data" / "axislog" / "dataset.json").read_text())

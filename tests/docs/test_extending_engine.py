@@ -104,6 +104,7 @@ def test_it_takes_one_file_and_three_lines():
     assert len(added) == 3
 
 
+@pytest.mark.long
 def test_its_run_is_stored_measured_and_as_near_to_mujocos_as_the_page_says(done):
     folder, _ = done
     data = Dataset(folder / "runs" / "arm" / "dataset")

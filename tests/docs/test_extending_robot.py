@@ -136,6 +136,7 @@ def test_the_robot_is_recorded_replayed_and_measured_by_its_name(done):
     assert error["mujoco/stock"] < 1e-5 < 1e-2 < error["command"]
 
 
+@pytest.mark.long
 def test_the_fit_recovers_the_numbers_of_the_law_within_their_intervals(done):
     fit = json.loads((done[0] / "runs/worn/fit.json").read_text())
     found = {item["name"]: item for item in fit["parameters"]}

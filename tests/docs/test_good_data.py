@@ -33,6 +33,7 @@ def test_a_stiff_servo_hides_friction_and_payload_as_much_as_the_page_says(gain,
     assert apart_mrad(as_it_is, motions(gain)) == pytest.approx(float(payload), rel=0.05)
 
 
+@pytest.mark.long
 def test_every_flag_that_is_named_exists():
     rows = re.findall(r"^\|[^|]*\|([^|]*)\|$", PAGE.split("## What spoils data silently")[1], re.M)
     named = {word for row in rows for word in re.findall(r"`([a-z_]+)`", row)}

@@ -50,6 +50,7 @@ def test_every_row_of_every_table_has_as_many_cells_as_its_head():
         assert {row.count("|") for row in rows} == {head.count("|")}, table
 
 
+@pytest.mark.long
 def test_the_page_is_that_of_the_stored_result():
     data = learned()
     content = json.loads(json.dumps(stored(data)))
@@ -57,6 +58,7 @@ def test_the_page_is_that_of_the_stored_result():
     assert augment.figures(content) == {"learned-corrections.svg": figure(data.amounts)}
 
 
+@pytest.mark.long
 def test_the_bars_are_kept_where_the_worst_joint_keeps_them():
     assert "Of 14" not in augment.page_of(learned())
     assert "All 14 are kept." in augment.page_of(learned())

@@ -16,6 +16,7 @@ from trueup.policy.randomization import RandomizationConfig
 TEXT = (Path(__file__).parent.parent.parent / "docs" / "policies.md").read_text()
 
 
+@pytest.mark.long
 def test_the_python_of_the_page_runs(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = {}

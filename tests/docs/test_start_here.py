@@ -23,6 +23,7 @@ def found(tmp_path_factory):
     return trueup.fit(data, trueup.load_robot("demo_arm"), folder / "fit", config=config, jobs=2, seed=0)
 
 
+@pytest.mark.long
 def test_the_fitted_numbers_are_those_of_the_fit(found):
     shown = re.findall(r"^│ (\w+(?:\[\w+\])?) +│ +([\d.]+) │ +([\d.]+) │ +\[(.+?), (.+?)\] │", PAGE, re.M)
     assert len(shown) == 3

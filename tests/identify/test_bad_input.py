@@ -45,6 +45,7 @@ def changed(episode, *, command=None, measured=None, id=None):
     return out if id is None else replace(out, meta=replace(out.meta, id=id))
 
 
+@pytest.mark.long
 def test_a_good_log_says_ok(servo, tmp_path):
     found = identify(logs_of(servo), servo.robot, tmp_path / "arm.xml", config=config())
     assert found.result.status == "ok", found.result.statements
@@ -67,6 +68,7 @@ def test_no_train_motion_is_refused(servo, tmp_path):
         identify({"val": logs_of(servo)["val"]}, servo.robot, tmp_path / "arm.xml", config=config())
 
 
+@pytest.mark.long
 def test_a_frozen_joint_is_named_and_left_alone(servo, tmp_path):
     def stuck(q):
         out = q.copy()
@@ -101,6 +103,7 @@ def test_too_little_excitation_is_said_loudly(servo, tmp_path):
     assert "accelerate" in worst.sentence or "speed" in worst.sentence
 
 
+@pytest.mark.long
 def test_motions_that_no_arm_makes_determine_nothing(servo, tmp_path):
     rng = np.random.default_rng(0)
 
@@ -115,6 +118,7 @@ def test_motions_that_no_arm_makes_determine_nothing(servo, tmp_path):
     assert any("4 of 4 parameters are not determined" in line for line in found.result.statements)
 
 
+@pytest.mark.long
 def test_a_fit_to_another_robot_is_no_better(servo, tmp_path):
     other = replace(servo, values={"damping[shoulder]": 6.0, "damping[elbow]": 4.0})
     own = replace(servo, values={"damping[shoulder]": 0.4, "damping[elbow]": 0.2})  # as the model has it
@@ -162,6 +166,7 @@ def test_a_missing_sample_of_a_weighted_signal_is_left_out_and_no_more(servo, si
     assert solve(problem, SolveSettings()).values["damping[shoulder]"] == pytest.approx(0.9, abs=0.05)
 
 
+@pytest.mark.long
 def test_a_saturated_log_is_named(tmp_path):
     robot, path = arm(tmp_path, TORQUE)
     limited = replace(robot, joints=tuple(replace(joint, torque_limit=2.0) for joint in robot.joints))

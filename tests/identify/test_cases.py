@@ -16,6 +16,8 @@ from trueup.errors import ConfigError
 from trueup.identify import IdentifyConfig, identify
 from trueup.robots import load_robot
 
+pytestmark = pytest.mark.long
+
 NOISE = 3e-4
 
 

@@ -84,6 +84,7 @@ def test_a_way_that_cannot_explain_the_data_is_seen():
     assert not found.matters(Discretization(), np.array([1e-6, 1e-6]))
 
 
+@pytest.mark.long
 def test_a_delay_that_was_taken_for_damping_is_given_back(tmp_path):
     pendulum = pendulum_logs(tmp_path)
     late_s = 0.03
@@ -120,6 +121,7 @@ def at(search, item, **changed):
     return replace(item, solution=replace(found, z=z, residual=row, rms=float(np.linalg.norm(row))))
 
 
+@pytest.mark.long
 def test_two_timings_are_compared_at_their_minima_once_a_payload_was_found(tmp_path):
     """Wherever searches have ended, and in whichever of the two: a held command is late by half of 10 ms."""
     pendulum = pendulum_logs(tmp_path)

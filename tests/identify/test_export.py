@@ -51,6 +51,7 @@ def plain_positions(path, episode, delays, names=("shoulder", "elbow")):
     return np.array(rows)[at]
 
 
+@pytest.mark.long
 def test_plain_mujoco_moves_like_the_fit(tmp_path):
     fit = {
         "damping": "all",
@@ -73,6 +74,7 @@ def test_plain_mujoco_moves_like_the_fit(tmp_path):
     np.testing.assert_allclose(ours["position"], in_memory["position"], atol=2e-5)  # six digits of MJCF
 
 
+@pytest.mark.long
 def test_friction_laws_travel_in_the_file(tmp_path):
     fit = {"stribeck": "all", "stribeck_velocity": "all", "delay_s": "all"}
     values = {"stribeck[shoulder]": 0.4, "stribeck_velocity[shoulder]": 0.2, "delay_s[elbow]": 0.016}

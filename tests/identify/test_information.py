@@ -138,6 +138,7 @@ def designed_plans(nominal, scene, design):
     return information, known, plans, total
 
 
+@pytest.mark.long
 def test_designed_motions_promise_more_than_random_ones(case):
     _, nominal, scene = case
     information, known, plans, designed = designed_plans(nominal, scene, replace(SHORT, evaluations=30))

@@ -9,6 +9,8 @@ from identify.recovery_cases import SERVO, Truth, arm, nominal_of
 from trueup.identify import IdentifyConfig, Nominal, identify
 from trueup.identify.config import DataChoice
 
+pytestmark = pytest.mark.long
+
 
 def logs_of(truth, *splits):
     """One motion of 6 s for each of the splits that are named."""

@@ -57,6 +57,7 @@ def test_torques_are_linear_in_the_inertial_numbers():
     assert after - before == pytest.approx(table[:, :, begin : begin + 10] @ numbers, abs=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("signal", ["torque", "current"])
 def test_a_mass_is_found(motions, signal):
     factors = FACTORS if signal == "current" else np.ones(3)
@@ -69,12 +70,14 @@ def test_a_mass_is_found(motions, signal):
         assert np.array(list(found.factors.values()))[1:] == pytest.approx(FACTORS[1:], rel=0.1)
 
 
+@pytest.mark.long
 def test_nothing_weighs_nothing(motions):
     free = measured(motions[0.0], "torque", np.ones(3))
     found = weigh(free[:2], free[2:], "torque")
     assert abs(found.mass) < 1.96 * np.sqrt(found.covariance[0, 0]) < 0.05
 
 
+@pytest.mark.long
 def test_a_torque_without_a_sign_is_left_out(motions):
     def unsigned(episodes, joints):
         return [

@@ -86,6 +86,7 @@ def covers(found, name, true, *, share):
     assert item.value == pytest.approx(true, rel=share), f"{name}: {item}"
 
 
+@pytest.mark.long
 def test_a_velocity_servo_is_recovered_by_the_default_fit(tmp_path):
     robot, path, logs = logs_of(tmp_path, VELOCITY, kv=8.0)
     found = identify(logs, robot, path, config=IdentifyConfig(solver=SETTINGS))
@@ -103,6 +104,7 @@ def test_a_velocity_servo_is_recovered_by_the_default_fit(tmp_path):
     assert errors["fitted"]["val"].value < 0.2 * errors["nominal"]["val"].value
 
 
+@pytest.mark.long
 def test_a_pid_controller_is_recovered_by_the_default_fit(tmp_path):
     robot, path, logs = logs_of(tmp_path, PID, kp=80.0)
     found = identify(logs, robot, path, config=IdentifyConfig(solver=SETTINGS))
@@ -181,6 +183,7 @@ def test_only_the_joints_that_have_it_are_fitted_and_shared(tmp_path):
     assert model.actuator_gainprm[0, 0] == pytest.approx(50.0 / 30.0), "the command keeps its scale"
 
 
+@pytest.mark.long
 def test_a_joint_that_stands_still_keeps_every_number_of_its_model(tmp_path):
     bare = ARM.replace('damping="0.2" frictionloss="0.15" armature="0.03"', "")
     robot, path = arm(tmp_path)

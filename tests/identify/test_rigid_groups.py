@@ -111,6 +111,7 @@ def test_a_factor_that_all_bodies_share_is_written_to_all_that_have_mass(tmp_pat
     np.testing.assert_allclose(found.body_inertia, 2.0 * nominal.model.body_inertia)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fit", [None, {"mass": "all", "damping": "all"}, {"mass": {"shared": True}, "damping": "all"}])
 def test_a_robot_with_massless_links_is_fitted_to_its_end(tmp_path, fit):
     robot, path = urdf_robot(tmp_path)
@@ -227,6 +228,7 @@ def test_a_point_has_a_mass_but_no_inertia_to_fit(tmp_path):
     assert heavier.compile().body("tip").mass[0] == 0.5
 
 
+@pytest.mark.long
 def test_the_case_of_a_massless_flange(model_cases, tmp_path):
     case = model_cases / "tool0"
     import_logs(case / "logs", tmp_path / "data", format="npz")

@@ -180,6 +180,7 @@ def test_the_scale_of_a_joint_that_moves_next_to_nothing_is_not_known(tmp_path):
     assert np.linalg.norm(shoulder @ real) == pytest.approx(np.linalg.norm(shoulder @ exact), rel=0.01)
 
 
+@pytest.mark.long
 def test_everything_free_is_not_determined_and_not_ok(tmp_path):
     pendulum = pendulum_logs(tmp_path, kv=MODEL["kv"], damping=0.4)  # kv is not fitted
     fit = dict.fromkeys(("kp", "damping", "frictionloss", "armature", "mass"), "all")
@@ -192,6 +193,7 @@ def test_everything_free_is_not_determined_and_not_ok(tmp_path):
     assert found["kp[j]"].identified != "yes"
 
 
+@pytest.mark.long
 def test_a_finer_truth_is_found_and_its_numbers_lie_in_their_intervals(pendulum):
     """The truth has a twentieth of the model's time step, as a robot has none."""
     assert mujoco.MjModel.from_xml_path(str(pendulum.model)).opt.timestep == pytest.approx(0.005)
@@ -205,6 +207,7 @@ def test_a_finer_truth_is_found_and_its_numbers_lie_in_their_intervals(pendulum)
         assert found[name].value == pytest.approx(pendulum.truth[name], rel=0.1)
 
 
+@pytest.mark.long
 def test_a_finer_step_that_could_not_be_finished_is_not_begun(pendulum, monkeypatch):
     """What it would change is in the intervals."""
     monkeypatch.setattr("trueup.identify.model_search._TO_FINISH", 1e9)
@@ -224,6 +227,7 @@ def in_intervals(found, truth):
     return known, [item for item in known if not item.interval[0] <= truth[item.name] <= item.interval[1]]
 
 
+@pytest.mark.long
 def test_a_logged_torque_tells_the_scale_of_all_torques(tmp_path):
     pendulum = pendulum_logs(tmp_path, torque=True, mass=0.6)
     fit = dict.fromkeys(("kp", "kv", "frictionloss", "armature"), "all") | {"mass": {"prior_std": 0.1}}
@@ -245,6 +249,7 @@ def test_a_logged_torque_tells_the_scale_of_all_torques(tmp_path):
     assert other["kp[j]"].identified != "yes" or in_intervals(other, pendulum.truth)[1] == []
 
 
+@pytest.mark.long
 def test_the_shape_of_a_link_is_no_better_known_than_its_mass(tmp_path):
     """Its mass grew by a fifth and its inertia did not, which the armature makes up for."""
     pendulum = pendulum_logs(tmp_path, torque=True, mass=0.6, shaped=False)
@@ -256,6 +261,7 @@ def test_the_shape_of_a_link_is_no_better_known_than_its_mass(tmp_path):
     assert found["armature[j]"].value != pytest.approx(pendulum.truth["armature[j]"], rel=0.015)
 
 
+@pytest.mark.long
 def test_a_bound_that_nobody_asked_for_is_moved_where_it_is_hit(tmp_path):
     pendulum = pendulum_logs(tmp_path, logged_late_s=0.04)
     fit = dict.fromkeys(("delay_s", "kp", "kv", "frictionloss", "armature"), "all")
@@ -268,6 +274,7 @@ def test_a_bound_that_nobody_asked_for_is_moved_where_it_is_hit(tmp_path):
     assert kept["delay_s[j]"].value == -0.02
 
 
+@pytest.mark.long
 def test_windows_begin_where_the_motion_that_follows_says(tmp_path):
     pendulum = pendulum_logs(tmp_path, driven=True)
     fit = dict.fromkeys(("damping", "frictionloss", "armature"), "all") | {"mass": {"prior_std": 0.1}}
@@ -278,6 +285,7 @@ def test_windows_begin_where_the_motion_that_follows_says(tmp_path):
     assert not missed
 
 
+@pytest.mark.long
 def test_friction_that_creeps_is_told_from_friction_that_holds(tmp_path):
     fit = dict.fromkeys(("kp", "kv", "frictionloss", "armature"), "all")
     for soft in (True, False):

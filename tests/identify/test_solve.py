@@ -187,6 +187,7 @@ def test_the_moment_of_a_torque_is_known_as_well_as_is_said(tmp_path, noise):
         assert compared[:, joint] @ compared[:, joint] == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["cma-es", "evolution"])
 def test_derivative_free_searches_resume_to_the_same_result(small, tmp_path, solver):
     settings = SolveSettings(solver=solver, max_evaluations=40)

@@ -69,6 +69,7 @@ def same(one, other, *, but=("seconds",)):
     assert (one.rms, one.agreement.text) == (other.rms, other.agreement.text)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("solver", ["auto", "cma-es"])
 def test_the_result_is_the_same(problem, solver):
     settings = SolveSettings(solver=solver, starts=3, seed=2, max_evaluations=24)
@@ -80,6 +81,7 @@ def test_the_result_is_the_same(problem, solver):
     assert told[-1].evaluations == there.solver["evaluations"]
 
 
+@pytest.mark.long
 def test_what_was_begun_here_is_ended_there(problem, tmp_path):
     """Checkpoints say the same wherever they were written; finished starts are not searched from again."""
     settings = SolveSettings(solver="gauss-newton", starts=3)
@@ -100,6 +102,7 @@ def test_a_limit_ends_all_of_them(problem):
     assert there.solver["stop"] == "time"
 
 
+@pytest.mark.long
 def test_a_worker_that_is_killed_loses_nothing(home, tmp_path):
     robot = load_robot(home / "robot.yaml")
     data = Dataset(home / "data")
@@ -132,6 +135,7 @@ def test_one_start_has_nothing_to_share(home, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.long
 def test_the_command(home, tmp_path, capsys):
     (tmp_path / "fit.yaml").write_text("fit: {kp: all, damping: all}\nmodels: {}\nsolver: {starts: 2}\n")
     options = ("--robot", home / "robot.yaml", "--config", tmp_path / "fit.yaml", "--ray", "local", "--jobs", 2)

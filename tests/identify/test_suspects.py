@@ -35,6 +35,7 @@ def fitted(folder, lack, seed=0, *, val=True, masses=True):
     return {item.name: item for item in suspects_of(train, held_out if val else None, solution, settings)}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_nothing_is_named_where_the_model_lacks_nothing(tmp_path, seed):
     assert fitted(tmp_path, Lack(), seed) == {}
@@ -51,6 +52,7 @@ NAMED = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMED)
 def test_what_the_model_lacks_is_named_with_its_size(tmp_path, name):
     lack, joints, size, within = NAMED[name]
@@ -68,6 +70,7 @@ def test_what_the_model_lacks_is_named_with_its_size(tmp_path, name):
         assert np.mean(suspect.sizes) == pytest.approx(size, rel=within)
 
 
+@pytest.mark.long
 def test_a_payload_shows_in_masses_that_nobody_could_have_weighed_so(tmp_path):
     train, _, solution, _ = searched(tmp_path, Lack(payload_kg=0.4))
     text = strange_masses(train.parameters, solution.values)
@@ -75,12 +78,14 @@ def test_a_payload_shows_in_masses_that_nobody_could_have_weighed_so(tmp_path):
     assert "above the model's" in text
 
 
+@pytest.mark.long
 def test_a_payload_is_named_where_masses_stay_as_they_are(tmp_path):
     found = fitted(tmp_path, Lack(payload_kg=0.4), masses=False)
     assert next(iter(found)) == "payload"
     assert "'fore'" in found["payload"].sentence
 
 
+@pytest.mark.long
 def test_a_mirrored_joint_is_named_and_what_looks_the_same(tmp_path):
     found = fitted(tmp_path, Lack(mirrored=True))
     assert "mirrored" in found
@@ -88,6 +93,7 @@ def test_a_mirrored_joint_is_named_and_what_looks_the_same(tmp_path):
     assert "a or b" in found["mirrored"].sentence
 
 
+@pytest.mark.long
 def test_without_val_a_suspect_says_only_what_it_explains_of_the_fitted_motions(tmp_path):
     found = fitted(tmp_path, Lack(ki=80.0), val=False)
     assert found["integral"].val is None
@@ -124,6 +130,7 @@ def test_forces_and_a_moving_base_act_together(tmp_path):
     assert np.abs(bare.position - at_rest.position).max() > 1e-3
 
 
+@pytest.mark.long
 def test_an_identification_with_a_suspect_is_not_ok_and_is_read_back(tmp_path):
     robot, model, logs = arm_logs(tmp_path, Lack(late_s=0.012))
     result = identify(logs, robot, model, config=IdentifyConfig(models={})).result
@@ -134,6 +141,7 @@ def test_an_identification_with_a_suspect_is_not_ok_and_is_read_back(tmp_path):
     assert FitResult.load(tmp_path / "fit.json").suspects == result.suspects
 
 
+@pytest.mark.long
 def test_a_logged_torque_shows_late_feedback_that_positions_hide(tmp_path):
     robot, model, logs = arm_logs(tmp_path, Lack(late_s=0.003, torque=True))
     result = identify(logs, robot, model, config=IdentifyConfig(models={})).result
@@ -142,6 +150,7 @@ def test_a_logged_torque_shows_late_feedback_that_positions_hide(tmp_path):
     assert np.mean(result.suspects[0].sizes) == pytest.approx(0.003, rel=0.3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("torque", [False, True])
 def test_an_identification_of_a_right_model_is_ok(tmp_path, torque):
     robot, model, logs = arm_logs(tmp_path, Lack(torque=torque))

@@ -70,6 +70,7 @@ def test_the_torques_are_those_of_the_thesis():
     assert not any(set(HELD_OUT[joint]) & set(PANDA_TORQUES_NM[joint]) for joint in JOINTS)
 
 
+@pytest.mark.long
 def test_the_default_solver_cuts_the_error_of_every_joint_by_98_percent(study, problem):
     solution = solve(problem, SolverChoice(tolerance=0.01).settings(0))
     assert solution.solver["stop"] == "converged"
@@ -85,6 +86,7 @@ def test_the_default_solver_cuts_the_error_of_every_joint_by_98_percent(study, p
         assert np.linalg.norm(law.brake(speed) - true) < 0.06 * np.linalg.norm(true)
 
 
+@pytest.mark.long
 def test_the_evolution_strategy_goes_the_same_way_but_slowly(study, problem):
     solution = solve(problem, SolverChoice("evolution", max_evaluations=40).settings(0))
     cut = cuts(problem, solution.values, study[1])

@@ -102,6 +102,7 @@ def logs(tmp_path):
     }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("given_s", [60.0, 200.0, 600.0])
 def test_an_explanation_ends_in_time_and_says_what_it_lacks(logs, tmp_path, clock, given_s):
     robot, motions = logs
@@ -122,6 +123,7 @@ def test_an_explanation_without_time_has_no_causes(logs, tmp_path, clock):
     assert found.short_of_time
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("given_s", [60.0, 200.0, 600.0])
 def test_an_identification_ends_in_time(logs, tmp_path, clock, given_s):
     robot, motions = logs

@@ -326,6 +326,7 @@ def made_logs(folder, *, name="j"):
     return folder
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["torque", "model"])
 def test_a_fit_to_measured_torques_comes_to_its_end(tmp_path, kind):
     model = write_model(tmp_path / "m")
@@ -340,6 +341,7 @@ def test_a_fit_to_measured_torques_comes_to_its_end(tmp_path, kind):
     assert load_robot(out / "robot.fitted.yaml").controller.source == "measured"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["a", "b"])
 def test_the_cases_of_textures_and_meshes(model_cases, tmp_path, name):
     import_logs(made_logs(tmp_path / "logs"), tmp_path / "data", format="npz")

@@ -85,6 +85,7 @@ def energy_of(truth_series, model, stiffness=None, motor_inertia=None):
     return np.array(total)
 
 
+@pytest.mark.long
 def test_with_all_effects_off_it_is_the_model():
     spec = lab(torque=True)
     rng = np.random.default_rng(0)

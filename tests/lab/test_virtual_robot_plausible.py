@@ -89,6 +89,7 @@ def test_the_torque_error_oscillates_about_the_trend(errors):
     assert (trend < MOVING_AVERAGE_KEEPS * rms(errors["torque"])).all()
 
 
+@pytest.mark.long
 def test_position_and_velocity_are_close(errors):
     assert (rms(errors["position"]) < TABLE_2_RAD).all()
     assert (rms(errors["velocity"]) < TABLE_2_RAD_S).all()

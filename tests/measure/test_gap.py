@@ -321,6 +321,7 @@ def test_comparison_refuses_what_does_not_fit():
         Comparison(meta, measured, {"command": measured})
 
 
+@pytest.mark.long
 def test_episodes_are_forgotten_as_they_are_reduced():
     import gc
     import weakref

@@ -52,6 +52,7 @@ def samples(measured, simulated):
     )
 
 
+@pytest.mark.long
 @given(pairs())
 def test_nothing_differs_from_itself(pair):
     x, _ = pair
@@ -75,6 +76,7 @@ def test_symmetric_where_no_side_is_the_reference(pair):
         np.testing.assert_allclose(function(x, y), function(y, x), rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.long
 @given(pairs(), st.floats(0.01, 100.0))
 def test_scale(pair, factor):
     x, y = pair
@@ -98,6 +100,7 @@ def test_free_of_units(pair, power):
         np.testing.assert_allclose(function(factor * x, factor * y), function(x, y), rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.long
 @given(pairs(), st.randoms(use_true_random=False))
 def test_joints_do_not_know_each_other(pair, random):
     x, y = pair
@@ -109,6 +112,7 @@ def test_joints_do_not_know_each_other(pair, random):
         )
 
 
+@pytest.mark.long
 @given(pairs())
 def test_bounds_hold(pair):
     for entry in JOINT_METRICS:

@@ -104,6 +104,7 @@ def test_a_network_that_says_nothing_moves_nothing(tmp_path):
     assert not said.torque.any()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("said", ["none", 3, {"reach": 2}, {"reach": ["a"]}, None])
 def test_a_card_whose_training_is_no_configuration_is_refused(tmp_path, said):
     _, card = exported(tmp_path)

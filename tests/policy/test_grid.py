@@ -126,6 +126,7 @@ def test_points_that_are_no_training_or_the_same_one():
         read_grid({"seed": [*range(101)], "starts": [*range(1, 101)]}, "g").points(PolicyConfig())
 
 
+@pytest.mark.long
 def test_grids_are_read_without_optuna_or_ray():
     code = "import sys, trueup.policy.grid, trueup.policy.training, trueup.stages.policy_grid, trueup.cli.main; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()

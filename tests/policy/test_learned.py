@@ -80,6 +80,7 @@ def test_it_acts_as_long_whatever_the_rounds(start, tmp_path):
     assert [item.steps for item in found.history] == [160, 320, 480]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("starts", [64, 200])
 def test_one_that_is_interrupted_goes_on_to_the_same_weights(start, tmp_path, starts):
     learner = replace(SAC.learner, starts=starts)

@@ -60,6 +60,7 @@ def test_nothing_asked_for_is_the_model_itself(nominal):
     assert not delays.any()
 
 
+@pytest.mark.long
 def test_friction_is_the_thesis_ten_percent_number_by_number(nominal):
     models, plain = drawn(nominal, RandomizationConfig(friction=0.1)), nominal.model
     damping = numbers(models, "dof_damping") / plain.dof_damping
@@ -75,6 +76,7 @@ def test_friction_is_the_thesis_ten_percent_number_by_number(nominal):
         np.testing.assert_allclose(numbers(models, field)[-1], getattr(plain, field), rtol=1e-12)
 
 
+@pytest.mark.long
 def test_inertia_is_the_thesis_five_percent_and_such_as_bodies_can_have(nominal):
     models, plain = drawn(nominal, RandomizationConfig(inertia=0.05)), nominal.model
     for body in nominal.bodies:
@@ -100,6 +102,7 @@ def test_what_mujoco_derives_follows(nominal):
         assert np.abs(model.dof_invweight0 / nominal.model.dof_invweight0 - 1).max() > 1e-3
 
 
+@pytest.mark.long
 def test_gains_delays_and_payloads(nominal):
     models = drawn(nominal, RandomizationConfig(gains=0.2, delay_s=(0.001, 0.005), payload_kg=(0.5, 2.0)))
     plain = nominal.model
@@ -159,6 +162,7 @@ def fitted(folder, status="ok", samples=None):
     return folder
 
 
+@pytest.mark.long
 def test_a_posterior_keeps_what_hangs_together(nominal, tmp_path):
     models = drawn(nominal, RandomizationConfig(posterior=str(fitted(tmp_path / "fit"))), 600)
     joint = int(nominal.model.joint("joint1").dofadr[0])

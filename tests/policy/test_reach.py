@@ -290,6 +290,7 @@ def test_kinematics_of_slides_anchors_and_fixed_bodies():
         Chain(model, ("a", "b", "c"), "hand")
 
 
+@pytest.mark.long
 def test_goals_are_within_reach_and_others_are_refused():
     space = Workspace(Chain(MODEL, PANDA.joint_names, "end_effector"), HOME, nearest_m=0.2, farthest_m=0.5)
     goals = space.draw(np.random.default_rng(0), 500)

@@ -97,6 +97,7 @@ AHEAD = replace(SMALL, learner=replace(SMALL.learner, n_steps=3, last_rate=1e-4,
 LATE = replace(SMALL, learner=replace(SMALL.learner, starts=340))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("config", [SMALL, AHEAD, LATE], ids=["plain", "n steps", "no updates in the first rounds"])
 def test_an_interrupted_training_ends_with_the_same_weights(tmp_path, config):
     for folder in ("whole", "parts"):
@@ -135,6 +136,7 @@ def test_rewards_are_not_counted_into_another_episode(tmp_path):
     assert (buffer.dones * (1 - buffer.timeouts)).sum() == 0
 
 
+@pytest.mark.long
 def test_the_learning_rate_falls_from_round_to_round(tmp_path):
     learner, _ = trained(tmp_path, AHEAD)
     assert learner.actor.optimizer.param_groups[0]["lr"] == pytest.approx(1e-4)

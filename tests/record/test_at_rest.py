@@ -66,6 +66,7 @@ def test_links_that_are_far_apart_and_deep_in_each_other_are_not(tmp_path):
     assert not made.free(made.home)
 
 
+@pytest.mark.long
 def test_the_default_floor_is_left_out_where_the_robot_is_in_it(tmp_path):
     robot, path = hand(tmp_path, height=-0.2)
     limits = {"velocity_limits": RATES["velocity"], "acceleration_limits": RATES["acceleration"]}

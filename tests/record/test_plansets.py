@@ -140,6 +140,7 @@ def test_what_is_stored_is_what_was_planned(folder):
     plans.close()
 
 
+@pytest.mark.long
 def test_two_processes_write_the_same_bytes(folder, tmp_path):
     plan_all(small(), PANDA, tmp_path / "two", jobs=2)
     assert contents(tmp_path / "two") == contents(folder)

@@ -126,6 +126,7 @@ def screenshot(driver, path):
     assert path.stat().st_size > 50_000
 
 
+@pytest.mark.long
 def test_it_opens_without_errors_and_without_the_network(driver, page, tmp_path):
     show(driver, page)
     figures = driver.execute_script(
@@ -169,6 +170,7 @@ def test_drawn_values_are_those_of_the_recording(driver, page, run_folder):
     assert measured == pytest.approx(trace.curves["measured"].tolist())
 
 
+@pytest.mark.long
 def test_each_menu_changes_the_curves(driver, page):
     show(driver, page)
     for menu, text in (("episode", "pick_place"), ("joint", "gripper"), ("signal", "torque")):
@@ -411,6 +413,7 @@ def test_menus_of_models_and_of_the_gray_box(driver, fitted_page):
     assert problems(driver) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("dark", [False, True])
 def test_a_fit_fits_a_phone(driver, fitted_page, tmp_path, dark):
     features = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
@@ -432,6 +435,7 @@ def test_a_fit_fits_a_phone(driver, fitted_page, tmp_path, dark):
         driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
 
 
+@pytest.mark.long
 def test_117_parameters_unfold_on_a_click_and_on_paper(driver, run_folder, tmp_path):
     folder = shutil.copytree(run_folder, tmp_path / "run")
     joints = [f"joint_{number:02}" for number in range(29)]
@@ -446,6 +450,7 @@ def test_117_parameters_unfold_on_a_click_and_on_paper(driver, run_folder, tmp_p
     assert problems(driver) == []
 
 
+@pytest.mark.long
 def test_hostile_names_of_a_fit_are_only_text(driver, tmp_path):
     joints = ("</script><script>window.hacked=1</script>", "<img src=x onerror='window.hacked=2'>", "__proto__")
     folder = make_run(tmp_path / "run", World(joints=joints, scored=joints[:2], samples=120))
@@ -461,6 +466,7 @@ def test_hostile_names_of_a_fit_are_only_text(driver, tmp_path):
     assert problems(driver) == []
 
 
+@pytest.mark.long
 def test_learned_corrections_are_drawn_and_follow_their_menus(driver, run_folder, tmp_path):
     from selenium.webdriver.support.ui import Select
 
@@ -501,6 +507,7 @@ def themed(driver, theme):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("theme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1280, 390])
 def test_a_close_fits_desktop_and_phone(driver, closed_page, tmp_path, width, theme):
@@ -528,6 +535,7 @@ def test_a_close_fits_desktop_and_phone(driver, closed_page, tmp_path, width, th
         driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
 
 
+@pytest.mark.long
 def test_of_many_runs_before_and_after_are_drawn_first(driver, closed_page):
     show(driver, closed_page)
     best = CLOSE_RUNS[-1]
@@ -547,6 +555,7 @@ def press(driver, *keys):
     ActionChains(driver).send_keys(*keys).perform()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("width", [1280, 390])
 def test_the_keyboard_reaches_what_scrolls_and_what_is_copied(driver, closed_page, width):
     from selenium.webdriver.common.keys import Keys
@@ -615,6 +624,7 @@ def test_enter_copies_the_lines_or_selects_them(driver, closed_page):
     assert problems(driver) == []
 
 
+@pytest.mark.long
 def test_lines_are_there_without_an_identification(driver, tmp_path):
     """A close that ended before it: networks for the model as it came."""
     folder = make_close(tmp_path / "run")

@@ -116,6 +116,7 @@ def test_equal_inputs_give_equal_bytes(page, copied):
     assert build_report(copied) == page
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", ["0", "4242"])
 def test_another_process_gives_the_same_bytes(page, run_folder, seed):
     code = (
@@ -129,6 +130,7 @@ def test_another_process_gives_the_same_bytes(page, run_folder, seed):
     assert done.stdout.strip() == hashlib.sha256(page.encode()).hexdigest()
 
 
+@pytest.mark.long
 def test_a_report_loads_neither_simulator_nor_torch(run_folder):
     code = (
         "import sys, pathlib; from trueup.report import build_report; build_report(pathlib.Path(sys.argv[1])); "
@@ -211,6 +213,7 @@ def test_script_json_cannot_end_its_element():
         script_json(float("nan"))
 
 
+@pytest.mark.long
 def test_43_motions_of_six_joints_stay_below_15_megabytes(tmp_path):
     joints = tuple(f"joint_{number}" for number in range(6))
     world = World(joints=joints, scored=joints[:5], samples=1200, max_points=1000)
@@ -271,6 +274,7 @@ def mutate(tree, rng):
     return tree
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("file", ["gap.json", "ladder.json", "traces.json", "quality.json", "analysis.json"])
 def test_changed_files_give_a_page_or_a_clear_error(small_folder, tmp_path, file):
     copied = shutil.copytree(small_folder, tmp_path / "run")

@@ -259,6 +259,7 @@ def test_repetitions_are_drawn_over_each_other():
     assert len({item["line"]["color"] for item in figure["data"][1:]}) == 1
 
 
+@pytest.mark.long
 def test_changed_files_give_a_page_or_a_clear_error(run, tmp_path):
     run.gap.save(tmp_path / "gap.json")
     run.engines.save(tmp_path / "engines.json")

@@ -342,6 +342,7 @@ for file in ("fit.json", "explain.json", "graybox.json"):
 """
 
 
+@pytest.mark.long
 def test_changed_files_give_a_page_or_a_clear_error(tmp_path):
     """In another process: there, types are not checked at run time, as in real life."""
     world = World(names=("a", "b", "c"), splits=("train", "val", "test"), samples=60)

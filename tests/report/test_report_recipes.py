@@ -37,6 +37,8 @@ from trueup.robots import find_model, load_robot
 from trueup.sim import DelayedSimulator, ReplayPlan, ReplaySettings, make_simulator
 from trueup.stages import augment, close, demo_dataset
 
+pytestmark = pytest.mark.long
+
 TITLES = (
     "On other recordings, with trueup",
     "In plain MuJoCo",

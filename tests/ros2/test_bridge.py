@@ -49,6 +49,7 @@ def through(where, folder, messages, *, others=0):
         return received(answers, node, len(messages))
 
 
+@pytest.mark.long
 def test_every_message_is_answered_once_and_in_order(folder):
     messages = [state(number / RATE_HZ, names=("x", "b", "a")) for number in range(500)]
     answers = through(network(), folder, messages)
@@ -59,6 +60,7 @@ def test_every_message_is_answered_once_and_in_order(folder):
     np.testing.assert_array_equal(arrays(answers, "effort"), arrays(expected, "effort"))
 
 
+@pytest.mark.long
 def test_what_it_counts(folder):
     where = network()
     with Bridge(where, augmented(folder)) as bridge, Node(where) as node:
@@ -79,6 +81,7 @@ def test_what_it_counts(folder):
     assert sum(count for *_, count in tree["way"]["bins"]) == len(report.way) > 0
 
 
+@pytest.mark.long
 def test_many_that_had_to_wait_are_taken_a_few_at_a_time_and_all_counted_from_the_first(folder, monkeypatch):
     where, taken = network(), []
     with Node(where) as node, Node(where) as other:
@@ -98,6 +101,7 @@ def test_many_that_had_to_wait_are_taken_a_few_at_a_time_and_all_counted_from_th
     assert report.added.max_us == 300.0  # a tick for each
 
 
+@pytest.mark.long
 def test_a_simulator_that_leaves_and_comes_back_is_heard_again(folder):
     where = network()
     with Bridge(where, augmented(folder)) as bridge, Node(where) as listener:
@@ -280,6 +284,7 @@ def played(path):
         return [JointState.deserialize(bytes(raw)) for _, _, raw in reader.messages()]
 
 
+@pytest.mark.long
 def test_a_bag_of_a_run_plays_back_to_the_same_result(folder, tmp_path):
     """What came off DDS goes into a bag; played into another bridge, faster and on another day, it is answered the same."""
     messages, where = [state(number / RATE_HZ, names=("b", "gripper", "a")) for number in range(200)], network()

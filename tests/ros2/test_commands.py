@@ -21,6 +21,8 @@ from trueup.robots import load_robot
 from trueup.ros2 import Network, Node
 from trueup.stages.bridging import bridge
 
+pytestmark = pytest.mark.long
+
 ARM = load_robot("demo_arm")
 RATE_HZ = 100.0
 PLANS = """

@@ -57,6 +57,7 @@ class Bridging(InThread):
         super().__init__(run)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("reliable", [True, False])
 def test_corrected_commands_are_heard_by_listeners_of_both_kinds(tmp_path, reliable):
     compensation(tmp_path, PANDA.joint_names, rate_hz=RATE_HZ)
@@ -75,6 +76,7 @@ def test_corrected_commands_are_heard_by_listeners_of_both_kinds(tmp_path, relia
     assert not [message for message, _ in live.warnings if "listen" in message]
 
 
+@pytest.mark.long
 def test_corrected_commands_that_nobody_hears_are_a_warning(tmp_path):
     compensation(tmp_path, PANDA.joint_names, rate_hz=RATE_HZ)
     topics = BridgeTopics(publish="/forward_position_controller/commands")
@@ -95,6 +97,7 @@ def states_folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
 def test_joint_states_are_offered_as_sensors_do_and_who_asks_for_more_is_named(states_folder):
     where = network()
     with Node(where) as node, Bridging(states_folder, where) as live:
@@ -109,6 +112,7 @@ def test_joint_states_are_offered_as_sensors_do_and_who_asks_for_more_is_named(s
     assert "--reliable" in hint
 
 
+@pytest.mark.long
 def test_joint_states_are_reliable_where_it_is_asked_for(states_folder):
     where = network(reliable=True)
     with Node(where) as node, Bridging(states_folder, where) as live:
@@ -142,6 +146,7 @@ def test_a_listener_to_messages_of_another_type_is_called_that():
     assert "--form" in hint
 
 
+@pytest.mark.long
 def test_a_listener_that_stalls_does_not_hold_up_the_loop():
     """A reliable reader in a process that is stopped: two seconds of a humanoid's commands, more than DDS keeps unread."""
     where, last_ns = network(), state(1.999).header.stamp.ns
@@ -169,6 +174,7 @@ def test_a_listener_that_stalls_does_not_hold_up_the_loop():
     assert stamps[-1] == last_ns
 
 
+@pytest.mark.long
 def test_another_who_publishes_corrected_commands_is_told(tmp_path):
     compensation(tmp_path, PANDA.joint_names, rate_hz=RATE_HZ)
     where = network()

@@ -34,6 +34,7 @@ def wait_for_states(where, seconds=90.0):
         wait_for(states.take, seconds)
 
 
+@pytest.mark.long
 def test_three_terminals(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     where = network()
@@ -55,6 +56,7 @@ def test_three_terminals(tmp_path, monkeypatch):
     assert int(followed.group(1)) > 1000
 
 
+@pytest.mark.long
 def test_corrected_commands(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     compensation(tmp_path / "models" / "compensation", PANDA.joint_names, rate_hz=100.0)
@@ -78,6 +80,7 @@ def test_corrected_commands(tmp_path, monkeypatch):
     assert "commands are corrected" in err
 
 
+@pytest.mark.long
 def test_a_robot_of_ros2_control(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     where = network()

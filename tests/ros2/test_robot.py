@@ -32,6 +32,7 @@ class Served(InThread):
         super().__init__(run)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("form", ["joint_state", "array"])
 def test_it_reads_and_follows(form):
     topics = RobotTopics(form=form, network=network())
@@ -56,6 +57,7 @@ def test_it_reads_and_follows(form):
     assert served.done.refused == 0
 
 
+@pytest.mark.long
 def test_the_order_of_joints_is_the_callers():
     topics = RobotTopics(network=network())
     turned = ARM.joint_names[::-1]
@@ -118,6 +120,7 @@ def test_nobody_there_is_said_with_what_was_seen():
     assert "ros2 topic list" in refused.value.hint
 
 
+@pytest.mark.long
 def test_other_joints_are_both_listed():
     topics = RobotTopics(network=network())
     with Served(topics), pytest.raises(NameMismatch) as refused:

@@ -91,6 +91,7 @@ def test_a_rate_that_was_not_said_is_measured(node, tmp_path):
     assert watched.report.to_json()["reasons"]["OFF_RATE"] == watched.report.counts["fallback"]
 
 
+@pytest.mark.long
 def test_a_robot_without_velocities_and_one_of_other_joints(node, tmp_path):
     answer, stream = compensated(tmp_path)
     watched = Watched(node, answer, stream, [("/joint_states", answer.states)])

@@ -153,6 +153,7 @@ def lines(draw):
     return [*(word for word in line if word != "--help"), *bounds_of(words)]
 
 
+@pytest.mark.long
 @settings(max_examples=400, deadline=None, suppress_health_check=list(HealthCheck))
 @given(line=lines())
 def test_any_line_is_answered(line, there, tmp_path_factory, capsys):
@@ -172,6 +173,7 @@ def test_any_line_is_answered(line, there, tmp_path_factory, capsys):
     assert "\x1b[2J" not in out + err, shown
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("words", sorted(COMMANDS), ids=" ".join)
 @pytest.mark.parametrize(
     "value",

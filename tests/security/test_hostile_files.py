@@ -71,6 +71,7 @@ def data(tmp_path_factory):
     return demo_dataset(tmp_path_factory.mktemp("data") / "data")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "text",
     [
@@ -103,6 +104,7 @@ def test_yaml_beside_logs(tmp_path):
     refused("import", logs, "--out", tmp_path / "data", folder=tmp_path, told=["mapping.yaml", "aliases that multiply"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("text", [ENTITIES, OUTSIDE, "<a>" * 100_000], ids=["entities", "other files", "deep"])
 def test_xml(text, data, tmp_path):
     (tmp_path / "model.xml").write_text(text)
@@ -167,6 +169,7 @@ def test_a_network_that_fills_the_memory(bounded, tmp_path):
     refused(*arguments, folder=tmp_path, told=["too much memory", "512 MB"], limits=_limits if bounded else None)
 
 
+@pytest.mark.long
 def test_units_whose_names_lead_elsewhere(tmp_path, data):
     """A fleet makes a folder for each unit, below its own and nowhere else."""
     source = Dataset(data)

@@ -69,6 +69,7 @@ def lines(tmp_path):
     ]
 
 
+@pytest.mark.long
 def test_no_command_of_an_ordinary_day_opens_one(lines, tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", WATCHED], cwd=tmp_path, input="\n".join(map("\t".join, lines)),

@@ -24,6 +24,8 @@ from trueup.robots import load_robot
 from trueup.stages import augment, demo_dataset, replay
 from trueup.stages.exporting import export_dataset
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):

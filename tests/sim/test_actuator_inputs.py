@@ -232,6 +232,7 @@ def logs_of(path, drive, *, joints=("j",), signal, count=3, seconds=4.0):
     return episodes
 
 
+@pytest.mark.long
 def test_the_gains_of_a_geared_servo_are_found_from_commands_of_the_joint(tmp_path):
     real = tmp_path / "real.xml"
     real.write_text(LINK.format(actuator='<position name="s" joint="j" kp="0.3" kv="0.02" gear="10"/>', joint=""))

@@ -28,6 +28,7 @@ def test_an_engine_that_is_none_is_named_with_those_that_are():
         make_simulator("gazebo", robot, find_model(robot))
 
 
+@pytest.mark.long
 def test_processes_give_what_threads_give_errors_included(tmp_path):
     simulator = two_links(tmp_path, SERVO, timestep_s=0.005)
     logs = [logged_motion(simulator, seed=seed) for seed in range(3)]
@@ -45,6 +46,7 @@ def test_processes_give_what_threads_give_errors_included(tmp_path):
     assert isinstance(processes[1][1], DataError)
 
 
+@pytest.mark.long
 def test_a_worker_that_cannot_start_is_an_error_of_two_lines(tmp_path):
     with pytest.raises(ConfigError, match=r"a worker process ended.*\n.*__main__"):
         list(replay([logged_motion(two_links(tmp_path, SERVO))], _die, ReplaySettings(), jobs=2, processes=True))

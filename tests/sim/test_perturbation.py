@@ -68,6 +68,7 @@ def test_whatever_is_drawn_is_a_possible_body(size, seed):
     assert (a + b >= c * (1 - 1e-9)).all()
 
 
+@pytest.mark.long
 @given(share=st.floats(0.01, 1), seed=st.integers(0, 50))
 def test_a_share_of_the_size_is_off_by_that_share(share, seed):
     size = Perturbation(mass=0.1, com_m=0.01, joint_m=0.002)  # small enough that no factor is cut

@@ -94,6 +94,7 @@ def test_windows_do_not_settle(tmp_path):
     np.testing.assert_array_equal(plain["position"], other["position"])
 
 
+@pytest.mark.long
 @given(delay=st.integers(0, 60))
 def test_a_delay_is_the_command_shifted(tmp_path_factory, delay):
     simulator = two_links(tmp_path_factory.mktemp("model"), SERVO)

@@ -18,6 +18,8 @@ from trueup.robots import load_robot
 from trueup.robots.written import robot_yaml
 from trueup.stages import check_setup, close, close_steps
 
+pytestmark = pytest.mark.long
+
 PAGE = (Path(__file__).parent.parent.parent / "docs" / "check.md").read_text()
 
 

@@ -84,6 +84,7 @@ def test_everything_lies_in_one_folder_and_in_one_report(closed):
     assert [(rung.name, rung.chosen) for rung in kept.rungs] == [(r.name, r.chosen) for r in closed.ladder.rungs]
 
 
+@pytest.mark.long
 def test_a_second_call_keeps_what_is_there(closed, tmp_path):
     out = shutil.copytree(closed.dataset.path.parent, tmp_path / "copy") / "out"
     before = {name: (out / name).read_bytes() for name in ("fit.json", "explain.json")}
@@ -112,6 +113,7 @@ def test_a_second_call_keeps_what_is_there(closed, tmp_path):
     assert again.result.step("identify").seconds == closed.result.step("identify").seconds
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("until", "last", "rungs"),
     [
@@ -135,6 +137,7 @@ def test_it_ends_where_it_was_asked_to_end(data, tmp_path, until, last, rungs):
         assert [step.status for step in whole.result.steps] == ["kept", "done", "kept", "kept", "done", "done"]
 
 
+@pytest.mark.long
 def test_logs_are_imported_first(recorded, tmp_path):
     export_dataset(recorded, tmp_path / "logs")
     mapping = ImportOptions(mapping=tmp_path / "logs" / "mapping.yaml")
@@ -180,6 +183,7 @@ def test_what_is_lacking_decides_about_the_exit_code(closed):
     assert lacking(replace(closed, identified=only_loud)) == []
 
 
+@pytest.mark.long
 def test_a_step_that_fails_is_said_and_the_others_go_on(data, tmp_path, capsys):
     """Nothing to fit, nothing to train on: all motions are for test."""
     given = Dataset(data)
@@ -205,6 +209,7 @@ def test_a_step_that_fails_is_said_and_the_others_go_on(data, tmp_path, capsys):
     assert "error: explain failed; identify failed; augment failed" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_without_torch_the_networks_are_left_out_and_said_how_to_get(data, tmp_path, monkeypatch):
     def missing(*_, **__):
         raise MissingDependency("training needs torch", hint=how_to_install("learn"))
@@ -217,6 +222,7 @@ def test_without_torch_the_networks_are_left_out_and_said_how_to_get(data, tmp_p
     assert [rung.name for rung in done.ladder.rungs] == ["command", "stock", "fitted"]
 
 
+@pytest.mark.long
 def test_a_method_that_fails_does_not_hide_the_others(data, tmp_path, monkeypatch):
     real = close_networks.augment
 
@@ -233,6 +239,7 @@ def test_a_method_that_fails_does_not_hide_the_others(data, tmp_path, monkeypatc
     assert [rung.name for rung in done.ladder.rungs][-1] == "fitted+moving-average"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("budget_s", [None, 60.0])
 @pytest.mark.parametrize(
     ("changed", "said"),
@@ -267,6 +274,7 @@ def test_before_there_is_a_fit_another_question_is_refused_too(data, tmp_path):
         quick(tmp_path / "fewer", out, until="gap", resume=True)
 
 
+@pytest.mark.long
 def test_beginning_anew_leaves_nothing_of_another_configuration(closed, tmp_path):
     data = shutil.copytree(closed.dataset.path, tmp_path / "data")
     out = shutil.copytree(closed.dataset.path.parent / "out", tmp_path / "out")
@@ -332,6 +340,7 @@ def test_logs_that_do_not_say_what_to_hold_out(data, tmp_path, motions, counts):
     assert not {*Dataset(tmp_path / "imported").splits.values()} - {""}
 
 
+@pytest.mark.long
 def test_a_dataset_is_split_anew_when_it_is_asked_for(data, tmp_path):
     shutil.copytree(data, tmp_path / "other")
     quick(tmp_path / "other", tmp_path / "out", splits={"train": 0.5, "test": 0.5}, until="gap")
@@ -464,6 +473,7 @@ def test_with_little_time_less_motion_is_fitted(recorded):
     assert motion_s(600.0, 1.0) == pytest.approx(600.0 / (20 * 21) * moved_s, abs=5.0)
 
 
+@pytest.mark.long
 def test_with_no_time_it_ends_all_the_same(data, tmp_path):
     done = quick(data, tmp_path / "out", config=None, methods=("realeasy-rt",), budget_s=0.001)
     assert [step.status for step in done.result.steps] == ["done", "done", "done", "left out", "left out", "left out"]
@@ -476,6 +486,7 @@ def test_with_no_time_it_ends_all_the_same(data, tmp_path):
     assert lacking(fewer) == []
 
 
+@pytest.mark.long
 def test_what_was_asked_for_comes_before_its_explanation(data, tmp_path, monkeypatch):
     begun = []
     watch = Watch(on_step=begun.append)
@@ -494,6 +505,7 @@ def test_what_was_asked_for_comes_before_its_explanation(data, tmp_path, monkeyp
     ]
 
 
+@pytest.mark.long
 def test_an_explanation_for_which_the_time_did_not_suffice_is_left_out(data, tmp_path, monkeypatch):
     monkeypatch.setattr(Budget, "of", lambda *_: TimeLimit.after(1000.0))
     monkeypatch.setattr(close_steps, "explain", without_time(close_steps.explain))
@@ -511,6 +523,7 @@ def without_time(explain):
     return explained
 
 
+@pytest.mark.long
 def test_with_little_time_it_ends_with_what_it_has(data, tmp_path, monkeypatch):
     monkeypatch.setattr(Budget, "of", lambda *_: TimeLimit.after(2.5))
     done = quick(data, tmp_path / "out", config=None, methods=("realeasy-rt",), budget_s=100.0)

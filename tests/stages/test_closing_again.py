@@ -59,6 +59,7 @@ def names_in(folder):
 # --- beginning anew
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("step", ["import", "replay"])
 def test_interrupted_before_there_are_new_results_the_old_ones_do_not_pass_for_them(of_logs, step):
     logs, out, options = of_logs
@@ -88,6 +89,7 @@ def test_more_time_is_for_a_new_fit_though_the_call_was_interrupted(both):
     assert not {*OLD, "networks"} & names_in(out)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", ["logs of nothing", "no replay"])
 def test_a_call_that_fails_before_it_has_made_anything_costs_no_results(both, monkeypatch, what):
     data, out = both
@@ -110,12 +112,14 @@ def test_a_call_that_fails_before_it_has_made_anything_costs_no_results(both, mo
     assert {step.status for step in again.result.steps if step.name != "gap"} == {"kept"}
 
 
+@pytest.mark.long
 def test_an_import_that_begins_anew_ends_what_was_made_of_the_old_one(of_logs):
     logs, out, options = of_logs
     quick(logs, out, config=OTHER, overwrite=True, **{**options, "until": "import"})
     assert not {*OLD, "gap.json", "ladder.json", ".trueup-replacing.json"} & names_in(out)
 
 
+@pytest.mark.long
 def test_a_demo_that_was_interrupted_while_it_recorded_does_not_show_the_old_fit(closed, tmp_path):
     out = tmp_path / "out"
     demo(out, robot="demo_arm", until="gap")
@@ -152,6 +156,7 @@ def test_interrupted_in_any_step_after_overwrite_it_ends_as_an_uninterrupted_one
 # --- going on
 
 
+@pytest.mark.long
 def test_logs_with_more_motions_are_refused_before_any_is_added(recorded, tmp_path):
     logs, out = tmp_path / "logs", tmp_path / "out"
     export_dataset(recorded, logs)
@@ -171,6 +176,7 @@ def test_logs_with_more_motions_are_refused_before_any_is_added(recorded, tmp_pa
     assert quick(logs, out, until="gap", resume=True, **options).result.step("replay").status == "kept"
 
 
+@pytest.mark.long
 def test_a_look_at_the_gap_keeps_the_windows_of_a_fit_and_what_was_measured_in_them(data, tmp_path):
     out, config = tmp_path / "out", replace(QUICK, data=DataChoice(window_s=1.0, burn_in_s=0.0, budget_s=12.0))
     quick(data, out, config=config, until="identify")

@@ -75,6 +75,7 @@ def test_all_steps_are_done_on_less_motion_than_was_asked_for(folder):
         assert replace(config, data=IdentifyConfig().data) == IdentifyConfig.load(folder / "asked.yaml")
 
 
+@pytest.mark.long
 def test_explain_alone(folder):
     options = ("--explain", "--config", folder / "out" / "explain.yaml", "--robot", "demo_arm", "--jobs", "2")
     assert run("gap", folder / "data", "--runs", "mujoco/stock", *options, "--out", folder / "why") == 0
@@ -88,6 +89,7 @@ def test_explain_alone(folder):
     assert gap["runs"]["mujoco/stock"] == whole["runs"]["mujoco/stock"]
 
 
+@pytest.mark.long
 def test_identify_alone(folder):
     """On a copy of the data, which has no runs."""
     options = ("--config", folder / "out" / "identify.yaml", "--robot", "demo_arm", "--jobs", "2")

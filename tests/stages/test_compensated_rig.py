@@ -34,6 +34,7 @@ def recorded(out, rig, control_hz):
     return {episode.id: episode for episode in Dataset(out)}
 
 
+@pytest.mark.long
 def test_a_corrected_robot_has_the_same_targets_and_moves_otherwise(network, tmp_path):
     control_hz = 200.0  # the network's rate is 50 Hz
     lab = LabRig(LabSpec(), seed=3)

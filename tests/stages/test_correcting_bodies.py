@@ -61,6 +61,7 @@ def evaluated(tmp_path_factory):
     return folder, data, evaluate(data, [folder / "model"], folder / "out", project=True, draws=200)
 
 
+@pytest.mark.long
 def test_bodies_come_apart_and_the_nearest_robot_does_not(evaluated):
     _, _, found = evaluated
     result = found.result
@@ -107,6 +108,7 @@ def test_pairs_say_whether_largest_distances_fall(evaluated):
     assert found["position_norm"].relative < -0.1
 
 
+@pytest.mark.long
 def test_people_are_told_millimeters_and_degrees(evaluated, capsys):
     folder, _, found = evaluated
     result, gap = evaluation_for_people(found.result), gap_for_people(found.measurement.gap)
@@ -152,6 +154,7 @@ def some_measured(data, folder):
     return Dataset(folder)
 
 
+@pytest.mark.long
 def test_fewer_bodies_may_be_measured_than_simulated(evaluated, tmp_path):
     folder, data, whole = evaluated
     fewer = some_measured(data, tmp_path / "data")

@@ -85,6 +85,7 @@ def test_it_says_what_the_motions_promise(arm, made):
     assert [row["designed"] for row in stored["parameters"]] == [item.designed for item in designed.parameters]
 
 
+@pytest.mark.long
 def test_an_interrupted_design_goes_on_and_other_threads_design_the_same(arm, made, tmp_path):
     _, out = made
 

@@ -68,6 +68,7 @@ def written(folder, episodes, *, names=NAMES, order=("elbow", "yaw", "lift")):
     return folder
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("change", CHANGES)
 def test_logs_are_read_as_they_were_meant(made, change, tmp_path):
     robot, path, episodes = made
@@ -144,6 +145,7 @@ def test_a_robot_follows_what_most_motions_command(made, tmp_path):
     assert not found.robot.controller.per_joint
 
 
+@pytest.mark.long
 def test_names_that_say_nothing_leave_it_to_the_motion(made, tmp_path):
     """In an order that is not the model's, and that no single exchange mends."""
     _, path, episodes = made
@@ -168,6 +170,7 @@ def test_another_robot_is_refused_with_both_lists(made, tmp_path):
         draft(path, written(tmp_path / "data", episodes, names=names, order=("yaw", "lift")))
 
 
+@pytest.mark.long
 def test_what_is_likely_is_asked(made, tmp_path):
     """A servo whose commands are stamped late is nothing that stops a fit, and may be written down."""
     robot, path, episodes = made
@@ -219,6 +222,7 @@ def test_a_close_of_no_robot_says_what_is_missing(made, tmp_path, capsys):
     assert "--model" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_calibration_of_lerobot_says_units_and_zeros(made, tmp_path):
     """Logs as LeRobot writes them from the counts of calibrated motors, back to the angles that made them."""
     _, path, episodes = made

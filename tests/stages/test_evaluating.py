@@ -22,6 +22,8 @@ from trueup.stages import evaluate, gap, replay
 from trueup.stages.correcting import correct_unless_same
 from trueup.stages.demonstrating import demo_dataset
 
+pytestmark = pytest.mark.long
+
 ARM = ("yaw", "shoulder", "elbow")
 LABEL = "mujoco/stock+shift"
 

@@ -214,6 +214,7 @@ def robot(tmp_path):
     return load_robot(tmp_path / "robot.yaml")
 
 
+@pytest.mark.long
 def test_a_servo_that_saturates_is_fitted(tmp_path, robot):
     logs = [recorded(f"m{seed}", SATURATING, seed=seed, seconds=4.0) for seed in range(3)]
     data = written(

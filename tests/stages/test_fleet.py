@@ -56,6 +56,7 @@ def done(home, robot, tmp_path_factory):
     return out, fleet([home / "data"], robot, out, config=QUICK, jobs=2)
 
 
+@pytest.mark.long
 def test_what_units_have_in_common_and_which_is_not_like_them(done):
     _, found = done
     assert [unit.name for unit in found.units] == list(KP)
@@ -76,6 +77,7 @@ def test_what_units_have_in_common_and_which_is_not_like_them(done):
     assert rows["damping[shoulder]"].mean == pytest.approx(0.6, rel=0.1)
 
 
+@pytest.mark.long
 def test_each_unit_is_as_alone(done, home, robot, tmp_path):
     out, found = done
     alone = fit(Dataset(out / "arm-3" / "dataset"), robot, tmp_path / "alone", config=QUICK, jobs=1)
@@ -95,6 +97,7 @@ def test_it_is_read_back_and_refuses_what_it_is_not(done, tmp_path):
         FleetResult.load(tmp_path / "other.json")
 
 
+@pytest.mark.long
 def test_a_worker_that_is_killed_loses_nothing(done, home, robot, tmp_path):
     """On a Ray cluster of two processes, one of which is killed in the middle of a fit."""
     with one_worker_killed(lambda: any(tmp_path.glob("out/*/checkpoints/*"))) as killed:  # a fit has begun
@@ -105,6 +108,7 @@ def test_a_worker_that_is_killed_loses_nothing(done, home, robot, tmp_path):
     assert [unit.errors for unit in found.units] == [unit.errors for unit in before.units]
 
 
+@pytest.mark.long
 def test_what_is_finished_is_kept(done, home, robot, tmp_path):
     out, before = done
     out = shutil.copytree(out, tmp_path / "out")
@@ -116,6 +120,7 @@ def test_what_is_finished_is_kept(done, home, robot, tmp_path):
     assert {path: path.stat().st_mtime_ns for path in files} == files
 
 
+@pytest.mark.long
 def test_a_unit_that_fails_does_not_stop_the_others(home, robot, tmp_path):
     data = Dataset(home / "data")
     with DatasetWriter.create(tmp_path / "data", data.info) as writer:
@@ -140,6 +145,7 @@ def test_measured_only(home, robot, tmp_path):
     assert set(found.units[0].errors) == {"command", "stock"}
 
 
+@pytest.mark.long
 def test_the_command(home, tmp_path, capsys):
     (tmp_path / "fit.yaml").write_text("fit: {kp: all}\nsolver: {max_iterations: 4}\n")
     options = ("--robot", home / "robot.yaml", "--config", tmp_path / "fit.yaml", "--jobs", "1")
@@ -201,6 +207,7 @@ def test_whatever_goes_wrong_with_a_unit_the_others_go_on(home, robot, tmp_path,
     assert not path.exists()
 
 
+@pytest.mark.long
 def test_a_unit_that_kills_its_process_is_listed(home, robot, tmp_path, monkeypatch):
     monkeypatch.setattr(fleet_stage, "_closed", fleet_errands.end_for_one)
     found = fleet([home / "data"], robot, tmp_path / "out", until="gap", jobs=2)

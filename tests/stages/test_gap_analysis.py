@@ -135,6 +135,7 @@ def test_the_nearer_engine_is_named_at_every_payload(found):
         assert abs(position.difference.value) == pytest.approx(0.01, rel=0.01)
 
 
+@pytest.mark.long
 def test_only_the_blocks_that_are_in_the_torque_are_worth_something(found):
     gained = {block.block: block.splits[HELD_OUT].reduction for block in found[0].graybox.total}
     assert found[0].graybox.settings["delay_s"] < 0.01
@@ -144,6 +145,7 @@ def test_only_the_blocks_that_are_in_the_torque_are_worth_something(found):
         assert gained[name].low <= 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("change", "runs", "missing"),
     [

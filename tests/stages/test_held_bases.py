@@ -187,6 +187,7 @@ def test_joints_that_swing_are_said_and_not_compensated(folder):
         Transitions(simulator, CONTROL_S)
 
 
+@pytest.mark.long
 def test_a_fit_keeps_the_whole_model_and_its_own_simulation(folder):
     data = stored(folder / "other", truth(0.9))
     robot = load_robot(folder / "held.yaml")

@@ -20,6 +20,8 @@ from trueup.stages import identifying
 from trueup.stages.identifying import FITTED, explain, fit
 from trueup.stages.replaying import STOCK
 
+pytestmark = pytest.mark.long
+
 QUICK = SolverChoice(max_iterations=8, tolerance=1e-2)
 CONFIG = IdentifyConfig(fit={"damping": "all"}, models={}, solver=QUICK)
 SPLITS = ("train", "train", "val", "test")

@@ -67,6 +67,7 @@ def robot_of(path, controller):
     return RobotSpec("chain", tuple(map(JointSpec, NAMES)), path.name, controller=controller)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["position", "torque"])
 def test_strange_names_are_explained_and_identified(tmp_path, kind):
     path = write_model(tmp_path)
@@ -106,6 +107,7 @@ def test_lists_on_the_command_line_know_names_with_commas_and_equals_signs():
     assert unit_choices(["position.c=d=1", "velocity=rad/s"]) == {"position.c=d": "1", "velocity": "rad/s"}
 
 
+@pytest.mark.long
 def test_the_case_of_colons(model_cases, tmp_path):
     case = model_cases.parent / "attack" / "colon"
     if not case.is_dir():

@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 from augment.evaluation_cases import card_of, shift_folder
 from trueup.dataset import Dataset
 from trueup.robots import load_robot
@@ -15,6 +17,7 @@ def warnings(path):
     return gap(Dataset(path), draws=100).gap.settings["warnings"]
 
 
+@pytest.mark.long
 def test_a_correction_of_an_earlier_run_is_warned_of_until_it_is_made_again(tmp_path):
     path = demo_dataset(tmp_path / "data")
     robot = load_robot("demo_arm")

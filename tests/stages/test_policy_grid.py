@@ -111,6 +111,7 @@ def run(tmp_path, monkeypatch, capsys):
     return call
 
 
+@pytest.mark.long
 def test_from_a_grid_to_the_best_policy(run, tmp_path, whole):
     code, out, err = run("--out", "g", "--jobs", 2)
     assert code == 0
@@ -145,6 +146,7 @@ def test_from_a_grid_to_the_best_policy(run, tmp_path, whole):
         )
 
 
+@pytest.mark.long
 def test_what_is_there_is_not_lost(run, tmp_path):
     assert run("--out", "g", "--jobs", 1)[0] == 0
     before = cards(tmp_path / "g")
@@ -365,6 +367,7 @@ def test_a_table_says_how_many_failed(run, diverging):
     assert out.count(" cm ") == 4  # two rows, two distances each
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("after", [3, 6, 9])
 def test_a_full_disk_is_said_and_nothing_is_lost(run, tmp_path, monkeypatch, after, whole):
     sync, left = os.fsync, [after]
@@ -393,6 +396,7 @@ def test_a_full_disk_is_said_and_nothing_is_lost(run, tmp_path, monkeypatch, aft
     assert figures(searched(tmp_path / "g", resume=True)) == figures(whole[0])
 
 
+@pytest.mark.long
 def test_a_database_that_cannot_grow(run, tmp_path, monkeypatch):
     opened = sqlite3.connect
 
@@ -425,6 +429,7 @@ def test_a_database_that_cannot_grow(run, tmp_path, monkeypatch):
     every_point_once(tmp_path / "g")
 
 
+@pytest.mark.long
 def test_a_broken_database_and_a_second_search(run, tmp_path):
     assert run("--out", "g", "--jobs", 1)[0] == 0
     content = (tmp_path / "g" / "study.db").read_bytes()
@@ -450,6 +455,7 @@ def test_killed_before_there_was_a_database_it_begins(tmp_path, whole):
     assert not list(tmp_path.glob(".*"))
 
 
+@pytest.mark.long
 def test_a_trial_of_something_else_stops_the_search_and_says_where(tmp_path):
     found = searched(tmp_path)
     victim = found.trials[1]

@@ -45,6 +45,7 @@ def test_the_stock_so101_is_as_far_off_as_its_readme_says(so101):
         assert value == pytest.approx(expected, rel=0.02), (label, split)
 
 
+@pytest.mark.long
 def test_the_split_of_the_so101_is_the_one_beside_the_data(so101):
     counts = {split: sum(item == split for item in so101.dataset.splits.values()) for split in ("train", "val", "test")}
     assert counts == {"train": 33, "val": 4, "test": 6}

@@ -127,6 +127,7 @@ def stop_after(count, what):
     return track
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("what", "counts"), [("plan", (0, 5)), ("record", (0, 1, 3, 5))])
 def test_ctrl_c_and_the_same_again_make_the_same_files(whole, tmp_path, what, counts):
     for count in counts:
@@ -371,6 +372,7 @@ def test_payloads(tmp_path):
     assert 0.05 < abs(lever_m) < 0.9
 
 
+@pytest.mark.long
 def test_rigs_take_turns_and_each_motion_is_that_of_its_rig_alone(tmp_path):
     """Other individuals and other bases, in the order of the motions, the same for every payload."""
     walking = replace(LabSpec(), base=Base(condition="gait"))

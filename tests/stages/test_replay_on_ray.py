@@ -38,6 +38,7 @@ def same_runs(one, other):
             np.testing.assert_array_equal(left[signal], right[signal])
 
 
+@pytest.mark.long
 @NEEDS_RAY
 def test_the_run_is_the_same(recorded, tmp_path, monkeypatch, cluster):
     monkeypatch.setattr("trueup.stages.replaying.PART", 5)  # three parts of twelve motions

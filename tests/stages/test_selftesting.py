@@ -72,6 +72,7 @@ def verdicts_of(result):
     return {item.name: item.verdict for item in truth.numbers}
 
 
+@pytest.mark.long
 def test_numbers_that_motions_show_are_recovered_and_the_file_says_so(tmp_path):
     robot, path = arm(tmp_path)
     result = selftest(robot, model=path, config=config(), jobs=1, seed=1, budget_s=None)
@@ -88,6 +89,7 @@ def test_numbers_that_motions_show_are_recovered_and_the_file_says_so(tmp_path):
     assert json.loads((tmp_path / "selftest.json").read_text())["schema"] == "trueup.selftest/1"
 
 
+@pytest.mark.long
 def test_a_joint_that_does_not_move_stays_open(tmp_path):
     robot, path = arm(tmp_path)
     path.write_text(SIDE_BY_SIDE)  # or the shoulder would move the elbow

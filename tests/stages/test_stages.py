@@ -145,6 +145,7 @@ def test_one_bad_motion_does_not_stop_a_close(tmp_path):
     assert closed.measurement.gap.runs["mujoco/stock"]["test"]["position"]["rmse"].episodes == 1
 
 
+@pytest.mark.long
 def test_the_same_inputs_give_the_same_results(tmp_path):
     results = []
     for name in ("a", "b"):
@@ -191,6 +192,7 @@ def test_the_limits_of_the_robot_hold_in_the_words_of_the_log(tmp_path):
     assert any(flag.kind == "position_limit" for found in flags for flag in found)
 
 
+@pytest.mark.long
 def test_a_torque_without_its_sign_is_said_to_say_little(demo):
     robot = load_robot("demo_arm")
     replay(demo, robot)
@@ -241,6 +243,7 @@ def test_a_run_that_came_with_the_logs_speaks_their_language(tmp_path):
     assert runs["mujoco/stock"]["all"]["position"]["rmse"].total.value < 1e-8
 
 
+@pytest.mark.long
 def test_a_simulation_recorded_apart_is_shifted_to_the_start_of_the_motion(demo, tmp_path):
     """The same motion on a clock that began 0.37 s earlier, as if somebody had started two recordings by hand."""
     with DatasetWriter.create(tmp_path / "apart", DatasetInfo(robot="demo_arm")) as writer:
@@ -255,6 +258,7 @@ def test_a_simulation_recorded_apart_is_shifted_to_the_start_of_the_motion(demo,
     assert aligned.total.value < 1e-6
 
 
+@pytest.mark.long
 def test_what_was_left_out_is_what_was_flagged(tmp_path):
     data = Dataset(demo_dataset(tmp_path / "demo"))
     replay(data, load_robot("demo_arm"))
@@ -268,6 +272,7 @@ def test_what_was_left_out_is_what_was_flagged(tmp_path):
     assert not any(item.dropped for item in test_only.quality.episodes.values())
 
 
+@pytest.mark.long
 def test_resting_ends_can_be_cut(demo):
     replay(demo, load_robot("demo_arm"))
     whole, cut = gap(demo), gap(demo, cut_resting=True)
@@ -419,6 +424,7 @@ def test_a_run_that_was_interrupted_before_its_first_motion_blocks_no_other(demo
         gap(demo, runs=["mujoco/begun"])
 
 
+@pytest.mark.long
 def test_an_import_that_is_half_done_is_said_to_be(demo, tmp_path):
     assert gap(demo).gap.settings["warnings"] == []
     logs = npz_logs(tmp_path / "logs", demo)
@@ -482,6 +488,7 @@ def test_a_foreign_run_decides_nothing_about_the_robot(demo, tmp_path):
     assert measured.settings["robot"] == "demo_arm"
 
 
+@pytest.mark.long
 def test_two_engines_or_two_payloads_are_compared(demo, tmp_path):
     robot = load_robot("demo_arm")
     replay(demo, robot)

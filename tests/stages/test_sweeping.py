@@ -107,6 +107,7 @@ def test_it_is_written_whenever_a_training_has_ended_and_read_back(done, tmp_pat
         SweepResult.load(tmp_path / "other.json")
 
 
+@pytest.mark.long
 def test_in_processes_it_is_the_same(data, done, tmp_path):
     found = sweep([data], tmp_path / "out", run=RUN, candidates=CANDIDATES, seeds=SEEDS, jobs=2)
     assert numbers(found) == numbers(done[1])
@@ -127,6 +128,7 @@ def test_on_ray_a_worker_that_is_killed_loses_nothing(data, tmp_path):
         assert (out / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
 
 
+@pytest.mark.long
 def test_a_sweep_that_is_killed_goes_on(data, tmp_path):
     """The command is killed in the middle of its second training."""
     small = tmp_path / "long.yaml"

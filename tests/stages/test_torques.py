@@ -57,6 +57,7 @@ def explained(folder, drive, *, factors=None, methods=("graybox", "dynamics"), *
     return torque(logs, truth.robot(folder / "robot", drive, factors), folder / "out", methods=methods)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("drive", ["position", "velocity", "torque"])
 def test_both_methods_are_nearer_than_the_rivals_for_each_kind_of_drive(drive, tmp_path):
     result = explained(tmp_path, drive, count=3).result
@@ -179,6 +180,7 @@ def test_with_splits_the_test_motions_touch_no_coefficient(tmp_path):
         assert all(a.coefficients == b.coefficients for a, b in pairs)
 
 
+@pytest.mark.long
 def test_currents_with_a_known_factor_are_torques(tmp_path):
     for name in ("torque", "current"):
         (tmp_path / name).mkdir()
@@ -199,6 +201,7 @@ def test_currents_with_a_known_factor_are_torques(tmp_path):
             assert amperes.joints[joint].errors[name].rmse.value == pytest.approx(score.rmse.value, rel=1e-6)
 
 
+@pytest.mark.long
 def test_currents_without_a_factor_keep_the_ratios_and_are_scaled_to_the_models_masses(tmp_path):
     masses = {**truth.TRUE, "upper": truth.MODEL["upper"], "fore": truth.MODEL["fore"]}
     for name in ("torque", "current"):
@@ -291,6 +294,7 @@ def command(tmp_path, capsys):
     return call
 
 
+@pytest.mark.long
 def test_the_command_prints_a_row_per_joint_and_speaks_of_the_best_rival(command, tmp_path):
     code, printed = command(None)
     assert code == 0, printed
@@ -308,6 +312,7 @@ def test_the_command_prints_a_row_per_joint_and_speaks_of_the_best_rival(command
     assert not (tmp_path / "out" / "dynamics.json").exists()
 
 
+@pytest.mark.long
 def test_torques_that_nothing_explains_are_admitted(command, tmp_path):
     code, printed = command(lambda number, tau: np.random.default_rng(number).normal(0, 2, tau.shape))
     assert code == 3, printed

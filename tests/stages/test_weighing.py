@@ -75,6 +75,7 @@ def test_mass_and_center_are_found(arm):
     assert replace(written, provenance={}) == replace(found, provenance={})
 
 
+@pytest.mark.long
 def test_the_page_shows_what_is_printed(arm, capsys):
     def words(text):
         return re.sub(r"-?\d[\d.]*", "0", text)
@@ -95,6 +96,7 @@ def test_the_model_with_it_is_left_for_plain_mujoco(arm):
     assert load_robot(folder / "out" / "loaded" / "robot.fitted.yaml").joint_names == ("yaw", "lift", "elbow")
 
 
+@pytest.mark.long
 def test_two_recordings_of_one_robot_hold_no_payload(arm):
     found = again(arm)
     assert found.determined
@@ -103,6 +105,7 @@ def test_two_recordings_of_one_robot_hold_no_payload(arm):
     assert not any(found.weighed.center_seen)
 
 
+@pytest.mark.long
 def test_the_exchanged_are_told(arm, tmp_path):
     """A fit of what is loaded, and motions without: the payload comes out below zero, and is none."""
     folder, robot, _, _ = arm
@@ -119,6 +122,7 @@ def test_the_exchanged_are_told(arm, tmp_path):
     assert found.weighed.mass_kg == 0.0
 
 
+@pytest.mark.long
 def test_a_vertical_axis_shows_no_weight(tmp_path, capsys):
     """Its inertia may be that of little far out, or of much near the axis."""
     model = """<mujoco><option timestep="0.001"/><worldbody><body name="table">
@@ -155,6 +159,7 @@ def call(*words, capsys):
     return left.value.code, *capsys.readouterr()
 
 
+@pytest.mark.long
 def test_the_command_prints_and_writes_in_the_frame_of_a_site(arm, tmp_path, capsys):
     folder, robot, path, found = arm
     data = import_logs(folder / "loaded", tmp_path / "data", robot=robot).path

@@ -49,6 +49,7 @@ def test_the_simulated_body_is_no_way_from_itself():
     assert all(value == 0.0 for name, value in gap.items() if "robustness" not in name)
 
 
+@pytest.mark.long
 def test_hardware_without_effects_moves_as_the_simulation_does():
     """Other code computes the joints; what is left is that two integrators take the same steps in another order."""
     body, targets = SimulatedBody(1.0), reaching()
@@ -66,6 +67,7 @@ def test_hardware_without_effects_moves_as_the_simulation_does():
     assert np.ptp(simulated.position[:, 0]) > 0.2
 
 
+@pytest.mark.long
 def test_an_individual_is_somewhere_else_and_seeds_and_units_decide_where():
     trial, targets = Trial(driving=QUICK), reaching(1.0)
     simulated = trial.simulated(targets)
@@ -81,6 +83,7 @@ def test_an_individual_is_somewhere_else_and_seeds_and_units_decide_where():
     assert 5e-4 < body_gap(first, simulated)["drift_mean"] < 0.1
 
 
+@pytest.mark.long
 def test_arms_on_the_base_hang_as_they_do_on_a_waist_that_is_held():
     truth = draw_truth(lab().without("readings"), unit=5)
     held = VirtualRobot(truth, payload_kg=2.0, position=home())
@@ -94,6 +97,7 @@ def test_arms_on_the_base_hang_as_they_do_on_a_waist_that_is_held():
     assert sags.max() > 0.04
 
 
+@pytest.mark.long
 def test_a_payload_pulls_the_arms_down_and_the_base_away_and_feed_forward_brings_both_back():
     trial, targets, feed_forward = Trial(3.0, driving=QUICK), reaching(3.0, 1.5), GravityFeedForward()
     simulated = trial.simulated(targets, compensator=feed_forward)
@@ -149,6 +153,7 @@ def test_what_is_no_target_is_not_sent(answer):
         Trial(driving=STANDING).simulated(reaching(1.0), compensator=lambda *_: answer)
 
 
+@pytest.mark.long
 def test_a_fall_is_seen_and_counts_as_nothing_but_a_fall():
     targets = reaching(4.0)
     simulated = Trial().simulated(targets)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import functools
 import os
 import sys
 import traceback
@@ -10,7 +11,9 @@ from collections.abc import Sequence
 from importlib import metadata
 from typing import Annotated, Any
 
+import click
 import typer
+from typer.main import get_command
 
 from trueup.cli import (
     augment,
@@ -110,6 +113,12 @@ def version(
         raise typer.Exit
 
 
+@functools.cache
+def _command() -> click.Command:
+    """The parser of all commands: to build it takes longer than to use it, which tests do by the thousand."""
+    return get_command(app)
+
+
 def main(argv: Sequence[str] | None = None) -> None:
     """Run the command line and leave with its exit code.
 
@@ -121,7 +130,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     arguments = [argument for argument in arguments if argument != "--debug"] or ["--help"]
     try:
         # typer returns the code of typer.Exit when it does not handle exits by itself
-        code = app(arguments, standalone_mode=False, prog_name="trueup")
+        code = _command()(arguments, standalone_mode=False, prog_name="trueup")
     except TrueupError as error:
         if debug:
             raise
