@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from typing import Any
 
-import click
 from typer.main import get_command
 
 from trueup.cli.main import app
@@ -34,7 +34,7 @@ def pages() -> dict[str, str]:
     return {"options.md": TEXT.format(shared="\n".join(sorted(shared)), commands="\n\n".join(sections))}
 
 
-def _commands(group: click.Command, *names: str) -> Iterator[tuple[str, click.Command]]:
+def _commands(group: Any, *names: str) -> Iterator[tuple[str, Any]]:
     for name, command in sorted(getattr(group, "commands", {}).items()):
         if hasattr(command, "commands"):
             yield from _commands(command, *names, name)
@@ -42,7 +42,7 @@ def _commands(group: click.Command, *names: str) -> Iterator[tuple[str, click.Co
             yield " ".join(("trueup", *names, name)), command
 
 
-def _section(words: str, command: click.Command, shared: list[str]) -> str:
+def _section(words: str, command: Any, shared: list[str]) -> str:
     about = " ".join((command.help or "").split("\n\n")[0].split())
     lines = list(_lines(command))
     own = [line for line in lines if line not in shared]
@@ -51,7 +51,7 @@ def _section(words: str, command: click.Command, shared: list[str]) -> str:
     return "\n\n".join(filter(None, parts))
 
 
-def _lines(command: click.Command) -> Iterator[str]:
+def _lines(command: Any) -> Iterator[str]:
     """`- NAME: what it is`, of each argument and option."""
     for parameter in command.params:
         if getattr(parameter, "hidden", False):

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -550,3 +551,15 @@ def test_a_package_that_is_not_installed_is_named_with_its_extra(demo, tmp_path,
     assert code == 2
     assert package in said
     assert "pip install '.[" in said
+
+
+def test_results_have_a_place_of_their_own_where_none_is_given(run, motion, tmp_path, monkeypatch):
+    """Logs in logs/arm: data/arm, runs/arm; a fit of data/arm: runs/arm-fit; of what a close has imported, as that."""
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run("import", motion.parent)
+    assert code == 0, err
+    assert Dataset(Path("data") / "logs").ids == ("wave",)
+    assert options.folder_for(None, Path("logs/arm.csv.gz")) == Path("runs/arm")
+    assert options.folder_for(None, Path("data/arm"), of="fit") == Path("runs/arm-fit")
+    assert options.folder_for(None, Path("runs/first/dataset"), of="fit") == Path("runs/first-fit")
+    assert options.folder_for(Path("here"), Path("data/arm")) == Path("here")

@@ -53,7 +53,7 @@ def register(app: typer.Typer) -> None:
 
 def close(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset, or logs of any known format.")],
-    out_dir: Annotated[Path, typer.Option("--out", help="Folder for the results.")],
+    out_dir: options.Results = None,
     robot: options.RobotOrModel = None,
     until: UntilStep = "augment",
     budget: Annotated[
@@ -96,6 +96,7 @@ def close(
     from trueup.stages.close_networks import METHODS, possible_runs
     from trueup.stages.drafting import MAPPING_NAME
 
+    out_dir = options.folder_for(out_dir, dataset)
     bars = [parse_bar(text) for text in fail_above or []]
     if bars and until in _BEFORE_GAP:
         raise ConfigError(

@@ -24,7 +24,9 @@ def register(app: typer.Typer) -> None:
 
 def import_(
     source: Annotated[Path, typer.Argument(help="Folder or file with logs.")],
-    out_dir: Annotated[Path, typer.Option("--out", help="Folder of the dataset.")],
+    out_dir: Annotated[
+        Path | None, typer.Option("--out", help="Folder of the dataset; data/NAME of the logs if not given.")
+    ] = None,
     format: options.Format = None,
     mapping: options.Mapping = None,
     unit: options.Units = None,
@@ -54,7 +56,7 @@ def import_(
         return 0
     summary = import_logs(
         source,
-        out_dir,
+        options.folder_for(out_dir, source, below="data"),
         format=format,
         options=choices,
         robot=options.robot_of(robot, source) if robot else None,

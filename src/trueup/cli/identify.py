@@ -28,7 +28,7 @@ def register(app: typer.Typer) -> None:
 def identify(
     dataset: Annotated[Path, typer.Argument(help="Folder of a dataset.")],
     robot: options.Robot,
-    out_dir: Annotated[Path, typer.Option("--out", help="Folder for the results.")],
+    out_dir: options.Results = None,
     config: Annotated[
         Path | None, typer.Option("--config", help="YAML that says what to fit; see docs/identification.md.")
     ] = None,
@@ -64,6 +64,7 @@ def identify(
     from trueup.stages import check_setup, refuse_wrong
     from trueup.stages import fit as run
 
+    out_dir = options.folder_for(out_dir, dataset, of="fit")
     chosen = IdentifyConfig.load(config) if config else IdentifyConfig()
     if solver is not None:
         name = build(SolverChoice, {"name": solver}, "--solver").name

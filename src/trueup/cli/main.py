@@ -7,11 +7,10 @@ import functools
 import os
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import metadata
 from typing import Annotated, Any
 
-import click
 import typer
 from typer.main import get_command
 
@@ -114,7 +113,7 @@ def version(
 
 
 @functools.cache
-def _command() -> click.Command:
+def _command() -> Callable[..., Any]:
     """The parser of all commands: to build it takes longer than to use it, which tests do by the thousand."""
     return get_command(app)
 

@@ -28,6 +28,9 @@ Model = Annotated[
     Path | None,
     typer.Option("--model", exists=True, dir_okay=False, help="MJCF or URDF; else looked for in the dataset's model/."),
 ]
+Results = Annotated[
+    Path | None, typer.Option("--out", help="Folder for the results; runs/NAME of the data if not given.")
+]
 Jobs = Annotated[int | None, typer.Option("--jobs", min=1, help="Threads; the number of cores if not given.")]
 Ray = Annotated[
     str | None, typer.Option("--ray", help="Work on a Ray cluster: its HOST:PORT, or local for one on this machine.")
@@ -239,3 +242,15 @@ def unit_choices(items: list[str] | None) -> dict[str, str]:
             raise ConfigError("--unit", got=item, expected="SIGNAL=UNIT or SIGNAL.JOINT=UNIT, e.g. position.Jaw=1")
         units[name] = unit
     return units
+
+
+def folder_for(out: Path | None, data: Path, *, of: str = "", below: str = "runs") -> Path:
+    """The folder that was asked for, or one by the name of the data: `runs/arm-fit` for `data/arm` or `logs/arm.csv`.
+
+    A dataset among the results of `close` has the name of these.
+    """
+    if out is not None:
+        return out
+    place = data.absolute()
+    name = place.parent.name if place.name == "dataset" else place.name.partition(".")[0]
+    return Path(below) / (f"{name or 'results'}-{of}" if of else name or "results")

@@ -24,7 +24,7 @@ def register(app: typer.Typer) -> None:
 def torque(
     data: Annotated[Path, typer.Argument(help="Dataset, or logs of any known format.")],
     robot: options.Robot,
-    out_dir: Annotated[Path, typer.Option("--out", help="Folder for the results.")],
+    out_dir: options.Results = None,
     method: Annotated[
         Literal["graybox", "dynamics"] | None,
         typer.Option("--method", help="Terms of each joint, or the equation of motion; both if not given."),
@@ -46,6 +46,7 @@ def torque(
     """
     from trueup.stages import torque as run
 
+    out_dir = options.folder_for(out_dir, data, of="torque")
     explained = run(
         data,
         options.robot_of(robot, data),
