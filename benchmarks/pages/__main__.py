@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from benchmarks.pages import choosing, everything, gallery, kinds, laws, options, peers
+from benchmarks.pages import choosing, everything, gallery, kinds, laws, llms, options, peers
 from benchmarks.pages.markdown import with_section
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,7 +40,7 @@ def from_several() -> dict[str, str]:
     """Page -> its text with what is made from the code or from several results: tables, sections, the whole page."""
     return {
         name: text
-        for module in (kinds, laws, options, peers, choosing, gallery, everything)
+        for module in (kinds, laws, options, peers, choosing, gallery, everything, llms)
         for name, text in module.pages().items()
     }
 
