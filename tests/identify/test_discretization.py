@@ -155,6 +155,42 @@ def test_two_timings_are_compared_at_their_minima_once_a_payload_was_found(tmp_p
         assert abs(undecided["delay_s[j]"]) * 0.02 > 0.001  # in z, of 20 ms
 
 
+@pytest.mark.long
+def test_the_other_timing_begins_where_this_one_has_ended_if_its_own_search_went_astray(tmp_path):
+    """More than noise is left, and the held command, which is right, was far worse where its search had ended."""
+    pendulum = pendulum_logs(tmp_path)
+    fit = dict.fromkeys(("delay_s", "kp", "kv", "frictionloss", "armature"), "all")
+    search = ModelSearch(
+        Nominal(pendulum.robot, pendulum.model),
+        pendulum.episodes,
+        IdentifyConfig(fit=fit, models={}),
+        jobs=1,
+        seed=0,
+        checkpoints=None,
+        on_progress=None,
+    )
+    held, linear = (replace(search.logs.way, command=command) for command in ("held", "linear"))
+    right = search._try("held", fit)
+    astray = at(search, right, kp=3.0 * right.solution.values["kp[j]"])
+    search.logs.way = linear
+    moving = search._try("linear", fit)
+    for kept in (None, astray):
+        search.logs.way = linear
+        worse = (
+            at(search, moving, kv=share * moving.solution.values["kv[j]"]) for share in (0.999, 0.998, 0.995, 0.99)
+        )
+        best = next(item for item in worse if not search._explained(item))
+        search._undecided.clear()
+        search._rival = (kept, "held")
+        found = search._retimed(best, fit, rough=False, limit=None)
+        assert search.logs.way == held
+        assert found.solution.rms == pytest.approx(right.solution.rms, rel=1e-2)
+        assert found.solution.values["delay_s[j]"] == pytest.approx(0.0, abs=0.003)
+    # What is explained to its noise is not searched once more where the other one was hopeless.
+    search.logs.way, search._rival = linear, (None, "held")
+    assert search._retimed(moving, fit, rough=False, limit=None) is moving
+
+
 def test_a_step_of_zero_is_told_from_two_others():
     """Where the error of numbers and of residuals is proportional to the square of the step, without simulating it."""
     problem, rng = Valley(2.0), np.random.default_rng(3)

@@ -139,8 +139,8 @@ class ModelSearch:
         self._room: dict[str, tuple[float, float]] = {}
         # A solution that was brought to the minimum of the present way, with parameters and residual there.
         self._minimum: tuple[Solution, Discretization, Minimum] | None = None
-        # The base model with the other timing of the command, and that timing.
-        self._rival: tuple[TriedModel, CommandTiming] | None = None
+        # The base model with the other timing of the command, if that is not far worse, and that timing.
+        self._rival: tuple[TriedModel | None, CommandTiming] | None = None
         self.searched: Solution | None = None
 
     def climb(self) -> tuple[TriedModel, list[TriedModel]]:
@@ -389,34 +389,49 @@ class ModelSearch:
         """The same model with the other timing of the command, if that is better by now.
 
         Where numbers depend on the step, a wrong step may have decided. Where torques are weighed, positions alone did,
-        which a wrong timing explains with other delays and inertias. Where more than noise is left, all is in doubt;
-        where far more is left, something else is missing.
+        which a wrong timing explains with other delays and inertias. Where more than noise is left, all is in doubt, also
+        where the other timing was far worse: its search may have ended elsewhere, so that it begins where this one has
+        ended if that is better. Where far more is left, something else is missing.
         """
-        heard = bool(self.logs.weights.signals.get("torque"))
-        doubtful = self.logs.way.trapezoidal or heard or not self._explained(best)
-        if self._rival is None or _over(limit) or not doubtful or self._left(best) > _FAR_FROM_NOISE:
+        if self._rival is None or _over(limit) or self._left(best) > _FAR_FROM_NOISE:
             return best
         rival, command = self._rival
+        close = rival is not None and (self.logs.way.trapezoidal or self.logs.weights.signals.get("torque"))
+        if not close and self._explained(best):
+            return best
         now, self.logs.way = self.logs.way, replace(self.logs.way, command=command)
         self._undecided.clear()
-        other = self._further(rival, fit, "once more", (), rough=rough, limit=limit)
+        places = [place for place in (self._shifted(best), rival) if place is not None]
+        place = min(places, key=lambda own: self._rms_at(own.solution))
+        other = self._further(place, fit, "once more", (), rough=rough, limit=limit)
         return self._better_timed(best, now, self._smoothed(other, fit, rough=rough, limit=limit))
+
+    def _shifted(self, item: TriedModel) -> TriedModel:
+        """A model of the other timing of the command, its delays as the present one has them."""
+        found = item.solution
+        delays = {own.name for own in found.parameters.free if own.quantity == "delay_s"}
+        later = {name: at + self.logs.later_s * (name in delays) for name, at in found.values.items()}
+        return replace(item, solution=replace(found, z=found.parameters.at(later).start))
+
+    def _rms_at(self, found: Solution) -> float:
+        """What numbers leave in the present way; infinite where they cannot be simulated."""
+        residual = self.logs.problem(found.parameters).residuals(found.z[None])[0]
+        return float(np.linalg.norm(residual)) if np.isfinite(residual).all() else float("inf")
 
     def _timed_for_certain(self, best: TriedModel) -> TriedModel:
         """The same model with the other timing of the command, if a payload was found since they were compared.
 
         Both at their minima, by verified derivatives: what a search leaves is more than they differ by.
         """
-        if self._rival is None or _carries(self._rival[0].row.quantities) or not _carries(best.row.quantities):
+        rival, command = self._rival or (None, self.logs.way.command)
+        if rival is None or _carries(rival.row.quantities) or not _carries(best.row.quantities):
             return best
         if self._left(best) > _FAR_FROM_NOISE:
             return best
         found, now = best.solution, self.logs.way
-        self.logs.way = replace(now, command=self._rival[1])
+        self.logs.way = replace(now, command=command)
         self._undecided.clear()
-        delays = {item.name for item in found.parameters.free if item.quantity == "delay_s"}
-        later = {name: at + self.logs.later_s * (name in delays) for name, at in found.values.items()}
-        other = self._verified(replace(best, solution=replace(found, z=found.parameters.at(later).start)))
+        other = self._verified(self._shifted(best))
         if other is None:
             self.logs.way = now
             self.logs.begin_at(found.values)
@@ -438,7 +453,7 @@ class ModelSearch:
             self._undecided.append({name: root * (other_one[name] - one[name]) for name in one if name in other_one})
         worse, way = (best, now) if better else (other, self.logs.way)
         kept = other if better else best
-        self._rival = (worse, way.command) if worse.solution.rms < _HOPELESS * kept.solution.rms else None
+        self._rival = (worse if worse.solution.rms < _HOPELESS * kept.solution.rms else None, way.command)
         if better:
             return replace(other, row=replace(other.row, name=best.row.name))
         self.logs.way = now
