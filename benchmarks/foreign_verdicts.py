@@ -193,12 +193,6 @@ def naming(cell: Cell) -> list[str]:
     return found
 
 
-def names_cause(cell: Cell, text: str) -> bool:
-    """Whether a text has a word for the cause."""
-    _, words = ACCEPTED[cell["cause"]["kind"]]
-    return re.search("|".join(words), text, re.IGNORECASE) is not None
-
-
 def accusations(cell: Cell) -> list[Mapping[str, Any]]:
     """Findings of the check that are certain or likely."""
     return [item for item in cell["findings"] if item["severity"] != _NOTE]

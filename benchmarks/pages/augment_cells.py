@@ -30,11 +30,6 @@ def _ends(estimate: Estimate) -> str:
     return f" [{short(estimate.low)}, {NOTHING if estimate.high is None else short(estimate.high)}]"
 
 
-def cut(item: Cut, *, off: bool) -> str:
-    """How many times smaller the error is; `off` where the training left the simulator's value."""
-    return "off" if off else factor(item.factor, item.verdict)
-
-
 def less(item: Cut) -> str:
     """The same in percent of the simulator's error: `53 [48, 57]`."""
     ends = [_percent(end) for end in (item.factor.low, item.factor.high) if end is not None]

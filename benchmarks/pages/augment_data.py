@@ -31,8 +31,6 @@ REALEASY_OTHER_UNIT_PERCENT = 53
 # LSTM thesis, Tables 2 and 4: torque RMSE [Nm] with good and with bad parameters of the simulator; before, after.
 THESIS_GOOD = ((5.65, 5.41, 4.61, 4.33, 3.20, 2.75, 2.26), (1.17, 1.78, 1.42, 1.42, 0.317, 0.345, 0.241))
 THESIS_BAD = ((44.0, 19.3, 44.6, 11.7, 7.91, 4.37, 4.62), (14.4, 2.33, 1.69, 1.84, 0.354, 0.364, 0.261))
-# LSTM thesis, 6.1: by how much a moving average over 0.5 s cuts the RMSE of torque.
-THESIS_AVERAGE_PERCENT = 50.5
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 from benchmarks.__main__ import LONG, NAMES
 from benchmarks.figures import known, rows_of
-from benchmarks.pages.grouped import grouped, shown
+from benchmarks.pages.grouped import missed, shown
 from benchmarks.pages.markdown import table
 from benchmarks.table import bound
 
@@ -22,19 +22,14 @@ python -m benchmarks --anew     # everything: a day
 python -m benchmarks --table    # print all stored figures, measure nothing
 ```
 
-Each run prints figures beside their limits and exits with 1 if one misses its limit. This page shows the stored
-figures that have a limit: {kept} keep it, {missed} miss it. `--table` also prints the figures without a limit. Since
-machines differ, a limit on speed is a ratio to another program in the same run wherever there is one to compare with.
+Each run prints figures beside their limits and exits with 1 if one misses its limit. Of the stored figures that have a
+limit, {kept} keep it and {missed} miss it. `--table` shows all of them, and those without a limit; they are stored in
+`benchmarks/results`. Since machines differ, a limit on speed is a ratio to another program in the same run wherever
+there is one to compare with.
 {absent}
 ## Missed limits
 
 {missed_table}
-
-## Kept limits
-
-Where several figures have the same limit, the row shows the one nearest to it.
-
-{kept_table}
 
 ## When they were measured
 
@@ -43,7 +38,6 @@ Benchmarks with a \\* take hours. They are measured only by name or with `--anew
 {when}
 """
 LONG_MARK = "\\*"
-HEADS = ("figure", "found", "limit")
 
 
 def pages() -> dict[str, str]:
@@ -56,20 +50,19 @@ def pages() -> dict[str, str]:
             kept=sum(row["ok"] for _, row in rows),
             missed=sum(not row["ok"] for _, row in rows),
             absent=f"\nNot measured yet: {', '.join(f'`{name}`' for name in absent)}.\n" if absent else "",
-            missed_table=_table(found, ok=False),
-            kept_table=_table(found, ok=True),
+            missed_table=_missed(found),
             when=_when(found),
         )
     }
 
 
-def _table(found: Mapping[str, Mapping[str, Any]], *, ok: bool) -> str:
+def _missed(found: Mapping[str, Mapping[str, Any]]) -> str:
     lines = [
-        (f"`{name}`: {row['name']}", f"{shown(row)}{f' (worst of {count})' if count > 1 else ''}", bound(row))
+        (f"`{name}`: {row['name']}", shown(row), bound(row))
         for name, entry in found.items()
-        for row, count in grouped(own for own in map(asdict, rows_of(entry)) if own["ok"] == ok)
+        for row in missed(map(asdict, rows_of(entry)))
     ]
-    return table(HEADS, lines)
+    return table(("figure", "found", "limit"), lines)
 
 
 def _when(found: Mapping[str, Mapping[str, Any]]) -> str:

@@ -37,35 +37,28 @@ Each case is drawn with {seeds} seeds and identified without any configuration:
 
 {bars}
 
-A parameter is *called determined* if it was fitted and has `identified: yes`. It *holds the truth* if the truth is in
-its interval. *Error* is relative to the truth and only of positive quantities (gains, friction, armatures, masses,
-delays). The noise is the one that was added to the positions. The narrowest widths are the Cramér-Rao bound at the
+A parameter is *called determined* if it was fitted, with `identified: yes`; it *holds the truth* if its interval does.
+*Error* is relative and of positive quantities only. The narrowest widths are the Cramér-Rao bound at the
 truth with the fit's priors, of seed {oracle_seed}.
 
 ## Group A: the model can be right
 
 {robots}
 
-*Determined* counts the fitted parameters over all seeds, *error* and *widths* are medians, *left / noise* is the worst
-seed's remaining error over the noise.
+*Determined* is of the fitted parameters; *error* and *widths* are medians.
 
 {remarks}
 
 ![{about}]({name})
-
-By kind of parameter:
-
-{kinds}
 
 ## Group B: the model lacks something
 
 {causes}
 
 A cause is *named* if a certain or likely finding of the [check](check.md), or a sentence of the fit, has a word for it
-and, if it names joints, at least one of the right ones; `ACCEPTED` in `benchmarks/foreign_verdicts.py` lists the words.
-A cause that is named second, as looking alike, counts.
-*Wrong* counts determined parameters whose interval does not hold the truth; in fits with status `ok` they break the
-bar. `stopped` means that the check was certain and nothing was fitted.
+(`ACCEPTED` in `benchmarks/foreign_verdicts.py`), also as second, and one of the right joints if it names any. *Wrong*:
+of the determined parameters, those whose interval does not hold the truth; with the status `ok`, they break the bar.
+`stopped`: the check was certain and nothing was fitted.
 
 ## Measure it again
 
@@ -74,9 +67,8 @@ python -m benchmarks foreign --oracle
 make pages
 ```
 
-The first command measures what `benchmarks/results/foreign.json` lacks; the file has every parameter of every fit.
-`--cases demo_arm,ur5e`, `--seeds 0` and `--jobs 2` choose, `--again` repeats. Without `--oracle`, the widths are left
-out.
+The first command measures what `benchmarks/results/foreign.json` lacks; the file has every parameter and finding.
+Without `--oracle`, the widths are left out.
 """
 
 
@@ -96,9 +88,6 @@ def page(result: Mapping[str, Any]) -> str:
         remarks="\n\n".join(filter(None, remarks(result))),
         about=ABOUT,
         name=NAME,
-        kinds=kind_table(verdicts.all_numbers(cell for own in a.values() for cell in own))
-        if a
-        else "Not measured yet.",
         causes=cause_table(b) if b else "Not measured yet.",
     )
 
@@ -166,11 +155,10 @@ def bar_table(result: Mapping[str, Any]) -> str:
 
 def robot_table(cases: Mapping[str, Sequence[Cell]], ratios: Mapping[str, float]) -> str:
     """One row per robot and drive of group A."""
-    heads = ("robot", "drive, commands, engine", "status", "determined", "hold the truth", "error", "left / noise")
+    heads = ("robot", "drive, commands, engine", "status", "determined", "hold the truth", "error")
     rows = []
     for case, cells in cases.items():
         numbers = verdicts.all_numbers(cells)
-        left = [own for cell in cells if (own := verdicts.left(cell)) is not None]
         rows.append(
             (
                 f"`{case}`",
@@ -179,66 +167,43 @@ def robot_table(cases: Mapping[str, Sequence[Cell]], ratios: Mapping[str, float]
                 f"{len(verdicts.called(numbers))}/{sum(not row['frozen'] for row in numbers)}",
                 _held(numbers),
                 _percent(verdicts.middle_error(numbers)),
-                f"{max(left):.2f}" if left else "",
                 *([f"{ratios[case]:.2f}" if case in ratios else ""] if ratios else []),
             )
         )
     return table((*heads, "widths") if ratios else heads, rows, left=3)
 
 
-def kind_table(rows: Sequence[Number]) -> str:
-    """One row per quantity."""
-    kinds: dict[str, list[Number]] = {}
-    for row in rows:
-        kinds.setdefault(row["name"].partition("[")[0], []).append(row)
-    heads = ("quantity", "fitted", "determined", "hold the truth", "error")
-    found = []
-    for name, own in kinds.items():
-        fitted = sum(not row["frozen"] for row in own)
-        cells = (str(fitted), str(len(verdicts.called(own))), _held(own), _percent(verdicts.middle_error(own)))
-        if fitted:
-            found.append((f"`{name}`", *cells))
-    return table(heads, found)
-
-
 def cause_table(cases: Mapping[str, Sequence[Cell]]) -> str:
     """One row per fit of group B, since what is said differs from seed to seed."""
-    heads = ("robot", "cause", "status", "named", "what was said", "wrong", "left / noise")
+    heads = ("robot/seed", "cause", "status", "named", "wrong")
     rows = []
     for case, cells in cases.items():
         for cell in cells:
-            judged, left = verdicts.judged(cell["numbers"]), verdicts.left(cell)
+            judged = verdicts.judged(cell["numbers"])
             wrong = [row for row in judged if not verdicts.holds(row)]
             rows.append(
                 (
-                    f"`{case}`, seed {cell['seed']}",
+                    f"`{case}/{cell['seed']}`",
                     cell["cause"]["kind"],
                     _status(cell),
-                    "yes" if verdicts.naming(cell) else "**no**",
-                    _said(cell),
+                    "yes" if verdicts.naming(cell) else f"**no**: {_said(cell)}",
                     f"{len(wrong)}/{len(judged)}" if cell["numbers"] else "",
-                    "" if left is None else f"{left:.2f}",
                 )
             )
-    return table(heads, rows, left=5)
+    return table(heads, rows, left=4)
 
 
 def _said(cell: Cell) -> str:
-    """What names the cause, else whom the check accuses, else what the fit says first."""
-    if named := verdicts.naming(cell):
-        text = named[0]
-    elif accused := verdicts.accusations(cell):
+    """What is said in place of the cause: whom the check accuses, else what the fit says first."""
+    if accused := verdicts.accusations(cell):
         text = "; ".join(f"{item['kind']}: {item['evidence']}" for item in accused[:2])
     elif cell["statements"]:
         text = cell["statements"][0]
     else:
         text = (cell["said"].splitlines() or [""])[-1]
-    text = " ".join(text.split()).removeprefix("what the model lacks: ").removeprefix("the robot carries ")
+    text = " ".join(text.split())
     if len(text) > LONGEST:
-        clause = next((part for part in text.split(";")[1:] if verdicts.names_cause(cell, part)), "")
         text = f"{text[:LONGEST].rsplit(' ', 1)[0]} …"
-        if clause and not verdicts.names_cause(cell, text):
-            text += clause
     return text.replace("|", "\\|").replace("<", "&lt;")
 
 
@@ -256,7 +221,7 @@ def _accused_words(cells: Sequence[Cell]) -> str:
     """What the check says of set-ups in which nothing is wrong."""
     accused = [cell for cell in cells if verdicts.accusations(cell)]
     if not accused:
-        return f"The check finds nothing wrong in any of these {len(cells)} set-ups, and nothing is."
+        return f"The check rightly finds nothing wrong in any of these {len(cells)} set-ups."
     said = f"In {len(accused)} of these {len(cells)} set-ups the check finds something that is or may be wrong"
     names = [
         f"`{cell['case']}`, seed {cell['seed']}: {item['kind']} ({item['severity']})"
@@ -286,7 +251,7 @@ def _machine_words(result: Mapping[str, Any]) -> str:
     when = days[0] if len(days) == 1 else f"{days[0]} to {days[-1]}"
     budgets = sorted({cell["budget"] for cell in result["cells"].values() if "budget" in cell})
     given = sum("budget" in cell for cell in result["cells"].values())
-    more = f" {given} of the commands had `--budget {', '.join(budgets)}`, on busy cores." if given else ""
+    more = f" {given} of the commands had `--budget {', '.join(budgets)}`." if given else ""
     seconds = [cell["seconds"] for cell in result["cells"].values()]
     more += f" A command took {median(seconds):.0f} s (median), {max(seconds):.0f} s at most." if seconds else ""
     named = ", ".join(f"`{own}`" for own in commits)

@@ -1,33 +1,24 @@
-"""Figures that are held against the same limit, in one row: the one that is nearest to it."""
+"""Figures that are held against a limit: those that miss it, and of the others those that are nearest to theirs."""
 
 from __future__ import annotations
 
-import re
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from benchmarks.table import bound
 
-_NUMBER = re.compile(r"\d+(\.\d+)?")
-
-
-def grouped(rows: Iterable[Mapping[str, Any]]) -> list[tuple[Mapping[str, Any], int]]:
-    """The figures that have a limit, each with how many are like it; what misses its limit stands alone.
-
-    Alike are figures that keep the same limit in the same unit, and whose names differ only in what stands before the
-    last `: ` or in numbers.
-    """
-    found: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
-    for number, row in enumerate(rows):
-        if row["limit"] is not None:
-            kind = _NUMBER.sub("#", row["name"].rpartition(": ")[2])
-            key = (bound(row), row["unit"], kind) if row["ok"] else (number,)
-            found.setdefault(key, []).append(row)
-    return [(_nearest(own), len(own)) for own in found.values()]
+def missed(rows: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Those that miss their limit."""
+    return [row for row in rows if row["limit"] is not None and not row["ok"]]
 
 
-def _nearest(rows: list[Mapping[str, Any]]) -> Mapping[str, Any]:
-    return min(rows, key=lambda row: abs(row["value"] - row["limit"]))
+def kept(rows: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Those that keep their limit, by how near they are to it, as a share of it; those with the limit 0 come last."""
+    return sorted((row for row in rows if row["limit"] is not None and row["ok"]), key=_distance)
+
+
+def _distance(row: Mapping[str, Any]) -> float:
+    return abs(row["value"] - row["limit"]) / abs(row["limit"]) if row["limit"] else math.inf
 
 
 def shown(row: Mapping[str, Any]) -> str:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from benchmarks.pages.markdown import with_rows
+from benchmarks.pages.markdown import with_items, with_rows
 from trueup.augment.networks import METHODS, method
 from trueup.dataset.importers.detect import FORMATS, importer
 from trueup.identify import QUANTITIES
@@ -19,8 +19,10 @@ def pages() -> Mapping[str, str]:
     return {
         "logs.md": _with_table("logs.md", ("name", "looks for", "one episode is", "what is assumed"), _formats()),
         "metrics.md": _with_table("metrics.md", ("name", "formula", "unit", "signals"), _metrics()),
-        "good-data.md": _with_table("good-data.md", ("what the joint or body does", "shows"), _motions()),
-        "augmentation.md": _with_table("augmentation.md", ("method", "what it is", "in a control loop"), _methods()),
+        "good-data.md": with_items(
+            (DOCS / "good-data.md").read_text(), "To find a number, move the joint or body like this:", _motions()
+        ),
+        "augmentation.md": _with_table("augmentation.md", ("method", "what it is"), _methods()),
     }
 
 
@@ -39,17 +41,16 @@ def _metrics() -> Iterable[Sequence[str]]:
 
 def _methods() -> Iterable[Sequence[str]]:
     for name in METHODS:
-        item = method(name)
-        yield f"`{name}`", item.about, "no" if item.config.network.bidirectional else "yes"
+        yield f"`{name}`", method(name).about
 
 
-def _motions() -> Iterable[Sequence[str]]:
+def _motions() -> Iterable[str]:
     """What shows a quantity, in the words in which a fit asks for it."""
     by_motion: dict[str, list[str]] = {}
     for name, item in QUANTITIES.items():
         by_motion.setdefault(item.excite.format(target="it"), []).append(f"`{name}`")
     for motion, names in by_motion.items():
-        yield motion, ", ".join(names)
+        yield f"{', '.join(names)}: {motion}"
 
 
 def _with_table(page: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

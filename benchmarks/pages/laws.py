@@ -1,10 +1,11 @@
-"""Tables of the friction laws, in pages that are otherwise written by hand."""
+"""Tables of the friction laws and of all that can be fitted, in pages that are otherwise written by hand."""
 
 import re
 from collections.abc import Mapping
 from pathlib import Path
 
 from benchmarks.pages.markdown import with_rows
+from trueup.identify import QUANTITIES
 from trueup.robots.friction import LAWS, NUMBERS, Law
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -26,16 +27,12 @@ def _laws(text: str) -> str:
 
 
 def _fitted(text: str) -> str:
-    """Some rows of the table of everything that can be fitted; numbers of one unit and scale share a row."""
-    alike: dict[tuple[str, str], list[str]] = {}
-    for own in NUMBERS:
-        if own.excite:
-            alike.setdefault((own.unit, own.search.transform), []).append(f"`{own.name}`")
-    rows = [
-        f"| {', '.join(names)} | {unit} | joint | {scale} | friction | `user` |\n"
-        for (unit, scale), names in alike.items()
-    ]
-    return re.sub(r"(^\|.*\| `user` \|\n)+", "".join(rows), text, count=1, flags=re.M)
+    """The table of everything that can be fitted; what is alike shares a row."""
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for name, item in QUANTITIES.items():
+        alike.setdefault((item.of, item.search.transform, item.cause), []).append(f"`{name}` [{item.unit}]")
+    rows = [(", ".join(names), *columns) for columns, names in alike.items()]
+    return with_rows(text, ("quantity", "one per", "scale", "cause"), rows)
 
 
 def _effect(law: Law) -> str:

@@ -8,9 +8,9 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = """# trueup
 
-> Measures, explains and closes the sim-to-real gap of robots: logs of a robot and a model of it in; error with intervals,
-> identified parameters, a fitted model and learned corrections out. One command, `trueup`, whose subcommands print JSON with
-> `--json` where they print tables; results are JSON files with a `schema` key (files.md).
+> Measures, explains and closes the sim-to-real gap of robots: logs of a robot and a model of it in; error with
+> intervals, identified parameters, a fitted model and learned corrections out. One command, `trueup`; results are JSON
+> files with a `schema` key (files.md), and `trueup info PATH --json` says what a folder holds.
 
 {sections}
 """

@@ -37,3 +37,16 @@ def with_rows(text: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) ->
     if len(table.findall(text)) != 1:
         raise ValueError(f"the page has no table {lines[0]}")
     return table.sub(lambda _: "\n".join(lines) + "\n", text)
+
+
+def with_items(text: str, before: str, items: Iterable[str]) -> str:
+    """A page with other items in the list below this line.
+
+    Raises:
+        ValueError: it has no such list, or several.
+    """
+    listed = re.compile(rf"^{re.escape(before)}\n\n(- .*\n)+", re.M)
+    if len(listed.findall(text)) != 1:
+        raise ValueError(f"the page has no list below {before!r}")
+    lines = "".join(f"- {item}\n" for item in items)
+    return listed.sub(lambda _: f"{before}\n\n{lines}", text)

@@ -21,7 +21,7 @@ The help that `trueup COMMAND --help` prints, of all commands. What several have
 {commands}
 """
 # What so many commands explain in the same words is explained once.
-_SHARED_BY = 4
+_SHARED_BY = 3
 
 
 def pages() -> dict[str, str]:

@@ -14,8 +14,8 @@ ABOUT = "Reward while learning, by algorithm"
 SHARES = (0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
 TEXT = """## Four algorithms
 
-The laptop's numbers, {steps:,} control steps and as many updates, {seeds} seeds, in the stock simulator (ES thesis,
-Fig. 2.6). TD3 and DDPG explore by normal noise. Intervals are over goals and seeds.
+{steps:,} control steps and as many updates, {seeds} seeds, in the stock simulator (ES thesis,
+Fig. 2.6). Intervals are over goals and seeds.
 
 ```sh
 python -m benchmarks policy_algorithms
@@ -56,8 +56,7 @@ def _totals(found: Mapping[str, Any]) -> str:
     heads = [
         "",
         "distance [cm], seeds",
-        "reward of a control step",
-        "TQC minus this",
+        "reward, TQC minus this",
         "min of one core",
     ]
     rows = []
@@ -69,7 +68,6 @@ def _totals(found: Mapping[str, Any]) -> str:
             [
                 title,
                 f"{100 * own['median']:.1f} ({seeds})",
-                f"{own['reward']:.3f}".replace("-", "\N{MINUS SIGN}"),
                 minus,
                 f"{own['minutes']:.1f}",
             ]

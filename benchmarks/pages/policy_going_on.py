@@ -5,20 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from benchmarks.pages.markdown import table
 from benchmarks.pages.policy_transfer import DRAWS, SIMULATORS, mean_minutes, minus_stock_reward
 from benchmarks.policy_going_on import table as tabulated
 
 PLACES = {
-    "stock": "stock",
-    "identified": "identified",
     "own robot": "its robot",
     "other robots": "robots {strangers}",
 }
 _SIMULATORS = {"stock": "in the stock simulator", "identified": "in the identified one"}
-MINUTES = (1, 2, 4, 6, 8)
 TEXT = """## Going on after identification
 
 Each of robots {robots} has a seed and a first policy from the stock simulator (`--config laptop`). It drives the robot
@@ -29,19 +24,12 @@ again, {minutes:.0f} min of one core) {where}.
 python -m benchmarks policy_going_on
 ```
 
-Distance from 100 new goals at the end [cm]: mean (median, worst), and the share within 5 cm. On its robot: mean
-difference with 95 % intervals over goals, and over goals and robots (with their seeds).
+Distance from 100 new goals at the end [cm]: mean (median, worst), and the share within 5 cm; on its robot, mean
+difference with 95 % intervals over goals, and over goals and robots.
 
 {table}
 
 {words}
-
-### The curve
-
-The first policies in the stock simulator: median distance [cm] by minutes of one core, median of {count} seeds (best,
-worst).
-
-{curve}
 
 {bar}
 """
@@ -57,8 +45,6 @@ def part(result: Mapping[str, Any]) -> str:
         where=_where(found),
         table=_table(found, [name.format(strangers=_range(config["strangers"])) for name in PLACES.values()]),
         words=_words(found),
-        count=len(result["before"]),
-        curve=_curve(result["before"]),
         bar=_bar(result["before"]),
     )
 
@@ -87,14 +73,13 @@ def _table(found: Mapping[str, Any], places: Sequence[str]) -> str:
             said = own["own robot"]
             rows.append(
                 [
-                    SIMULATORS[simulator],
-                    DRAWS[draws],
+                    f"{SIMULATORS[simulator]}{'' if draws == 'none' else f', {DRAWS[draws]}'}",
                     *(_distance(own[place]) for place in PLACES),
                     "" if (simulator, draws) == ("stock", "none") else _difference(said),
                     f"{said['smoothness']:.2f}",
                 ]
             )
-    return table(["went on in", "randomized", *places, "difference", "smoothness"], rows, left=2)
+    return table(["went on in", *places, "difference", "smoothness"], rows)
 
 
 def _distance(own: Mapping[str, Any]) -> str:
@@ -114,30 +99,9 @@ def _words(found: Mapping[str, Any]) -> str:
     own = found["identified"]["posterior"]["own robot"]
     said = "beat" if own["minus_stock"][2] < 0 else "are worse than" if own["minus_stock"][1] > 0 else "do not beat"
     return (
-        f"On their robots, policies that went on in the identified simulator {said} those that went on in the stock "
-        f"simulator; their reward differs by {minus_stock_reward(own)}. The price is less smooth torques."
+        f"Policies that went on in the identified simulator {said} those that went on in the stock one; their "
+        f"reward differs by {minus_stock_reward(own)}. The price is less smooth torques."
     )
-
-
-def _at(curve: Sequence[Sequence[float]], minutes: float) -> float | None:
-    """Distance in the last round that was done by then [m]."""
-    done = [point[3] for point in curve if point[1] <= 60 * minutes]
-    return done[-1] if done else None
-
-
-def _curve(before: Mapping[str, Any]) -> str:
-    curves = [own["curve"] for own in before.values()]
-    columns = {f"{minutes} min": [_at(curve, minutes) for curve in curves] for minutes in MINUTES}
-    columns["end"] = [curve[-1][3] for curve in curves]
-    return table([*columns], [[*map(_of_seeds, columns.values())]], left=0)
-
-
-def _of_seeds(distances: Sequence[float | None]) -> str:
-    """Median, least and largest; nothing where a seed has no round yet."""
-    found = [100 * one for one in distances if one is not None]
-    if len(found) < len(distances):
-        return ""
-    return f"{np.median(found):.1f} ({min(found):.1f}, {max(found):.1f})"
 
 
 def _bar(before: Mapping[str, Any]) -> str:
@@ -147,5 +111,6 @@ def _bar(before: Mapping[str, Any]) -> str:
         ends.append(curve[-1][1] / 60)
         reached += [point[1] for point in curve if point[3] <= 0.05][:1]
     if len(reached) < len(before):
-        return "Not all of them come within 5 cm."
-    return f"All come within 5 cm in {min(reached):.0f} to {max(reached):.0f} s, of {max(ends):.1f} min at most."
+        return "Not all first policies come within 5 cm in the stock simulator."
+    times = f"{min(reached):.0f} to {max(reached):.0f} s"
+    return f"First policies come within 5 cm in {times}, of {max(ends):.1f} min at most."

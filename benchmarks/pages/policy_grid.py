@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from benchmarks.pages import curves_figure
-from benchmarks.pages.markdown import table
 
 NAME = "policy-grid.svg"
 ABOUT = "Reward while learning, by noise, discount and learning rate"
@@ -31,8 +30,8 @@ THESIS = {
 }
 TEXT = """## What their numbers do
 
-One number at a time, otherwise the laptop's with one reward at a time and a constant learning rate; {steps:,} control
-steps, {seeds} seeds. Differences smaller than the ranges say nothing.
+One number at a time ([grid search](policies.md#grid-search)), {steps:,} control steps, {seeds} seeds. Differences
+smaller than the ranges say nothing.
 
 ```sh
 python -m benchmarks policy_grid
@@ -40,11 +39,9 @@ python -m benchmarks policy_grid
 
 ![{about}]({name})
 
-Best round: reward of a control step, mean over seeds (least, largest), and median distance.
+Best round: reward of a control step, mean over seeds (least, largest):
 
 {rows}
-
-For your own: [grid search](policies.md#grid-search), [curves](policies.md#curves-of-trainings).
 """
 
 
@@ -53,18 +50,9 @@ def part(result: Mapping[str, Any]) -> str:
     rows = []
     for question in result["questions"]:
         key = _key(question)
-        for number, group in enumerate(question["groups"]):
-            rows.append(
-                [
-                    "" if number else f"{TITLES[key]} (Fig. {question['figure']}; {THESIS[key]})",
-                    _value(group["value"]),
-                    *_ends(group["curves"]),
-                ]
-            )
-    heads = ["varied (figure; what the thesis says)", "", "reward", "distance [cm]"]
-    return TEXT.format(
-        steps=result["steps"], seeds=result["seeds"], about=ABOUT, name=NAME, rows=table(heads, rows, left=2)
-    )
+        ends = (f"{_value(group['value'])}: {_best(group['curves'])}" for group in question["groups"])
+        rows.append(f"- {TITLES[key]}. {'; '.join(ends)}. Thesis: {THESIS[key]}.")
+    return TEXT.format(steps=result["steps"], seeds=result["seeds"], about=ABOUT, name=NAME, rows="\n".join(rows))
 
 
 def figures(result: Mapping[str, Any]) -> dict[str, str]:
@@ -87,8 +75,6 @@ def _value(value: Any) -> str:
     return {"ou": "Ornstein-Uhlenbeck"}.get(value, value) if isinstance(value, str) else f"{value:g}"
 
 
-def _ends(curves: Sequence[Sequence[Sequence[float]]]) -> tuple[str, str]:
-    best = np.array([max(curve, key=lambda point: point[1]) for curve in curves])
-    reward = best[:, 1]
-    said = f"{reward.mean():.3f} ({reward.min():.3f}, {reward.max():.3f})".replace("-", "\N{MINUS SIGN}")
-    return said, f"{100 * best[:, 2].mean():.1f}"
+def _best(curves: Sequence[Sequence[Sequence[float]]]) -> str:
+    reward = np.array([max(point[1] for point in curve) for curve in curves])
+    return f"{reward.mean():.3f} ({reward.min():.3f}, {reward.max():.3f})".replace("-", "\N{MINUS SIGN}")

@@ -10,7 +10,6 @@ from benchmarks.pages.markdown import table
 METRICS = {
     "position_mae": ("position, mean [mm]", 1e3),
     "position_max": ("position, largest [mm]", 1e3),
-    "rotation_mae": ("rotation, mean [deg]", 57.29578),
 }
 
 TEXT = """## Rigid bodies

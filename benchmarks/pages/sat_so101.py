@@ -31,9 +31,8 @@ ABOUT = {
 TEXT = """## A real arm: servos it never saw
 
 The [SO-101](real-robots.md#so-101-a-hobby-arm-with-position-servos) has six equal servos. Networks correct its
-identified simulator. Those trained on {seen} never saw the wrist ({unseen}). Mean absolute position error [mrad] on
-{count} held-out motions, and its change with the 95 % interval over motions (`~`: undecided; `python -m benchmarks
-sat_so101`):
+identified simulator; some never saw the wrist ({unseen}). Mean absolute position error [mrad] on
+{count} held-out motions, and its change with the 95 % interval (`~`: undecided; `python -m benchmarks sat_so101`):
 
 {errors}
 
@@ -48,7 +47,6 @@ Position RMSE on the [ladder](augmentation.md#evaluating), in mrad: {rungs}.
 def part(result: Mapping[str, Any]) -> str:
     """The part of the page that belongs to a result."""
     return TEXT.format(
-        seen=listed(JOINTS[joint] for joint in result["seen"]),
         unseen=listed(JOINTS[joint] for joint in result["unseen"]),
         count=len(result["motions"]),
         errors=error_table(result),
@@ -80,12 +78,11 @@ def verdict(result: Mapping[str, Any]) -> str:
     worse = [JOINTS[name] for name in joints if _difference(result, "sat", SIMULATOR, name)["verdict"] == "worse"]
     for name, how in (("sat", "Without a sensor"), ("sat-sensed", "With the encoder's last reading")):
         found = _difference(result, name, SIMULATOR, "unseen")
-        change = f"{_interval(found['difference'])} mrad"
         lines.append(
             {
-                "better": f"{how}, the wrist improves over the identified simulator: {change}.",
-                "worse": f"{how}, the wrist gets worse than the identified simulator: {change}.",
-                "undecided": f"{how}, nothing is claimed of the wrist: {change}.",
+                "better": f"{how}, the wrist improves over the identified simulator.",
+                "worse": f"{how}, the wrist gets worse than the identified simulator.",
+                "undecided": f"{how}, nothing is claimed of the wrist.",
             }[found["verdict"]]
         )
     if worse:
@@ -115,9 +112,8 @@ def choice_words(result: Mapping[str, Any]) -> str:
     if better:
         return f"With other inputs, this helps a joint that was left out: {listed(f'*{name}*' for name in better)}."
     return (
-        "Other inputs (no position, no torque, mirrored, command alone) do not help a joint that was left out\n"
-        f"of training; *{least}* does least harm. The remaining error differs from servo to servo: it depends on\n"
-        "where the servo stops within its dry friction."
+        "Other inputs (no position, no torque, mirrored, command alone) do not help a joint that was left out; "
+        f"*{least}* does least harm."
     )
 
 

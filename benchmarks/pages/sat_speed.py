@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from benchmarks.pages.augment_cells import span
 from benchmarks.pages.markdown import table
 
 # What is asked: p50 of a step for so many actuators [us]; training over a bare loop; memory of four times the samples.
@@ -20,52 +21,49 @@ NETWORKS: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = 
     ),
 }
 _ABOUT = {"4 -> 3": "default", "8 -> 2": "the paper's servo"}
-_NAMES = {"Stream": "`Stream`", "Stream, onnxruntime": "`compiled=False`"}
 
 TEXT = """## Step and training times
 
-Median time of a SAT step [us] (history of 128, 64 units, 4 heads) on one core of {machine} (`python -m benchmarks
-sat_speed`). `Stream` uses [machine code](runtime.md#machine-code), `compiled=False` onnxruntime.
+Median time of a SAT step of `Stream` [us] ([machine code](runtime.md#machine-code); history of 128, 64 units, 4 heads)
+on one core of {machine} (`python -m benchmarks sat_speed`). With `compiled=False` it takes {slower} times as long.
 
 {steps}
 
-Targets for `Stream`: {one:.0f} and {twelve:.0f} us. {verdict}
+Targets: {one:.0f} and {twelve:.0f} us. {verdict}
 
-A training batch of {samples} samples of {batch} servos takes {low:.2g} to {high:.2g} s on one core, {ratio:.2f} times
-as long as a bare torch loop (target: {bar:.1f}).{trained} On a GPU, use `precision: mixed`; its speed was not
-measured:
-
-```sh
-trueup augment train data/kickbot --config mixed.yaml --device cuda --out models/mixed
-```
+Training takes {ratio:.2f} times as long as a bare torch loop (target: {bar:.1f}).{trained} On a GPU, use
+`precision: mixed`; its speed was not measured.
 """
 
 
 def part(result: Mapping[str, Any]) -> str:
     """The section as Markdown."""
     machine, training = result["provenance"]["config"]["machine"], result["training"]
-    batch = training["batch"]
     return TEXT.format(
         machine=machine["name"],
+        slower=span((_p50(own, "Stream, onnxruntime") / _p50(own, "Stream") for own in _each(result["steps"])), 1),
         steps=_steps(result["steps"]),
         one=BARS[1],
         twelve=BARS[12],
         verdict=_verdict(result["steps"]),
-        samples=training["samples"],
-        batch=training["batch_size"],
-        low=batch["true errors"]["median_s"],
-        high=batch["all predicted"]["median_s"],
         ratio=training["ratio"],
         bar=BARS["training"],
         trained="" if training["ratio"] <= BARS["training"] else " Missed.",
     )
 
 
+def _each(steps: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    return [by_copies[str(copies)] for by_copies in steps.values() for copies in COPIES]
+
+
+def _p50(own: Mapping[str, Any], runner: str) -> float:
+    return float(own[runner]["p50_us"])
+
+
 def _steps(steps: Mapping[str, Any]) -> str:
     rows = [
-        (f"{_ABOUT[name]}, {label}", *(f"{by_copies[str(copies)][runner]['p50_us']:.3g}" for copies in COPIES))
+        (_ABOUT[name], *(f"{_p50(by_copies[str(copies)], 'Stream'):.3g}" for copies in COPIES))
         for name, by_copies in steps.items()
-        for runner, label in _NAMES.items()
     ]
     return table(("", "1 servo", "12 servos"), rows)
 

@@ -270,7 +270,6 @@ def text(content):
 
 LAID = {
     "README": {"logs/so101_sage": so101},
-    "building-blocks": {"mixed.yaml": text("method: sat\nprecision: mixed\n")},
     "close": {"logs/so101_sage": so101},
     "compensation": {"data/body": body},
     "engines": {"data/arm": panda(1)},
@@ -348,18 +347,6 @@ def shorter_still(shelf, monkeypatch):
     run("replay", "runs/arm/dataset", "--robot", "demo_arm")
 
 
-def several_policies(shelf, monkeypatch):
-    """Three seeds of one training, and another training."""
-    for name, seed, algorithm in (
-        ("reach-0", 0, "sac"),
-        ("reach-1", 1, "sac"),
-        ("reach-2", 2, "sac"),
-        ("other-0", 0, "td3"),
-    ):
-        options = ("--config", "small/policy.yaml", "--seed", seed, "--algorithm", algorithm, "--jobs", 1)
-        run("policy", "train", "--out", f"runs/{name}", "--name", name.split("-")[0], *options)
-
-
 BEFORE = {
     ("building-blocks", "replay data/kickbot"): short("data/kickbot", 2.0),
     ("building-blocks", "replay data/dancebot"): short("data/dancebot", 0.8),
@@ -368,5 +355,4 @@ BEFORE = {
     ("index", "demo"): few_motions,
     ("policies", "deploy run runs/first"): one_of_the_zoo,
     ("policies", "policy train --robot runs/fit/robot.fitted.yaml"): trained_one,
-    ("policies", "policy eval runs/reach-0"): several_policies,
 }

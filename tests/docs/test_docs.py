@@ -220,4 +220,4 @@ def test_pages_for_users_are_few_and_short():
     pages = re.findall(r"([\w-]+)\.md", first)
     assert len(pages) <= 15
     assert all(len(TEXT[page].split()) <= 1500 for page in pages)
-    assert sum(len(text.split()) for text in TEXT.values()) <= 69_000
+    assert sum(len(text.split()) for text in TEXT.values()) <= 60_000

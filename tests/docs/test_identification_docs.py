@@ -63,7 +63,11 @@ def check_defaults(kind, said):
 
 
 def test_every_quantity_is_in_the_catalogue_as_it_is():
-    found = [(name, row[1:5]) for row in table("`delay_s`", REFERENCE) for name in code(row[0])]
+    found = [
+        (name, [unit, *row[1:]])
+        for row in table("`delay_s` [s]", REFERENCE)
+        for name, unit in re.findall(r"`(\w+)` \[([^\]]+)\]", row[0])
+    ]
     assert len(found) == len(QUANTITIES)
     assert dict(found) == {
         name: [item.unit, item.of, item.search.transform, item.cause] for name, item in QUANTITIES.items()
@@ -73,7 +77,7 @@ def test_every_quantity_is_in_the_catalogue_as_it_is():
 def test_every_number_of_a_friction_law_is_in_the_tables():
     text = (DOCS / "friction.md").read_text()
     assert all(f"| `{number.name}` |" in text for number in NUMBERS if number.excite)
-    catalogue = code(*(row[0] for row in table("`delay_s`", REFERENCE)))
+    catalogue = code(*(row[0] for row in table("`delay_s` [s]", REFERENCE)))
     assert {number.name for number in NUMBERS if number.excite} <= set(catalogue)
 
 

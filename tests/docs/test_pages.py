@@ -5,8 +5,20 @@ import re
 from pathlib import Path
 
 import pytest
+from benchmarks.__main__ import NAMES as BENCHMARKS
 from benchmarks.acceptance.lines import LINES, REASONS
-from benchmarks.pages import acceptance, choosing, curves_figure, peers, policy_going_on, thesis
+from benchmarks.figures import known, rows_of
+from benchmarks.pages import (
+    acceptance,
+    choosing,
+    compensation,
+    curves_figure,
+    everything,
+    peers,
+    policy_going_on,
+    policy_transfer,
+    thesis,
+)
 from benchmarks.pages.__main__ import NAMES, PARTS, figures, from_several, is_stored, text, with_parts
 from benchmarks.pages.markdown import with_section
 
@@ -72,6 +84,23 @@ def test_what_was_asked_says_which_parts_it_covers():
     said = " ".join(acceptance.page(stored("acceptance")).split())
     assert "first four parts (Foundation, identification, virtual hardware and recording, learned residuals)" in said
     assert "(benchmarks.md)" in said
+
+
+def test_what_misses_its_bar_stands_on_its_page():
+    page = acceptance.page(stored("acceptance")).split("## Missed bars")[1].split("\n## ")[0]
+    rows = [row for line in stored("acceptance")["lines"] for row in line["rows"] if not row["ok"]]
+    assert rows
+    assert all(row["name"] in page for row in rows)
+    page = everything.pages()["benchmarks.md"].split("## Missed limits")[1].split("\n## ")[0]
+    missed = [(name, row.name) for name in BENCHMARKS for row in rows_of(known(name) or {"rows": []}) if not row.ok]
+    assert missed
+    assert all(f"| `{name}`: {own} |" in page for name, own in missed)
+    count = sum(name == "compensation" for name, _ in missed)
+    assert f"{count} are [missed](benchmarks.md#missed-limits)" in " ".join(
+        compensation.part(stored("compensation")).split()
+    )
+    count = sum(name == "policy_transfer" for name, _ in missed)
+    assert f"**missed** with {count} of 2 numbers" in policy_transfer.part(stored("policy_transfer"))
 
 
 def test_the_page_of_choices_follows_the_results(monkeypatch):

@@ -389,9 +389,9 @@ class ModelSearch:
         """The same model with the other timing of the command, if that is better by now.
 
         Where numbers depend on the step, a wrong step may have decided. Where torques are weighed, positions alone did,
-        which a wrong timing explains with other delays and inertias. Where more than noise is left, all is in doubt, also
-        where the other timing was far worse: its search may have ended elsewhere, so that it begins where this one has
-        ended if that is better. Where far more is left, something else is missing.
+        which a wrong timing explains with other delays and inertias. Where more than noise is left, all is in doubt,
+        also where the other timing was far worse: its search may have ended elsewhere, so that it begins where this one
+        has ended if that is better. Where far more is left, something else is missing.
         """
         if self._rival is None or _over(limit) or self._left(best) > _FAR_FROM_NOISE:
             return best
