@@ -6,7 +6,7 @@ logs as a user would, and what it says is kept beside the truth. Cells are kept 
 an interrupted call is continued by the same command. A day for all of them on two cores.
 
 `python -m benchmarks foreign --cases demo_arm,ur5e --seeds 0 --jobs 2` measures some. `--oracle` adds the narrowest
-intervals that there can be (`foreign_oracle.py`) for seed 0 of group A, a minute or two for each cell that is there.
+intervals that there can be (`foreign_oracle.py`) for seed 1 of group A, a minute or two for each cell that is there.
 Cells that are measured side by side share the cores, but each has the budget of its command for itself: with more jobs
 than one, a large robot may be cut short where it would not be alone. `--budget 40m` gives each more, and the
 page says so.
@@ -45,7 +45,7 @@ from trueup.stages.timing import machine_name
 
 RESULT = Path(__file__).parent / "results" / "foreign.json"
 FOLDER = Path("runs") / "foreign"
-SEEDS, ORACLE_SEED = (0, 1, 2), 0
+SEEDS, ORACLE_SEED = (0, 1, 2), 1
 SPLITS = "70/15/15"
 BY_NAME = {case.name: case for case in CASES}
 # Longer than any budget: what takes this long hangs [s].

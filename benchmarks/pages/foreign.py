@@ -121,15 +121,20 @@ def missing_words(result: Mapping[str, Any]) -> str:
     said = []
     if cells := left.get("cells"):
         count = sum(map(len, cells.values()))
-        whole = [f"`{name}`" for name, seeds in cells.items() if len(seeds) == len(SEEDS)]
-        parts = [
-            f"`{name}` with seed {' and '.join(map(str, seeds))}"
-            for name, seeds in cells.items()
-            if len(seeds) < len(SEEDS)
-        ]
-        if len(cells) == len(BY_NAME) and not whole and len(set(map(tuple, cells.values()))) == 1:
-            parts = [f"every robot with seed {' and '.join(map(str, next(iter(cells.values()))))}"]
-        names = "; ".join([f"all of {', '.join(whole)}"] * bool(whole) + parts)
+        alike: dict[tuple[int, ...], list[str]] = {}
+        for name, seeds in sorted(cells.items(), key=lambda own: -len(own[1])):
+            alike.setdefault(tuple(seeds), []).append(f"`{name}`")
+        # Most are named by those that are there.
+        many, there = max(alike, key=lambda own: len(alike[own])), [f"`{name}`" for name in BY_NAME]
+        parts = []
+        for seeds, robots in alike.items():
+            others = [name for name in there if name not in robots]
+            few = seeds == many and len(others) < len(robots)
+            but = f" but {', '.join(others)}" if others else ""
+            who = f"every robot{but}" if few else ", ".join(robots)
+            which = f"seed {' and '.join(map(str, seeds))}" if len(seeds) < len(SEEDS) else "any seed"
+            parts.append(f"{who} with {which}")
+        names = "; ".join(parts)
         said.append(f"{count} of {len(SEEDS) * len(BY_NAME)} fits are missing: {names}.")
     if oracles := left.get("oracles"):
         every = len(oracles) == sum(case.group == "A" for case in BY_NAME.values())

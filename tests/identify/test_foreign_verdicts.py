@@ -305,12 +305,12 @@ def test_cells_are_kept_one_by_one_and_not_measured_twice(measured, tmp_path, ca
     assert made["created"]
 
     measured.clear()
-    found = foreign.measure(foreign.Wanted(("demo_arm", "panda", "ur5e_sign"), (0,), oracle=True), path)
+    found = foreign.measure(foreign.Wanted(("demo_arm", "panda", "ur5e_sign"), (1,), oracle=True), path)
     assert sorted((kind, name) for kind, name, *_ in measured) == [
         *(("cells", "panda"), ("cells", "ur5e_sign"), ("oracles", "demo_arm"))
     ]
     assert {row.name: row.value for row in found}["cells"] == 5
-    assert list(foreign.stored(path)["oracles"]) == ["demo_arm/0"]
+    assert list(foreign.stored(path)["oracles"]) == ["demo_arm/1"]
 
     measured.clear()
     foreign.measure(foreign.Wanted(("demo_arm",), (0, 1)), path)
