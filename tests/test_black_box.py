@@ -125,6 +125,7 @@ def test_a_paired_difference_is_that_of_the_two_values(run, made, tmp_path):
     assert (pair["verdict"] == "undecided") == (difference["low"] <= 0 <= difference["high"])
 
 
+@pytest.mark.long
 def test_the_same_question_gets_the_same_answer(run, made, tmp_path):
     trees = []
     for name in ("one", "two"):
@@ -314,6 +315,7 @@ def test_a_report_of_broken_results_is_refused_and_the_old_one_kept(run, made, t
     assert (out / "report.html").read_bytes() == before
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("bar", "code"),
     [
@@ -331,6 +333,7 @@ def test_a_bar_never_passes_by_mistake(run, made, bar, code):
     assert run("gap", made, "--fail-above", bar)[0] == code
 
 
+@pytest.mark.long
 def test_a_bar_needs_a_simulated_run(run, data):
     shutil.rmtree(data / "simulated")
     assert run("gap", data, "--robot", "demo_arm", "--fail-above", "position.rmse=9")[0] == 2
@@ -344,6 +347,7 @@ def limited(*arguments, kilobytes):
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
+@pytest.mark.long
 def test_a_full_disk_loses_nothing_that_was_finished(run, logs, tmp_path):
     rows = [f"{0.001 * k:.3f},{np.sin(k * k):.9f},{np.cos(k * k):.9f}" for k in range(4000)]
     for index in range(6):
@@ -360,6 +364,7 @@ def test_a_full_disk_loses_nothing_that_was_finished(run, logs, tmp_path):
     assert trueup.Dataset(tmp_path / "out").hash == trueup.Dataset(tmp_path / "straight").hash
 
 
+@pytest.mark.long
 def test_a_replay_that_was_killed_is_completed_and_only_with_the_same_settings(run, data):
     command = [
         sys.executable,
@@ -394,6 +399,7 @@ def test_a_replay_that_was_killed_is_completed_and_only_with_the_same_settings(r
     )
 
 
+@pytest.mark.long
 def test_of_two_imports_into_one_folder_one_is_whole(logs, tmp_path):
     for index in range(30):
         shutil.copy(logs / "swing.csv", logs / f"swing{index}.csv")

@@ -74,6 +74,7 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
+@pytest.mark.long
 def test_its_steps_are_timed_and_the_package_is_left_as_it_is(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     home = trueup.zoo.folder("panda-realeasy-rt")
@@ -114,6 +115,7 @@ def test_it_is_evaluated_like_a_network_of_ones_own(run, panda, tmp_path):
     assert [model.name for model in result.models] == ["panda-realeasy-rt"]
 
 
+@pytest.mark.long
 def test_plug_and_play_on_a_new_unit(panda):
     """Realeasy, V: 53 % less torque MSE on another robot; no signal is worse."""
     model = trueup.zoo.load("panda-realeasy-rt")
@@ -144,6 +146,7 @@ def test_it_runs_in_a_loop_and_refuses_another_robot(panda):
         model.stream(rate_hz=100.0, joints=["pan", "lift"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", trueup.zoo.policies())
 def test_a_policy_is_small_has_a_card_and_comes_near_in_a_simulator_and_on_a_robot_never_seen(name):
     folder = trueup.zoo.folder(name)

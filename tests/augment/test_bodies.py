@@ -198,6 +198,7 @@ def test_positions_alone_may_be_measured(tmp_path):
     assert found.result.signals[-1] == "body.position"
 
 
+@pytest.mark.long
 def test_some_bodies_are_trained_on(trained, tmp_path):
     config = with_data(replace(LSTM, epochs=1), bodies=("foot",))
     made = augment([trained[1]], tmp_path / "foot", run=RUN, config=config, jobs=1)

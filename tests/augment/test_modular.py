@@ -64,6 +64,7 @@ def test_the_card_has_the_channels_of_any_joint(trained, name):
     assert ModelCard.from_json(card.to_json()) == card
 
 
+@pytest.mark.long
 def test_joints_of_one_motion_are_one_motion(trained, tmp_path):
     """They move together: the bootstrap of the gate and the promise of intervals must not count them twice."""
     _, models = trained
@@ -237,6 +238,7 @@ def test_a_stream_trusts_it_wherever_a_joint_stands(upright):
     )
 
 
+@pytest.mark.long
 def test_what_was_learned_the_other_way_around_prefers_no_direction(upright):
     _, data, models = upright
     apart = {}

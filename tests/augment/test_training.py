@@ -92,6 +92,7 @@ def test_nothing_is_ever_worse_than_the_simulator_on_val(data, tmp_path):
         assert all(item["corrected"] <= item["simulated"] for item in joints.values())
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_weights_and_another_seed_others(data, tmp_path):
     for name, seed in (("a", 1), ("b", 1), ("c", 2)):
         augment([data], tmp_path / name, run=RUN, config=SMALL, seed=seed)

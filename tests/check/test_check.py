@@ -51,6 +51,7 @@ def assert_named(robot, path, episodes, kind, joints):
     return robot
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("signal", SIGNALS)
 def test_a_set_up_that_is_right_raises_nothing(made, signal, seed):
@@ -140,6 +141,7 @@ def test_one_series_in_degrees_is_named_by_one_finding(made, side):
     assert units == ([("deg", "rad")] if side == "measured" else [(None, "deg")]) * 3
 
 
+@pytest.mark.long
 def test_an_offset_is_told_without_what_the_servo_sags(made):
     robot, path, episodes = made("position")
     wrong = changed(episodes, scaled(1, 1.0, 0.7), command=False)
@@ -147,6 +149,7 @@ def test_an_offset_is_told_without_what_the_servo_sags(made):
     assert right.joints[1].offset == pytest.approx(-0.7, abs=0.01)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("signal", "side"), [("position", "both"), ("position", "measured"), ("torque", "measured")])
 def test_a_zero_that_is_a_quarter_turn_off_is_named(made, signal, side):
     robot, path, episodes = made(signal)
@@ -175,6 +178,7 @@ def test_commands_of_motors_behind_gears_that_are_alike_are_named_by_one_finding
     assert [joint.command.scale for joint in right.joints] == pytest.approx([0.01] * 3, rel=0.05)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("direction", [(0, 0, 1), (1, 0, 0)])
 @pytest.mark.parametrize("signal", ["position", "torque"])
 def test_gravity_that_pulls_elsewhere_is_named(tmp_path, signal, direction):
@@ -189,6 +193,7 @@ def test_gravity_that_pulls_elsewhere_is_named(tmp_path, signal, direction):
     assert certain(look(robot, path, episodes)) == []
 
 
+@pytest.mark.long
 def test_weight_that_something_else_carries_is_named(tmp_path):
     robot, path = arm(tmp_path, "torque")
     episodes = logs(robot, path, np.random.default_rng(5), gravity=np.zeros(3))
@@ -211,6 +216,7 @@ def test_clocks_that_are_apart_are_named(made, signal, late_s):
     assert right.controller.delay_s + right.clock.command_shift_s == pytest.approx(late_s, abs=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("signal", "factor"), [("position", 1000.0), ("torque", 1000.0), ("torque", 0.5)])
 def test_stamps_in_another_unit_are_named(made, signal, factor):
     robot, path, episodes = made(signal)
@@ -225,6 +231,7 @@ def test_stamps_in_another_unit_are_named(made, signal, factor):
     assert assert_named(robot, path, wrong, "clock", []).clock.scale == pytest.approx(1.0 / factor)
 
 
+@pytest.mark.long
 def test_positions_in_torque_motors_are_named(made, tmp_path):
     _, path, episodes = made("position")
     robot, _ = arm(tmp_path, "torque")
@@ -301,6 +308,7 @@ def test_a_servo_that_stands_where_the_model_sags_is_likely(tmp_path):
     assert {"integral", "gravity-compensation"} & {finding.kind for finding in findings}
 
 
+@pytest.mark.long
 def test_joints_that_never_move_are_said(made):
     robot, path, episodes = made("position")
 
@@ -333,6 +341,7 @@ def imprecise(rng):
     return change
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("signal", SIGNALS)
 def test_a_model_that_is_imprecise_is_no_wrong_set_up(tmp_path, signal, seed):

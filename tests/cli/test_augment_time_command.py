@@ -68,6 +68,7 @@ def test_a_mistyped_model_is_not_made(run, tmp_path):
     assert not (tmp_path / "tr").exists()
 
 
+@pytest.mark.long
 def test_one_cycle_is_enough(run, tmp_path):
     """Also where the period times the rate is a little less than 1."""
     assert (1 / 49) * 49 < 1

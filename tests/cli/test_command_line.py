@@ -54,6 +54,7 @@ def motion(tmp_path):
     return folder
 
 
+@pytest.mark.long
 def test_the_package_is_the_command_too():
     done = subprocess.run([sys.executable, "-m", "trueup", "gap", "nowhere"], capture_output=True, text=True)
     assert done.returncode == 2
@@ -140,6 +141,7 @@ def beginnings(dataset, folder, *, count, rows):
     return folder
 
 
+@pytest.mark.long
 def test_a_second_engine_makes_a_run_of_its_own(run, demo, tmp_path):
     demo = beginnings(demo, tmp_path / "short", count=2, rows=100)
     assert run("replay", demo, "--robot", "demo_arm", "--label", "mujoco/one")[0] == 0
@@ -167,6 +169,7 @@ def test_close_writes_the_ladder_and_says_whether_it_is_better(run, demo, tmp_pa
     assert ladder.rungs[1].splits["test"] == gap.runs["mujoco/stock"]["test"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("bar", "code"), [("position.rmse=0.001", 3), ("position.rmse=9", 0), (":test:position.rmse=9", 0)]
 )
@@ -274,6 +277,7 @@ def test_a_split_by_shares_is_drawn_by_whole_motion(run, motion, tmp_path):
     assert run("import", motion.parent, "--out", tmp_path / "x", "--splits", "nothing.json")[0] == 2
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("format", ["csv", "lerobot"])
 def test_an_export_can_be_imported_again(run, demo, tmp_path, format):
     assert run("export", demo, "--out", tmp_path / "export", "--format", format)[0] == 0
@@ -537,6 +541,7 @@ def test_a_package_that_is_missing_somewhere_deep_is_no_bug(run, demo, monkeypat
     assert err.strip().endswith("next: pip install '.[plan]' in the checkout of trueup")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("package", "words"),
     [

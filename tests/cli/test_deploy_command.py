@@ -45,6 +45,7 @@ def test_goals_one_after_the_other_and_a_log_that_can_be_replayed(run, tmp_path)
     assert len(Dataset(tmp_path / "log")) == 1
 
 
+@pytest.mark.long
 def test_an_emergency_stop_ends_with_2_says_why_and_no_other_goal_is_gone_for(run, tmp_path):
     box = ("--workspace", 0.2, 0.9, -0.1, 0.25, 0.1, 1.2)
     code, _, err = run("strong", "--goals", 3, "--seed", 1, *box, "--out", "log")
@@ -56,6 +57,7 @@ def test_an_emergency_stop_ends_with_2_says_why_and_no_other_goal_is_gone_for(ru
     assert len(Dataset(tmp_path / "log")) == 1
 
 
+@pytest.mark.long
 def test_real_time_says_how_punctual_it_was(run):
     code, out, err = run("still", "--goal", 0.4, 0.2, 0.5, "--seconds", 0.3, "--real-time", "--late-ms", 1e4)
     assert (code, "error" in err) == (0, False)

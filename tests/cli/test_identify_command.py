@@ -112,6 +112,7 @@ def test_a_wrong_configuration_is_one_line(run, demo, tmp_path, text, expected):
     assert len(said.removeprefix("looking for a start\n").strip().splitlines()) <= 2
 
 
+@pytest.mark.long
 def test_no_search_is_announced_that_does_not_begin(run, demo, tmp_path):
     (tmp_path / "empty").mkdir()
     (tmp_path / "file").write_text("mine")

@@ -63,6 +63,7 @@ def test_logs_are_listed_and_one_motion_is_read(tmp_path, capsys):
     assert "note:" in noted
 
 
+@pytest.mark.long
 def test_what_close_and_identify_made(made, capsys, tmp_path):
     folder, _ = made
     path = next(folder.glob("*.xml"))
@@ -106,6 +107,7 @@ def test_help_has_a_short_name(capsys):
         assert "Usage: trueup" in said
 
 
+@pytest.mark.long
 def test_a_check_takes_logs_and_leaves_nothing_behind(made, tmp_path, capsys):
     folder, episodes = made
     (tmp_path / "logs").mkdir()

@@ -35,6 +35,7 @@ def run(tmp_path, monkeypatch, capsys):
     return call
 
 
+@pytest.mark.long
 def test_from_nothing_to_figures(run, tmp_path):
     code, out, _ = run("train", "--out", "reach", "--config", "small.yaml", "--algorithm", "sac", "--jobs", 1)
     assert code == 0
@@ -83,6 +84,7 @@ def test_a_training_knows_which_posterior_it_drew_from(run, tmp_path):
     assert "another robot, configuration or seed" in err
 
 
+@pytest.mark.long
 def test_an_old_policy_stays_until_the_new_one_takes_its_place(run, tmp_path, monkeypatch):
     import trueup.policy.export as exporting
 

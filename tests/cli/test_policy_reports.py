@@ -239,6 +239,7 @@ def test_curves_of_a_folder_with_policies_below_it(run, policies, tmp_path):
     np.testing.assert_allclose(curves["gamma 0.97"]["y"], expected, rtol=1e-5)
 
 
+@pytest.mark.long
 def test_curves_by_a_key_and_of_one_policy(run, policies):
     code, out, _ = run("curves", policies / "grid", "--out", "by.html", "--by", "algorithm")
     assert code == 0

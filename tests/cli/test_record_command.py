@@ -54,6 +54,7 @@ def test_the_command_of_the_readme_records_a_hundredth_of_the_papers_set(run, tm
         assert episode.measured.rate_hz == pytest.approx(100.0)
 
 
+@pytest.mark.long
 def test_seeds_of_descriptions_truths_and_stored_plans(run, plans, tmp_path):
     assert run("--plan", plans, *RATES, "--out", tmp_path / "D", "--truth", tmp_path / "truth.json")[0] == 0
     own = Dataset(tmp_path / "D").info.provenance
@@ -89,6 +90,7 @@ def test_units_and_bases_take_turns(run, plans, tmp_path):
     assert np.diff(episode.measured.time_s).max() == pytest.approx(0.01)
 
 
+@pytest.mark.long
 def test_faults_are_told(run, plans, tmp_path):
     code, out, err = run("--plan", plans, *RATES, "--out", tmp_path / "D", "--faults", "1.0", "--scale", 4)
     dataset = Dataset(tmp_path / "D")

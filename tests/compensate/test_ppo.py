@@ -37,6 +37,7 @@ def same(one, two):
     return all(torch.equal(one[name], two[name]) for name in one)
 
 
+@pytest.mark.long
 def test_it_finds_a_constant_offset(motions):
     network = corrector(motions)
     config = PpoConfig(samples=24 * 512, robots=32, steps=16, batch=128, gamma=0.8, rate=1e-2, critic=(32, 32))

@@ -70,6 +70,7 @@ def trained(request, world, tmp_path_factory):
     return compensate(data, robot, folder, config=config, prepared=prepared, jobs=1), folder
 
 
+@pytest.mark.long
 def test_the_torque_that_was_lost_is_found(world, trained):
     _, _, _, prepared = world
     made, _ = trained
@@ -83,6 +84,7 @@ def test_the_torque_that_was_lost_is_found(world, trained):
         assert np.abs(run.delta - true).mean() < 0.4 * np.abs(true).mean()
 
 
+@pytest.mark.long
 def test_its_card_says_torques_and_it_is_read_back(trained):
     made, folder = trained
     card = made.compensation.card

@@ -168,6 +168,7 @@ def test_delta_actions_one_by_one_teach_it_too(world, tmp_path):
         assert item.after < 0.25 * item.before, item
 
 
+@pytest.mark.long
 def test_what_was_wrong_is_learned_and_kept(world, direct):
     robot, path, data, prepared = world
     made, folder = direct, direct.folder
@@ -315,6 +316,7 @@ def test_linear_models_between_are_interpolated(world):
     assert np.array_equal(every.command[::10], sparse.command[::10])
 
 
+@pytest.mark.long
 def test_a_network_that_blows_the_simulation_up_costs_a_round_and_no_training(world, tmp_path, monkeypatch):
     robot, _, data, prepared = world
     config = replace(CONFIG, training=replace(CONFIG.training, updates=4, rounds=2))

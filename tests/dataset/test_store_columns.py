@@ -22,6 +22,7 @@ def digest(series: TimeSeries) -> str:
     return content_hash({"measured": (series, layout_of(series))})
 
 
+@pytest.mark.long
 @given(random_series())
 def test_a_series_comes_back_to_the_bit(series):
     table = to_table(series, layout_of(series))

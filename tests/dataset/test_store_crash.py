@@ -204,6 +204,7 @@ with DatasetWriter.resume(Path(sys.argv[1]), INFO) as writer:
 """
 
 
+@pytest.mark.long
 def test_kill_9(tmp_path):
     """A real kill, again and again, at moments that no test chose; the lock of the dead blocks nobody."""
     path = tmp_path / "d"

@@ -78,6 +78,7 @@ def test_false_ends_a_loop_and_nothing_else_does():
     assert report.cycles == 4
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("pause", [True, False])
 def test_the_garbage_collector_rests_in_the_loop_and_runs_after_it(pause):
     seen = []

@@ -55,6 +55,7 @@ def loop_of(policy, robot=None, **options):
     return PolicyLoop(lab() if robot is None else robot, policy, settings, **options)
 
 
+@pytest.mark.long
 def test_a_policy_that_says_nothing_leaves_the_arm_where_it_is(tmp_path):
     run = loop_of(policy_of(tmp_path / "p", np.zeros(7))).run(GOAL, 0.5)
     assert (run.reason, run.phase) == (DONE, "stopped")
@@ -66,6 +67,7 @@ def test_a_policy_that_says_nothing_leaves_the_arm_where_it_is(tmp_path):
     assert run.final_m == pytest.approx(np.linalg.norm(CHAIN.place(run.position[499:500])[0] - GOAL), abs=1e-9)
 
 
+@pytest.mark.long
 def test_the_policy_is_asked_at_its_own_rate_and_torques_go_up_by_the_rate_limit(tmp_path):
     policy = policy_of(tmp_path / "p", [1.0, 0, 0, 0, 0, 0, 0.5])
     asked = []
@@ -78,6 +80,7 @@ def test_the_policy_is_asked_at_its_own_rate_and_torques_go_up_by_the_rate_limit
     assert run.shares["rate"] > 0.02
 
 
+@pytest.mark.long
 def test_an_arm_that_leaves_its_workspace_is_stopped_and_stands_soon(tmp_path):
     policy = policy_of(tmp_path / "p", MOST)
     start = CHAIN.place(lab().read()["position"][None])[0]
@@ -108,6 +111,7 @@ def test_joints_stay_within_their_ends_whatever_the_policy_says(tmp_path):
         assert run.shares["velocity"] + run.shares["position"] > 0.01
 
 
+@pytest.mark.long
 def test_a_policy_that_says_no_numbers_stops_the_arm(tmp_path):
     run = loop_of(policy_of(tmp_path / "p", np.full(7, np.nan))).run(GOAL, 4.0)
     assert "has said no number for 0.2" in run.reason
@@ -116,6 +120,7 @@ def test_a_policy_that_says_no_numbers_stops_the_arm(tmp_path):
     assert len(run.time_s) < 500
 
 
+@pytest.mark.long
 def test_a_robot_that_stops_by_itself_ends_the_run_and_what_was_measured_is_kept(tmp_path):
     robot = lab(faults=(Fault("stop", at_s=0.3),))
     run = loop_of(policy_of(tmp_path / "p", np.zeros(7)), robot).run(GOAL, 2.0)
@@ -124,6 +129,7 @@ def test_a_robot_that_stops_by_itself_ends_the_run_and_what_was_measured_is_kept
     assert np.isfinite(run.position).all()
 
 
+@pytest.mark.long
 def test_readings_that_are_lost_stop_the_arm(tmp_path):
     robot = lab(faults=(Fault("drop", at_s=0.2, duration_s=3.0),))
     run = loop_of(policy_of(tmp_path / "p", [0.2, 0, 0, 0, 0, 0, 0]), robot).run(GOAL, 3.0)
@@ -131,6 +137,7 @@ def test_readings_that_are_lost_stop_the_arm(tmp_path):
     assert 0.6 < run.time_s[run.braked_from] < 0.8
 
 
+@pytest.mark.long
 def test_a_policy_that_fails_is_braked_and_says_why(tmp_path):
     policy = policy_of(tmp_path / "p", 0.5 * np.array(MOST))
     step, asked = policy.step, []
@@ -149,6 +156,7 @@ def test_a_policy_that_fails_is_braked_and_says_why(tmp_path):
     assert len(asked) == 11
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("brakes", [True, False])
 def test_a_mistake_in_a_driver_leaves_no_torque(tmp_path, brakes):
     robot = lab()
@@ -169,6 +177,7 @@ def test_a_mistake_in_a_driver_leaves_no_torque(tmp_path, brakes):
     assert np.abs(wrote[300]["torque"]).max() > 0.1
 
 
+@pytest.mark.long
 def test_asked_to_stop_by_another_thread_s_signal_it_brakes_and_returns(tmp_path):
     loop = loop_of(policy_of(tmp_path / "p", [1.0, 0, 0, 0, 0, 0, 0]), lab(real_time=True), late_s=10.0)
     timer = threading.Timer(0.5, lambda: os.kill(os.getpid(), signal.SIGINT))

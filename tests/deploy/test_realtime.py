@@ -113,6 +113,7 @@ def test_the_python_of_the_page_runs():
     assert done.stdout.strip() == "{0}", done.stderr
 
 
+@pytest.mark.long
 def test_the_doctor_measures_a_loop(capsys):
     with pytest.raises(SystemExit) as left:
         main(["doctor", "--realtime", "--hz", "50", "--seconds", "0.3"])

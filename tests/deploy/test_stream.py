@@ -41,6 +41,7 @@ def outputs(stream, x, **options):
     return np.array([stream.step_vector(row[0].astype(float), **options).values.copy() for row in x])
 
 
+@pytest.mark.long
 @settings(max_examples=25)
 @given(
     make=st.sampled_from([real_time, window]),

@@ -8,6 +8,7 @@ from typing import ClassVar
 import gymnasium
 import mujoco
 import numpy as np
+import pytest
 from benchmarks.networks import JOINTS, real_time
 from gymnasium.envs.mujoco import MujocoEnv
 from gymnasium.spaces import Box
@@ -23,6 +24,7 @@ from trueup.robots import find_model, load_robot
 TEXT = (Path(__file__).parent.parent.parent / "docs" / "augmentation.md").read_text()
 
 
+@pytest.mark.long
 def test_the_python_of_the_page_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     real_time(Path("models/panda-rt"), hidden=(8, 5), rate_hz=100.0)

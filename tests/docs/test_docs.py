@@ -66,8 +66,15 @@ def demo(tmp_path_factory):
     return folder / "arm"
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", [name for name in NAMES if any(block.what == "run" for block in blocks(name))])
+# `make test` runs those of one page, for `trueup experiment`.
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.long] * (name != "experiments"))
+        for name in NAMES
+        if any(block.what == "run" for block in blocks(name))
+    ],
+)
 def test_the_blocks_of_a_page_run_in_order(name, demo, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     shutil.copytree(demo, "runs/arm")

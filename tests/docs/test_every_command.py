@@ -32,6 +32,8 @@ from trueup.dataset import Dataset
 from trueup.robots import load_robot, setup_of, with_kp_factor
 
 RUN = [page for page in PAGES if page not in blocks.COMMANDS_ELSEWHERE and lines(page, "trueup")]
+# Pages with commands that nothing else runs in `make test`.
+QUICK = ("augmentation", "compensation", "fleet", "payload", "selftest", "torque-rig")
 # Commands whose report is written without an option that asks for it.
 REPORTS = ("close", "demo", "identify", "augment eval", "augment robustness")
 # Imports two motions, then is killed.
@@ -123,8 +125,9 @@ def compare(line, printed, place):
             assert masked(shown) in said, f"the page shows: {shown}\n{place}"
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("page", RUN)
+@pytest.mark.parametrize(
+    "page", [page if page in QUICK else pytest.param(page, marks=pytest.mark.long) for page in RUN]
+)
 def test_the_commands_of_a_page_run_in_order(page, shelf, run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     laid_out.lay(shelf, page)
@@ -247,6 +250,7 @@ def the_block(page, first):
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("first", "make"),
     [("method: realeasy-rt", make_dataset), ("method: sat-bodies", make_bodies)],
@@ -310,6 +314,7 @@ def test_the_description_that_is_shown_is_read(tmp_path):
     assert load_robot(tmp_path / "robot.yaml").joint_names == ("shoulder", "elbow")
 
 
+@pytest.mark.long
 def test_init_writes_the_description_that_is_shown(shelf, run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     laid_out.lay(shelf, "robots")

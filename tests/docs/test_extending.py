@@ -105,6 +105,7 @@ def test_the_format_is_detected_and_read(answer):
     assert info["provenance"]["config"]["format"] == "axislog"
 
 
+@pytest.mark.long
 def test_the_metric_is_measured_shown_and_held_to_its_bar(answer):
     runs = json.loads((answer["folder"] / "runs" / "p95" / "gap.json").read_text())["runs"]
     p95, rmse = (runs["mujoco/stock"]["splits"]["all"]["position"][name] for name in ("p95", "rmse"))

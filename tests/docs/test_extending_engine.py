@@ -128,6 +128,7 @@ def test_it_steps_as_it_rolls_out(done):
     assert float(done[1]["stepped"][0]) < 1e-12
 
 
+@pytest.mark.long
 def test_what_it_does_not_know_it_refuses_by_name(done):
     assert "friction laws" in done[1]["refused"][0]
 

@@ -164,6 +164,7 @@ def test_model_files_of_before_mean_what_they_meant(done):
     assert said["moved"] == moved.tolist()
 
 
+@pytest.mark.long
 def test_both_engines_carry_the_law_out(done):
     mujoco_, without, dart = np.array(done[1]["pan"])
     assert np.abs(mujoco_ - without).max() > 1e-3

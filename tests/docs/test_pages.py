@@ -29,6 +29,7 @@ def stored(name):
     return json.loads((ROOT / "benchmarks" / "results" / f"{name}.json").read_text())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "file"), NAMES.items())
 def test_a_page_and_its_figures_are_made_from_its_result(name, file):
     for path, content in {file: text(name), **figures(name)}.items():
@@ -63,6 +64,7 @@ def test_a_section_has_one_place_in_its_page():
             with_section(broken, "## B\n\nnew")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("page", from_several())
 def test_what_is_made_from_the_code_or_several_results_is_as_they_are(page):
     """`make pages` writes it."""
@@ -86,6 +88,7 @@ def test_what_was_asked_says_which_parts_it_covers():
     assert "(benchmarks.md)" in said
 
 
+@pytest.mark.long
 def test_what_misses_its_bar_stands_on_its_page():
     page = acceptance.page(stored("acceptance")).split("## Missed bars")[1].split("\n## ")[0]
     rows = [row for line in stored("acceptance")["lines"] for row in line["rows"] if not row["ok"]]

@@ -42,6 +42,7 @@ def test_every_extra_stands_there_with_what_it_brings():
     }
 
 
+@pytest.mark.long
 def test_the_verdict_is_that_of_the_fit(found):
     assert f"status: {found.fit.status};" in PAGE
     words = [parameter.identified for parameter in found.fit.parameters]

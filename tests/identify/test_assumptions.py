@@ -76,6 +76,7 @@ def test_single_masses_are_no_more_certain_than_shapes_are_known(tmp_path):
     assert float(np.sqrt(moment @ wide.covariance @ moment)) < 0.01 * wide.std[lower]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("limit", [9.0, 500.0])
 def test_a_drive_that_saturates_for_moments_does_not_tell_the_scale_of_all_torques(tmp_path, limit):
     robot, path = arm(tmp_path, SERVO)

@@ -86,6 +86,7 @@ def test_a_frozen_joint_is_named_and_left_alone(servo, tmp_path):
     assert not found.result["damping[shoulder]"].frozen
 
 
+@pytest.mark.long
 def test_too_little_excitation_is_said_loudly(servo, tmp_path):
     def small(q):
         return 0.01 * q

@@ -92,6 +92,7 @@ def test_a_robot_gives_its_offset_friction_and_inertia():
     assert [run["episode"] for run in result.runs] == [f"joint1_torque{torque}" for torque in TORQUES]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("options", "signal"),
     [

@@ -94,6 +94,7 @@ def test_friction_laws_travel_in_the_file(tmp_path):
     assert np.abs(without - plain).max() > 1e-3, "the file alone has no Stribeck friction"
 
 
+@pytest.mark.long
 def test_isaac_names_and_samples(tmp_path):
     fit = {"damping": "all", "torque_offset": "all"}
     found, out, _ = identified(tmp_path, TORQUE, {"damping[elbow]": 0.5}, fit, size=6.0, seconds=3.0)
@@ -162,6 +163,7 @@ def test_isaac_is_told_the_limit_that_stands_on_the_joint(tmp_path, kind):
     assert "-0.0" not in text
 
 
+@pytest.mark.long
 def test_a_fitted_limit_wins_over_that_of_the_description(tmp_path):
     robot, _ = nominal_of(tmp_path)
     limited = RobotSpec(
@@ -179,6 +181,7 @@ def test_a_fitted_limit_wins_over_that_of_the_description(tmp_path):
     }
 
 
+@pytest.mark.long
 def test_a_fitted_pid_travels_in_the_file(tmp_path):
     pid = ControllerSpec(kind="pid", kp=50.0, kv=2.0, ki=30.0)
     _, out, log = identified(tmp_path, pid, {"kp[elbow]": 80.0}, {"kp": "all"}, rate_hz=125.0, seconds=3.0)
@@ -189,6 +192,7 @@ def test_a_fitted_pid_travels_in_the_file(tmp_path):
     assert np.sqrt(np.mean((plain - log.measured["position"])[50:] ** 2)) < 2e-3
 
 
+@pytest.mark.long
 def test_fit_json_comes_back_and_broken_ones_are_refused(tmp_path):
     found, out, _ = identified(tmp_path, SERVO, {"damping[elbow]": 0.5}, {"damping": "all"}, seconds=3.0)
     read = FitResult.load(out / "fit.json")

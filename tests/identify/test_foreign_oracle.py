@@ -27,6 +27,7 @@ def made(request, tmp_path_factory):
     return case, folder, true
 
 
+@pytest.mark.long
 def test_readings_are_those_of_the_truth(made):
     case, folder, true = made
     run = simulate(case, folder / "model.xml", true, 0, cause={})
@@ -43,6 +44,7 @@ def test_readings_are_those_of_the_truth(made):
         np.testing.assert_allclose(read[0, :, 3:] * 0.02 * rms, run.torque[:, 1], atol=2e-3 * rms.max())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("made", ["position"], indirect=True)  # commands of the others answer to what the robot does
 def test_derivatives_are_those_of_another_truth(made):
     case, folder, true = made
@@ -55,6 +57,7 @@ def test_derivatives_are_those_of_another_truth(made):
     assert np.linalg.norm(slope - expected) < 0.1 * np.linalg.norm(expected)
 
 
+@pytest.mark.long
 def test_more_motions_tell_more_and_unknown_states_less(made):
     case, folder, _ = made
     names = [f"{name}[{joint}]" for name in ("damping", "armature") for joint in case.joints[::2]]

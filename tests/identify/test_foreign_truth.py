@@ -158,6 +158,7 @@ def test_a_truth_is_whole(name, tmp_path):
         assert log["measured.position"].std(axis=0).min() > 0.02  # every joint moves
 
 
+@pytest.mark.long
 def test_a_seed_gives_the_same_bytes_and_another_does_not(tmp_path):
     for folder, seed in (("a", 1), ("b", 1), ("c", 2)):
         make(ARM, seed, tmp_path / folder)
@@ -169,6 +170,7 @@ def test_a_seed_gives_the_same_bytes_and_another_does_not(tmp_path):
         assert (one == other) == (file.name in {"model.xml", "robot.yaml"})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["g1_arm", "tidybot"])
 def test_dart_and_mujoco_agree(name, tmp_path):
     pytest.importorskip("dartpy")
@@ -225,6 +227,7 @@ def test_an_integral_takes_away_what_gravity_leaves(tmp_path):
     assert errors[1] < 0.05 * errors[0]
 
 
+@pytest.mark.long
 def test_late_feedback_and_payload_change_the_motion(tmp_path):
     _, true, _ = setup(ARM, tmp_path)
     plain, late, loaded, unloaded = (

@@ -142,12 +142,14 @@ def coverage(**options):
     return np.mean(inside), {fit.interval_method for fit in result.joints.values()}
 
 
+@pytest.mark.long
 def test_intervals_cover_the_truth_when_the_noise_is_autocorrelated():
     share, methods = coverage(noise=0.1, rho=0.95)
     assert methods == {"hac"}
     assert 0.85 <= share <= 1.0
 
 
+@pytest.mark.long
 def test_intervals_cover_the_truth_when_each_motion_has_an_error_of_its_own():
     share, methods = coverage(noise=0.05, per_motion=0.2, payloads=(0.0, 1.0, 2.0) * 5, seconds=2.0)
     assert methods == {"cluster"}
@@ -402,6 +404,7 @@ def test_the_servo_of_a_simulated_arm_is_found_through_its_sensors():
         assert abs(fit.block("coupling").splits["test"].reduction.value) < 0.005
 
 
+@pytest.mark.long
 def test_the_unsigned_torque_of_a_real_arm_is_noticed(so101_logs, tmp_path):
     from trueup.dataset import Dataset
     from trueup.stages import import_logs

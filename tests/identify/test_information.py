@@ -215,6 +215,7 @@ def fitted(tmp_path_factory):
     return robot, nominal, FitResult.load(path), found
 
 
+@pytest.mark.long
 def test_a_fit_says_what_is_known(fitted):
     _, nominal, result, found = fitted
     known = Knowledge.of_fit(result, nominal)

@@ -66,6 +66,7 @@ def robot_of(motor=None, **controller):
     return RobotSpec("one", (JointSpec("j"),), "one.xml", controller=ControllerSpec(**controller), motor=motor)
 
 
+@pytest.mark.long
 def test_the_gain_at_the_stated_setting_is_recovered_and_a_replay_leaves_noise(pendulum, tmp_path):
     problem = problem_of(pendulum.robot, pendulum)
     problem = problem.with_parameters(servo_regressed(problem, pendulum.episodes["train"]))
@@ -105,6 +106,7 @@ def test_with_one_gain_for_all_the_truth_does_not_fit(pendulum):
         assert stiff[segment][:, 100:] == pytest.approx(18.0 * segment.setup.kp_factor * moved, abs=1e-9)
 
 
+@pytest.mark.long
 def test_regressions_know_the_gain_of_each_motion(tmp_path):
     pendulum = pendulum_logs(tmp_path, kp_settings=SETTINGS, torque=True)
     logs = pendulum.episodes["train"]

@@ -365,6 +365,7 @@ def test_a_slide_has_units_of_its_own(tmp_path):
     assert (zero.name, zero.unit) == ("encoder_zero[log:a]", "m")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("choice", [["log1:elbow"], {"frozen": True}, {"targets": ["log1:elbow"], "frozen": True}])
 def test_zeros_of_single_recordings_can_be_chosen_and_frozen(tmp_path, choice):
     robot, nominal = nominal_of(tmp_path, TORQUE)

@@ -63,6 +63,7 @@ def test_torques_and_masses_times_a_factor_are_the_same_motion_and_hold_no_infor
     assert np.linalg.norm(other @ real) == pytest.approx(np.linalg.norm(other @ jacobian), rel=0.1)
 
 
+@pytest.mark.long
 def test_the_split_of_damping_between_servo_and_joint_is_not_known(pendulum):
     problem = problem_of(pendulum, SCALED)
     z = problem.parameters.at({"kv[j]": 0.999, "damping[j]": 0.001}).start

@@ -445,6 +445,7 @@ def test_a_rescue_is_said(small):
     assert any("diverges at the start" in line for line in statements)
 
 
+@pytest.mark.long
 def test_starts_and_their_agreement_reach_the_result(tmp_path):
     robot, nominal = nominal_of(tmp_path, SERVO)
     truth = Truth(robot, nominal, {"damping[shoulder]": 0.9, "damping[elbow]": 0.5})

@@ -96,6 +96,7 @@ def test_what_was_begun_here_is_ended_there(problem, tmp_path):
     assert [path.name for path in files if files[path] != again[path]] == ["base.start1.gauss-newton.json"]
 
 
+@pytest.mark.long
 def test_a_limit_ends_all_of_them(problem):
     settings = SolveSettings(solver="gauss-newton", starts=3)
     there = solve(problem.with_parameters(problem.parameters), settings, limit=TimeLimit.after(1e-6), cluster=CLUSTER)
@@ -123,6 +124,7 @@ def test_a_worker_that_is_killed_loses_nothing(home, tmp_path):
     assert not (out / "checkpoints").exists()
 
 
+@pytest.mark.long
 def test_one_start_has_nothing_to_share(home, tmp_path, capsys):
     (tmp_path / "fit.yaml").write_text("fit: {kp: all}\n")
     options = ("--robot", home / "robot.yaml", "--config", tmp_path / "fit.yaml", "--ray", "local")

@@ -158,6 +158,7 @@ def test_an_identification_of_a_right_model_is_ok(tmp_path, torque):
     assert (result.status, result.suspects) == ("ok", ())
 
 
+@pytest.mark.long
 def test_without_time_nobody_looks_and_that_is_said(tmp_path):
     robot, model, logs = arm_logs(tmp_path, Lack(late_s=0.012), seconds=2.0)
     result = identify(logs, robot, model, limit=TimeLimit.after(0.0)).result

@@ -169,6 +169,7 @@ class Linear(Problem):
         return z @ self.table - self.seen
 
 
+@pytest.mark.long
 def test_intervals_of_a_robust_fit_are_those_of_an_m_estimator(small):
     """Huber's variance, against the scatter of 150 fits of data of which 5 % are twenty times as noisy."""
     flat = ParameterSet(tuple(Parameter(p.name, 1.0, "", -50.0, 50.0) for p in small.parameters))

@@ -46,6 +46,7 @@ def test_a_base_at_rest_says_gravity():
     np.testing.assert_allclose(it.execute(waiting(it, 50)).measured[SPECIFIC_FORCE][:, 0] + DOWN, 0.0, atol=1e-12)
 
 
+@pytest.mark.long
 def test_its_errors_are_those_that_were_asked_for():
     errors, biases = [], []
     for seed in range(40):

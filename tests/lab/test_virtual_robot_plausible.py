@@ -95,6 +95,7 @@ def test_position_and_velocity_are_close(errors):
     assert (rms(errors["velocity"]) < TABLE_2_RAD_S).all()
 
 
+@pytest.mark.long
 def test_the_rough_twin_is_worse_where_its_links_are_wrong(episodes, errors):
     """As in tables 2 and 4 of the LSTM thesis: positions hardly differ, trends of torques by a factor of 2 to 10."""
     rough = replayed(episodes, "panda_rough")
@@ -105,6 +106,7 @@ def test_the_rough_twin_is_worse_where_its_links_are_wrong(episodes, errors):
     assert (rms(rough["position"]) < TABLE_2_RAD).all()
 
 
+@pytest.mark.long
 def test_the_other_engine_finds_the_same_gap(episodes, errors):
     few = slice(0, 4)
     dart = replayed(episodes[few], "panda", "dart")
@@ -120,6 +122,7 @@ def test_the_robot_itself_is_calm(plans):
     assert np.std(torque[-200:], axis=0).max() < 0.1
 
 
+@pytest.mark.long
 def test_joints_break_away_as_in_table_3_2():
     """The thesis's experiment (3.1.2) on an individual with everything but an error of its gravity compensation."""
     spec = replace(LabSpec().without("gravity"), controller=Controller(kind="torque"))

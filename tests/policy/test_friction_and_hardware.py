@@ -110,6 +110,7 @@ def test_hardware_without_effects_moves_as_the_simulator_does():
     assert lab.now_s() == pytest.approx(25 * CONFIG.control_s)
 
 
+@pytest.mark.long
 def test_an_environment_drives_hardware_and_episodes_are_repeatable():
     lab = VirtualRobot(draw_truth(LAB, unit=2))
     env = PandaReach(reaching=Reaching(hardware(lab), SIMULATOR.model, CONFIG))

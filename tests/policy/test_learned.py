@@ -34,6 +34,7 @@ def networks(folder, config=SAC):
     return read_learned(replace(config, start=str(folder)), PANDA.joint_names)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_all_that_was_learned_is_begun_with(algorithm, tmp_path, monkeypatch):
     """As it is: the learner that comes out of `begin_with` has the networks of the best round, critics included."""
@@ -62,6 +63,7 @@ def test_all_that_was_learned_is_begun_with(algorithm, tmp_path, monkeypatch):
         assert entropy != 0
 
 
+@pytest.mark.long
 def test_it_acts_before_it_learns(start, tmp_path):
     """Of 160 control steps of four arms, 64 are not learned from: two updates after each of the 24 others."""
     whole = made(tmp_path / "a", replace(SAC, start=str(start)))
@@ -73,6 +75,7 @@ def test_it_acts_before_it_learns(start, tmp_path):
         assert torch.equal(value, networks(start)[name]), name
 
 
+@pytest.mark.long
 def test_it_acts_as_long_whatever_the_rounds(start, tmp_path):
     learner = replace(SAC.learner, starts=200)
     found = made(tmp_path / "a", replace(SAC, start=str(start), learner=learner, steps=480, rounds=3))
@@ -100,6 +103,7 @@ def test_one_that_is_interrupted_goes_on_to_the_same_weights(start, tmp_path, st
         made(tmp_path / "whole", replace(config, start=""), resume=True)
 
 
+@pytest.mark.long
 def test_seeds_that_begin_with_seeds_are_one_group(start, tmp_path):
     other = made(tmp_path / "stock-1", seed=1).folder
     cards = {}

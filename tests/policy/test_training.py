@@ -48,6 +48,7 @@ def weights(learner):
     return {name: value.clone() for name, value in learner.policy.state_dict().items()}
 
 
+@pytest.mark.long
 def test_the_thesis_numbers(tmp_path):
     """ES thesis, 2.3 and 2.3.2, those in bold."""
     assert {name: own.rate for name, own in PAPER.items()} == {"ddpg": 2e-3, "sac": 2e-3, "td3": 2e-3, "tqc": 1e-3}
@@ -122,6 +123,7 @@ def test_an_interrupted_training_ends_with_the_same_weights(tmp_path, config):
     assert any(not torch.equal(value, weights(other)[name]) for name, value in weights(whole).items())
 
 
+@pytest.mark.long
 def test_rewards_are_not_counted_into_another_episode(tmp_path):
     """Of what is remembered, whatever is not followed by what came next is marked as the end of an episode."""
     learner, _ = trained(tmp_path, AHEAD)
@@ -157,6 +159,7 @@ def test_networks_are_given_the_way_to_the_goal_scaled(tmp_path):
         torch.testing.assert_close(network.features_extractor(seen), expected)
 
 
+@pytest.mark.long
 def test_the_best_round_is_kept_and_numbers_of_others_are_left_alone(tmp_path):
     torch.manual_seed(5)
     np.random.seed(5)  # noqa: NPY002
@@ -190,6 +193,7 @@ def test_a_checkpoint_of_another_training_or_a_broken_one(tmp_path):
         trained(tmp_path, config=other, resume=True)
 
 
+@pytest.mark.long
 def test_a_full_disk_is_said_and_the_last_checkpoint_stays(tmp_path):
     trained(tmp_path, stop=lambda _: True)
     before = (tmp_path / "checkpoint").read_bytes()

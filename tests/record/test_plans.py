@@ -69,6 +69,7 @@ def test_a_line_is_straight_within_a_millimeter_and_in_its_plane(seed, plane, sh
         np.testing.assert_allclose(rotation, rotations[0], atol=1e-3)
 
 
+@pytest.mark.long
 @few
 @given(SEEDS, st.sampled_from([0, 1, 2, 3, 4]), st.floats(0.3, 1.0))
 def test_spline_references_keep_the_limits(seed, order, share):

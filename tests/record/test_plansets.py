@@ -168,6 +168,7 @@ def test_an_interrupted_set_is_completed_to_the_same_bytes(folder, tmp_path):
     assert contents(tmp_path / "halves") == contents(folder)
 
 
+@pytest.mark.long
 def test_a_killed_planner_leaves_nothing_half_done(folder, tmp_path):
     path = tmp_path / "killed"
     code = (

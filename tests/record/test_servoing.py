@@ -84,6 +84,7 @@ def test_it_comes_to_rest_where_it_is_led_also_with_a_slow_loop_and_a_straight_a
     assert np.abs(robot.read()["velocity"]).max() < 1e-3
 
 
+@pytest.mark.long
 def test_logs_say_what_was_sent_so_that_the_robot_s_own_simulator_moves_the_same(tmp_path):
     rig = make_rig("mujoco", ROBOT, PATH, control_hz=250.0)
     assert isinstance(rig, ServoedRig)

@@ -141,6 +141,7 @@ def test_it_opens_without_errors_and_without_the_network(driver, page, tmp_path)
     assert all(url.startswith(("file:", "data:", "blob:")) for url in urls)
 
 
+@pytest.mark.long
 def test_curves_and_residuals_are_drawn(driver, page):
     show(driver, page)
     drawn = curves(driver)
@@ -158,6 +159,7 @@ def test_curves_and_residuals_are_drawn(driver, page):
             assert by_name[f"residual {run}"][row] == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.long
 def test_drawn_values_are_those_of_the_recording(driver, page, run_folder):
     from trueup.core.traces import TraceSet
 
@@ -182,6 +184,7 @@ def test_each_menu_changes_the_curves(driver, page):
     assert problems(driver) == []
 
 
+@pytest.mark.long
 def test_a_run_can_be_hidden_and_degrees_shown(driver, page):
     show(driver, page)
     radians = curves(driver)
@@ -192,6 +195,7 @@ def test_a_run_can_be_hidden_and_degrees_shown(driver, page):
     assert "[deg]" in driver.execute_script("return document.getElementById('trace-figure').layout.yaxis.title.text")
 
 
+@pytest.mark.long
 def test_the_keyboard_changes_motion_and_joint(driver, page):
     from selenium.webdriver.common.keys import Keys
 
@@ -211,6 +215,7 @@ def test_the_keyboard_changes_motion_and_joint(driver, page):
     assert joint.get_property("value") in figure.get_attribute("aria-label")
 
 
+@pytest.mark.long
 def test_a_flag_opens_its_trace_and_is_marked_there(driver, page):
     show(driver, page)
     row = driver.find_element("css selector", "#flags tr[data-trace-joint='elbow_flex'] button")
@@ -265,6 +270,7 @@ def test_menus_swap_tables_and_bars(driver, page, run_folder):
     assert again.split() == server_side.split()
 
 
+@pytest.mark.long
 def test_it_fits_a_phone(driver, page, tmp_path):
     show(driver, page, 390, mobile=True)
     wide, narrow = driver.execute_script("const e = document.documentElement; return [e.scrollWidth, e.clientWidth]")
@@ -278,6 +284,7 @@ def test_it_fits_a_phone(driver, page, tmp_path):
     screenshot(driver, tmp_path / "phone.png")
 
 
+@pytest.mark.long
 def test_dark_theme_redraws_the_figures(driver, page):
     show(driver, page)
 
@@ -295,6 +302,7 @@ def test_dark_theme_redraws_the_figures(driver, page):
         driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
 
 
+@pytest.mark.long
 def test_it_prints(driver, page):
     show(driver, page)
     assert base64.b64decode(driver.print_page()).startswith(b"%PDF")
@@ -302,6 +310,7 @@ def test_it_prints(driver, page):
     assert problems(driver) == []
 
 
+@pytest.mark.long
 def test_hostile_names_are_only_text(driver, tmp_path):
     joints = ("</script><script>window.hacked=1</script>", "<img src=x onerror='window.hacked=2'>", "__proto__")
     names = tuple(f"{number} <svg onload='window.hacked=3'> constructor" for number in range(8))
@@ -337,6 +346,7 @@ def sticking_out(driver):
     )
 
 
+@pytest.mark.long
 def test_a_fit_opens_with_its_status_and_draws_all_figures(driver, fitted_page, tmp_path):
     show(driver, fitted_page)
     alert = driver.find_element("css selector", ".alert.careful")
@@ -359,6 +369,7 @@ def test_a_fit_opens_with_its_status_and_draws_all_figures(driver, fitted_page, 
     assert all(url.startswith(("file:", "data:", "blob:")) for url in requests(driver))
 
 
+@pytest.mark.long
 def test_intervals_stand_where_the_numbers_say(driver, fitted_page):
     show(driver, fitted_page)
     # horizontal ends of each interval on the screen, by joint
@@ -379,6 +390,7 @@ def test_intervals_stand_where_the_numbers_say(driver, fitted_page):
     assert mark == pytest.approx(one, abs=2.0), "the line stands at a factor of one"
 
 
+@pytest.mark.long
 def test_a_share_below_zero_is_drawn_to_the_left_of_zero(driver, fitted_page):
     show(driver, fitted_page)
     spans = driver.execute_script(
@@ -392,6 +404,7 @@ def test_a_share_below_zero_is_drawn_to_the_left_of_zero(driver, fitted_page):
     assert max(end for bars in spans.values() for end in bars[1]) == pytest.approx(100.0, rel=1e-3)
 
 
+@pytest.mark.long
 def test_menus_of_models_and_of_the_gray_box(driver, fitted_page):
     from selenium.webdriver.support.ui import Select
 
@@ -596,6 +609,7 @@ def test_the_keyboard_reaches_what_scrolls_and_what_is_copied(driver, closed_pag
         wait_for(driver, "return document.activeElement.scrollLeft > 0")
 
 
+@pytest.mark.long
 def test_enter_copies_the_lines_or_selects_them(driver, closed_page):
     from selenium.webdriver.common.keys import Keys
 

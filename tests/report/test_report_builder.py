@@ -305,6 +305,7 @@ def test_long_names_may_break_where_their_parts_meet(text, shown):
     assert breakable(text) == shown
 
 
+@pytest.mark.long
 def test_a_close_is_told_in_the_order_of_the_questions_and_the_same_each_time(tmp_path):
     folder = make_close(tmp_path / "run")
     html = build_report(folder)

@@ -90,6 +90,7 @@ def words(markup):
 # --- the page ---
 
 
+@pytest.mark.long
 def test_the_sections_stand_after_the_ladder_and_only_with_their_file(copied):
     before = sections(build_report(copied))
     assert not set(NEW) & set(before)
@@ -179,6 +180,7 @@ def test_every_number_of_every_parameter_is_in_the_table(copied):
     assert "square_wave: saturation" in words(page)
 
 
+@pytest.mark.long
 def test_117_parameters_are_folded_and_one_is_not(copied):
     names = [f"joint_{number:02}" for number in range(29)]
     fit = make_fit(names, "not-identifiable", many_parameters())

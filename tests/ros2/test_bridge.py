@@ -226,6 +226,7 @@ def test_topics_say_the_hash_of_their_type():
                 assert endpoint.qos[Policy.Userdata].data == said
 
 
+@pytest.mark.long
 def test_it_ends_when_its_time_is_over(folder):
     with Node(network()) as node:
         inbox, outbox = node.listen("/joint_states", JointState), node.publish("/corrected", JointState)

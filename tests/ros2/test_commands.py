@@ -21,8 +21,6 @@ from trueup.robots import load_robot
 from trueup.ros2 import Network, Node
 from trueup.stages.bridging import bridge
 
-pytestmark = pytest.mark.long
-
 ARM = load_robot("demo_arm")
 RATE_HZ = 100.0
 PLANS = """
@@ -77,6 +75,7 @@ def test_a_simulation_and_a_bridge_find_each_other_and_stop_cleanly(folder, tmp_
     assert tree["topics"]["publish"] == "/joint_states_corrected"
 
 
+@pytest.mark.long
 def test_nothing_came_is_an_error_that_says_where_it_listened(folder):
     code, out, err = ended(started("deploy", "ros2", folder, "--seconds", 0.5, domain=network().number))
     assert code == 2
@@ -86,6 +85,7 @@ def test_nothing_came_is_an_error_that_says_where_it_listened(folder):
     assert "Traceback" not in err
 
 
+@pytest.mark.long
 def test_motions_are_recorded_over_topics(tmp_path):
     domain = network().number
     (tmp_path / "two.yaml").write_text(PLANS)
@@ -107,6 +107,7 @@ def test_motions_are_recorded_over_topics(tmp_path):
         assert moved.max() < 0.05
 
 
+@pytest.mark.long
 def test_options_of_the_lab_say_nothing_of_a_real_robot(tmp_path):
     options = ("--hardware", "ros2", "--faults", 0.1, "--out", tmp_path / "D")
     code, _, err = ended(started("record", *options, domain=network().number))
@@ -115,6 +116,7 @@ def test_options_of_the_lab_say_nothing_of_a_real_robot(tmp_path):
     assert not (tmp_path / "D").exists()
 
 
+@pytest.mark.long
 def test_a_robot_that_is_not_there_is_said_before_anything_is_written(tmp_path):
     (tmp_path / "two.yaml").write_text(PLANS)
     options = ("--robot", "panda", "--hardware", "ros2", "--plan", tmp_path / "two.yaml", "--control-hz", 100)
@@ -141,6 +143,7 @@ def test_what_cannot_be_is_refused_in_a_line(folder, options, told):
     assert "Traceback" not in err
 
 
+@pytest.mark.long
 def test_what_is_no_network_or_has_no_model_is_said_with_what_to_give(tmp_path):
     (tmp_path / "empty").mkdir()
     for given, is_a in (("zoo:panda-reach", "a policy"), (tmp_path / "empty", "an empty folder")):
@@ -153,6 +156,7 @@ def test_what_is_no_network_or_has_no_model_is_said_with_what_to_give(tmp_path):
     assert "next: Give its path with --model.\nIt is robotstudio_so101/so101.xml of MuJoCo Menagerie" in err
 
 
+@pytest.mark.long
 def test_compensations_need_limits_and_correct_commands(tmp_path):
     domain = network().number
     compensation(tmp_path / "net", load_robot("panda").joint_names, rate_hz=RATE_HZ)
@@ -168,6 +172,7 @@ def test_compensations_need_limits_and_correct_commands(tmp_path):
     assert "commands are corrected: /joint_targets -> /joint_commands, by /joint_states" in err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("direction", "options", "told"),
     [
@@ -196,6 +201,7 @@ def test_states_of_a_payload_that_nobody_said_are_refused(tmp_path):
     assert bridge(tmp_path, network=network(), seconds=0.0, payload_kg=0.0).report.received == 0
 
 
+@pytest.mark.long
 def test_a_simulator_whose_joints_are_called_otherwise_is_an_error(folder):
     domain = network().number
     bridging = started("deploy", "ros2", folder, "--seconds", 6, domain=domain)
@@ -209,6 +215,7 @@ def test_a_simulator_whose_joints_are_called_otherwise_is_an_error(folder):
     assert "not of these joints" in out
 
 
+@pytest.mark.long
 def test_what_was_counted_is_shown_where_its_file_cannot_be_written(folder, tmp_path, monkeypatch, capsys):
     def full(path, _):
         raise DataError(f"cannot write {path}", got="No space left on device")
@@ -231,6 +238,7 @@ def test_a_second_interrupt_does_not_wait():
             signal.raise_signal(signal.SIGINT)
 
 
+@pytest.mark.long
 def test_results_that_are_there_are_not_replaced_unasked(folder, tmp_path):
     (tmp_path / "bridge.json").write_text("{}")
     options = ("deploy", "ros2", folder, "--seconds", 0.2, "--out", tmp_path)

@@ -122,6 +122,7 @@ def test_joint_states_are_reliable_where_it_is_asked_for(states_folder):
     assert not live.warnings
 
 
+@pytest.mark.long
 def test_a_robot_that_asks_for_what_is_not_offered_is_told_apart_from_one_that_is_not_there():
     where = network()
     with Node(where) as node, Publishing(node):
@@ -209,6 +210,7 @@ def test_those_who_publish_beside_are_counted_as_they_come_and_go():
         wait_for(lambda: outbox.others == 0)
 
 
+@pytest.mark.long
 def test_a_robot_that_somebody_else_drives_is_not_recorded():
     where = network()
     with Node(where) as node, Node(where) as other, Publishing(node):

@@ -129,6 +129,7 @@ def test_other_joints_are_both_listed():
         assert name in str(refused.value)
 
 
+@pytest.mark.long
 def test_a_robot_whose_controller_does_not_listen():
     where = network()
     with Node(where) as node, Publishing(node), pytest.raises(RobotStopped, match="nobody listens to /joint_commands"):

@@ -206,6 +206,7 @@ def test_a_dataset_whose_ids_lead_elsewhere(name, closed, tmp_path, monkeypatch)
     assert not (tmp_path / "in" / "out").exists()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "words",
     [

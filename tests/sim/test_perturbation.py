@@ -84,6 +84,7 @@ def test_what_one_quantity_draws_does_not_depend_on_the_others():
     np.testing.assert_array_equal(off("dancebot", Perturbation(joint_m=0.002)).body_pos, together.body_pos)
 
 
+@pytest.mark.long
 def test_spreads_are_those_that_were_asked_for():
     base = plain("kickbot_a")
     drawn = [off("kickbot_a", Perturbation(mass=0.2, com_m=0.01, joint_m=0.002), seed) for seed in range(60)]

@@ -68,6 +68,7 @@ def test_the_rungs_stand_in_order_and_the_best_on_val_is_chosen(closed):
     assert seconds["fitted+moving-average"] > seconds["fitted"] > 0
 
 
+@pytest.mark.long
 def test_everything_lies_in_one_folder_and_in_one_report(closed):
     out = closed.dataset.path.parent / "out"
     steps = steps_of(out)
@@ -261,6 +262,7 @@ def test_what_was_asked_otherwise_is_refused_and_nothing_is_replaced(closed, tmp
     assert {path: path.read_bytes() for path in (tmp_path / "all").rglob("*") if path.is_file()} == before
 
 
+@pytest.mark.long
 def test_before_there_is_a_fit_another_question_is_refused_too(data, tmp_path):
     out = tmp_path / "out"
     quick(data, out, until="gap", budget_s=900.0)
@@ -292,6 +294,7 @@ def test_beginning_anew_leaves_nothing_of_another_configuration(closed, tmp_path
     assert IdentifyConfig.load(out / "identify.yaml") == OTHER
 
 
+@pytest.mark.long
 def test_other_splits_are_refused_before_any_is_given(data, tmp_path):
     logs, out = tmp_path / "logs", tmp_path / "out"
     export_dataset(data, logs)

@@ -80,6 +80,7 @@ def test_interrupted_before_there_are_new_results_the_old_ones_do_not_pass_for_t
     assert [item.status for item in again.result.steps] == ["kept", "kept", "done"]
 
 
+@pytest.mark.long
 def test_more_time_is_for_a_new_fit_though_the_call_was_interrupted(both):
     data, out = both
     with pytest.raises(Killed):

@@ -138,6 +138,7 @@ def assert_alone_as_within(folder, method):
         np.testing.assert_array_equal(weights, other[name])
 
 
+@pytest.mark.long
 def test_what_explain_fits_is_not_taken_without_it(folder, capsys):
     assert run("gap", folder / "data", "--config", folder / "asked.yaml") == 2
     assert "--explain" in capsys.readouterr().err

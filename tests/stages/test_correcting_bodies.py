@@ -96,6 +96,7 @@ def test_a_projection_is_a_run_of_its_own_and_is_kept(evaluated):
     assert AugmentResult.load(folder / "out" / "augment.json") == again.result
 
 
+@pytest.mark.long
 def test_pairs_say_whether_largest_distances_fall(evaluated):
     gap = evaluated[2].measurement.gap
     found = {

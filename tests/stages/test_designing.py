@@ -50,6 +50,7 @@ def made(arm, tmp_path_factory):
     return run(arm[0], out), out
 
 
+@pytest.mark.long
 def test_motions_are_stored_as_a_plan_set(arm, made):
     designed, out = made
     plans = PlanSet(out)

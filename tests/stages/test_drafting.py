@@ -91,6 +91,7 @@ def test_logs_are_read_as_they_were_meant(made, change, tmp_path):
             assert said == (pytest.approx(value) if isinstance(value, float) else value)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("change", ["degrees", "ticks"])
 @pytest.mark.parametrize("made", ["position"], indirect=True)
 def test_units_that_no_log_states_break_no_motion(made, change, tmp_path):

@@ -235,6 +235,7 @@ def test_a_servo_that_saturates_is_fitted(tmp_path, robot):
     assert found.fit["armature[j]"].value == pytest.approx(SATURATING["armature"], rel=0.1)
 
 
+@pytest.mark.long
 def test_broken_motions_stop_what_learns_from_them_unless_kept(tmp_path, robot):
     logs = [with_position(recorded(f"m{seed}", GOOD, seed=seed), stuck) for seed in range(3)]
     logs[0] = recorded("m0", GOOD)

@@ -88,6 +88,7 @@ def test_each_unit_is_as_alone(done, home, robot, tmp_path):
     assert Dataset(home / "data").runs == ()
 
 
+@pytest.mark.long
 def test_it_is_read_back_and_refuses_what_it_is_not(done, tmp_path):
     out, found = done
     assert FleetResult.load(out / FLEET_NAME) == found
@@ -138,6 +139,7 @@ def test_a_unit_that_fails_does_not_stop_the_others(home, robot, tmp_path):
         fleet([tmp_path / "out" / "arm-2" / "dataset"], robot, tmp_path / "none", config=QUICK, jobs=1)
 
 
+@pytest.mark.long
 def test_measured_only(home, robot, tmp_path):
     found = fleet([home / "data"], robot, tmp_path / "out", until="gap", jobs=1)
     assert {unit.status for unit in found.units} == {"measured"}
@@ -185,6 +187,7 @@ def test_nothing_of_others_is_deleted(home, robot, tmp_path):
     assert Path(tmp_path / "out" / "arm-1" / "thesis.tex").read_text() == "years of work"
 
 
+@pytest.mark.long
 def test_whatever_goes_wrong_with_a_unit_the_others_go_on(home, robot, tmp_path, monkeypatch):
     def close(data, *arguments, **options):
         if "arm-2" in str(data):

@@ -185,6 +185,7 @@ def test_without_torque_the_other_parts_are_there(tmp_path, kind):
     assert "Torque was not taken apart" in build_report(tmp_path)
 
 
+@pytest.mark.long
 def test_a_measurement_without_blocks_leaves_those_of_the_same_motions(found, tmp_path):
     """Of other motions they would say nothing true."""
     measurement, folder = found

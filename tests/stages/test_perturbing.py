@@ -113,6 +113,7 @@ def agrees(row, table):
         assert item.gone.high == pytest.approx(min(1 - low, 1.0), abs=1e-4)
 
 
+@pytest.mark.long
 def test_figures_are_those_of_runs_that_are_stored(world, tmp_path):
     _, _, net, result, _ = world
     assert [row.dataset for row in result.datasets] == ["slow", "fast"]
@@ -315,6 +316,7 @@ def test_what_makes_no_sense_is_refused_before_anything_is_simulated(world, tmp_
     refused(MissingSignal, "was not measured", datasets=(recorded(tmp_path / "blind", motions=1, position=False),))
 
 
+@pytest.mark.long
 def test_the_page_says_what_the_file_says(world):
     folder, _, _, result, _ = world
     page = build_report(folder / "out")

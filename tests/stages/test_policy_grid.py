@@ -331,6 +331,7 @@ def diverging(monkeypatch):
     return begun
 
 
+@pytest.mark.long
 def test_a_trial_that_diverges_is_noted_and_not_tried_again(tmp_path, diverging, whole):
     found = searched(tmp_path)
     assert sorted(diverging) == [0.001, 0.001, 0.05, 0.05]
@@ -359,6 +360,7 @@ def test_a_search_whose_trials_all_diverge(run, tmp_path, diverging):
     assert json.loads((tmp_path / "g" / "grid.json").read_text())["best"] is None
 
 
+@pytest.mark.long
 def test_a_table_says_how_many_failed(run, diverging):
     code, out, err = run("--out", "g", "--jobs", 1)
     assert code == 0
@@ -448,6 +450,7 @@ def test_a_broken_database_and_a_second_search(run, tmp_path):
     assert "another process writes into" in err
 
 
+@pytest.mark.long
 def test_killed_before_there_was_a_database_it_begins(tmp_path, whole):
     for name in (".study.db.k3j2.tmp", ".study.db.k3j2.tmp-journal"):
         (tmp_path / name).write_bytes(b"half of it")
@@ -469,6 +472,7 @@ def test_a_trial_of_something_else_stops_the_search_and_says_where(tmp_path):
     assert figures(searched(tmp_path, resume=True)) == figures(found)
 
 
+@pytest.mark.long
 def test_seeds_are_an_axis_and_layers_are_lists(tmp_path):
     grid = read_grid({"seed": [0, 1], "layers": [[8], [8, 8]]}, "grid")
     found = searched(tmp_path, grid=grid, config=replace(CONFIG, steps=80, rounds=1))

@@ -51,6 +51,7 @@ def test_the_split_of_the_so101_is_the_one_beside_the_data(so101):
     assert counts == {"train": 33, "val": 4, "test": 6}
 
 
+@pytest.mark.long
 def test_the_motion_that_runs_into_a_limit_is_found_and_few_others_are(so101):
     warned = {meta.id for meta in so101.dataset.metas if meta.warned}
     assert "single_joint_wrist_roll" in warned
@@ -68,6 +69,7 @@ def test_intervals_contain_their_value(so101):
                     assert total.low <= total.value <= total.high
 
 
+@pytest.mark.long
 def test_the_stock_double_pendulum_is_as_far_off_as_its_readme_says(double_pendulum_logs, tmp_path):
     closed = close(double_pendulum_logs, load_robot("double_pendulum"), tmp_path / "out", jobs=2, until="gap")
     gap = GapResult.load(tmp_path / "out" / "gap.json")

@@ -270,6 +270,7 @@ def full_disk(*_, **__):
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
+@pytest.mark.long
 def test_a_full_disk_keeps_what_was_recorded(whole, tmp_path, monkeypatch):
     out, appended, original = tmp_path / "data", [], journal.Journal.append
 
@@ -310,6 +311,7 @@ def full_disk_as_data_error(path, *_):
     raise DataError(f"cannot write {path}", got=os.strerror(errno.ENOSPC))
 
 
+@pytest.mark.long
 def test_a_complete_recording_is_not_begun_again_unasked(whole, tmp_path):
     out = tmp_path / "data"
     recorded(out)
@@ -329,6 +331,7 @@ def test_a_complete_recording_is_not_begun_again_unasked(whole, tmp_path):
     assert [file.name for file in (tmp_path / "mine").iterdir()] == ["thesis.tex"]
 
 
+@pytest.mark.long
 def test_other_settings_are_refused_by_name(whole, tmp_path):
     model = tmp_path / "panda.xml"
     model.write_bytes(find_model(PANDA).read_bytes() + b"<!-- a change -->")
@@ -444,6 +447,7 @@ def test_splits_are_those_of_the_papers():
     assert counts == {("multi", "train"): 80, ("multi", "val"): 15, ("multi", "test"): 5, ("line", "test"): 20}
 
 
+@pytest.mark.long
 def test_faults_are_flagged_or_named_and_no_motion_is_forgotten(tmp_path):
     spec = replace(SPEC, groups=(replace(GROUPS[1], count=14),))
     rig = lab(fault_share=1.0)
@@ -478,6 +482,7 @@ def test_nothing_but_failures_is_an_error_that_says_why(tmp_path, monkeypatch):
     assert len(Dataset(tmp_path / "data").info.notes) == 6
 
 
+@pytest.mark.long
 def test_units_differ_and_the_same_unit_and_seed_do_not(tmp_path, whole):
     plans = PlanSet(whole / PLANS)
     hashes = {}
@@ -537,6 +542,7 @@ def test_a_robot_that_is_not_free_at_all(tmp_path):
         recorded(tmp_path / "data", cage)
 
 
+@pytest.mark.long
 def test_an_engine_plays_the_robot(tmp_path):
     twin = replace(PANDA, controller=ControllerSpec(kind="pd", kp=2000.0, kv=60.0))
     rig = make_rig("mujoco", twin, find_model(twin), control_hz=200.0)

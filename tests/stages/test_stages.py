@@ -78,6 +78,7 @@ def test_a_second_replay_needs_a_word(demo):
     assert replay(demo, robot, delay_s=0.02, overwrite=True).replayed == 12
 
 
+@pytest.mark.long
 def test_a_replay_of_some_goes_on_with_the_rest(demo):
     robot = load_robot("demo_arm")
     assert replay(demo, robot, ids=demo.ids[:5]).replayed == 5
@@ -88,6 +89,7 @@ def test_a_replay_of_some_goes_on_with_the_rest(demo):
     assert (rest.replayed, rest.kept) == (7, 5)
 
 
+@pytest.mark.long
 def test_a_delay_closer_to_the_hardware_is_better_and_the_pairing_says_so(demo):
     robot = load_robot("demo_arm")
     replay(demo, robot)
@@ -106,6 +108,7 @@ def test_a_delay_closer_to_the_hardware_is_better_and_the_pairing_says_so(demo):
     assert pair.verdict == ("better" if better else "worse")
 
 
+@pytest.mark.long
 def test_runs_that_do_not_belong_together_are_refused(demo):
     robot = load_robot("demo_arm")
     replay(demo, robot)
@@ -123,6 +126,7 @@ def test_what_is_not_there_is_answered_with_what_is(demo):
         gap(demo, split="holdout")
 
 
+@pytest.mark.long
 def test_without_a_run_the_command_is_measured(demo):
     assert set(gap(demo, robot=load_robot("demo_arm")).gap.runs) == {"command"}
 
@@ -404,6 +408,7 @@ def test_a_replay_of_which_nothing_comes_leaves_the_run_that_is_there(demo):
     assert len(demo.run_ids("mujoco/stock")) == 12
 
 
+@pytest.mark.long
 def test_a_run_that_is_half_done_is_said_to_be(demo):
     replay(demo, load_robot("demo_arm"), ids=demo.ids[:5])
     (warning,) = gap(demo).gap.settings["warnings"]
@@ -412,6 +417,7 @@ def test_a_run_that_is_half_done_is_said_to_be(demo):
         gap(demo, split="test")
 
 
+@pytest.mark.long
 def test_a_run_that_was_interrupted_before_its_first_motion_blocks_no_other(demo):
     replay(demo, load_robot("demo_arm"))
     with RunWriter(demo.path, "mujoco/begun", run_info=demo.run_info("mujoco/stock")):
@@ -446,6 +452,7 @@ def test_a_motion_that_is_too_short_to_differ_is_left_out(tmp_path):
     assert any("stub" in warning for warning in closed.measurement.gap.settings["warnings"])
 
 
+@pytest.mark.long
 def test_a_command_is_not_held_against_a_simulation_that_is_restarted(demo):
     replay(demo, load_robot("demo_arm"), window_s=0.2)
     assert set(gap(demo).gap.runs) == {"mujoco/stock"}
@@ -464,6 +471,7 @@ def test_a_window_without_samples_and_stamps_in_nanoseconds_are_refused(demo, tm
         import_logs(npz_logs(tmp_path / "logs", [replace(episode, **slow)]), tmp_path / "data")
 
 
+@pytest.mark.long
 def test_a_joint_map_that_is_not_applied_is_said_to_be(demo):
     robot = load_robot("demo_arm")
     joints = (JointSpec("yaw", log="J1", sign=-1), JointSpec("shoulder", log="J2"), JointSpec("elbow", log="J3"))
@@ -472,6 +480,7 @@ def test_a_joint_map_that_is_not_applied_is_said_to_be(demo):
     assert "sign, scale and offset of yaw were not applied" in warning
 
 
+@pytest.mark.long
 def test_a_foreign_run_decides_nothing_about_the_robot(demo, tmp_path):
     """A torque-driven robot stays one beside a run of another simulator, whatever their labels."""
     with DatasetWriter.create(tmp_path / "both", DatasetInfo(robot="demo_arm")) as writer:

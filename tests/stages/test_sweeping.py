@@ -87,6 +87,7 @@ def test_each_training_is_as_alone_and_the_best_on_val_is_chosen(data, done, tmp
     assert ModelCard.load(out / found.chosen).name == f"{chosen.candidate}-s{chosen.seed}"
 
 
+@pytest.mark.long
 def test_test_is_not_read(tmp_path, done):
     """Without the motions of test, everything is the same."""
     data = make_dataset(tmp_path / "arm", counts=(8, 4, 0)).path

@@ -155,6 +155,7 @@ def test_a_prediction_never_depends_on_the_torque_that_it_predicts(name, episode
         assert not np.allclose(before["m0"], after["m0"], equal_nan=True)
 
 
+@pytest.mark.long
 def test_with_splits_the_test_motions_touch_no_coefficient(tmp_path):
     split = tmp_path / "split.json"
     split.write_text(json.dumps({"train": ["m0", "m1"], "test": ["m2"]}))

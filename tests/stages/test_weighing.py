@@ -179,6 +179,7 @@ def test_the_command_prints_and_writes_in_the_frame_of_a_site(arm, tmp_path, cap
     assert (tmp_path / "out" / "loaded" / "model.fitted.xml").is_file()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("change", "error", "said"),
     [
