@@ -138,7 +138,8 @@ def missing_words(result: Mapping[str, Any]) -> str:
         said.append(f"{count} of {len(SEEDS) * len(BY_NAME)} fits are missing: {names}.")
     if oracles := left.get("oracles"):
         every = len(oracles) == sum(case.group == "A" for case in BY_NAME.values())
-        names = "every robot" if every else ", ".join(f"`{name}`" for name in oracles)
+        some = ", ".join(f"`{name}`" for name in oracles) if len(oracles) < len(SEEDS) else f"{len(oracles)} robots"
+        names = "every robot" if every else some
         said.append(f"The narrowest intervals are missing of {names}.")
     return f"**Incomplete.** {' '.join(said)}\n\n"
 
