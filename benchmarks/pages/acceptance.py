@@ -19,7 +19,7 @@ and what was measured on {date}. [All benchmarks](benchmarks.md) has newer figur
 
 ```sh
 make acceptance                 # measure everything on one commit and write this page
-python -m benchmarks NAME       # one line; where a line names test files, `python -m pytest FILES`
+python -m benchmarks friction   # one line, here that of friction
 ```
 
 {verdict} Each line below says how many of its bars are kept and shows the figure nearest

@@ -17,7 +17,7 @@ TEXT = """# All benchmarks
 ```sh
 make bench                      # install the programs to compare with, then measure everything that takes minutes
 python -m benchmarks            # the same without installing
-python -m benchmarks NAME       # one benchmark
+python -m benchmarks friction   # one benchmark
 python -m benchmarks --anew     # everything: a day
 python -m benchmarks --table    # print all stored figures, measure nothing
 ```
