@@ -121,10 +121,9 @@ def at(search, item, **changed):
     return replace(item, solution=replace(found, z=z, residual=row, rms=float(np.linalg.norm(row))))
 
 
-@pytest.mark.long
-def test_two_timings_are_compared_at_their_minima_once_a_payload_was_found(tmp_path):
-    """Wherever searches have ended, and in whichever of the two: a held command is late by half of 10 ms."""
-    pendulum = pendulum_logs(tmp_path)
+def two_timings(folder):
+    """A search on the logs of a pendulum, what it fits, and both ways in which commands act between their stamps."""
+    pendulum = pendulum_logs(folder)
     fit = dict.fromkeys(("delay_s", "kp", "kv", "frictionloss", "armature"), "all")
     search = ModelSearch(
         Nominal(pendulum.robot, pendulum.model),
@@ -136,6 +135,13 @@ def test_two_timings_are_compared_at_their_minima_once_a_payload_was_found(tmp_p
         on_progress=None,
     )
     held, linear = (replace(search.logs.way, command=command) for command in ("held", "linear"))
+    return search, fit, held, linear
+
+
+@pytest.mark.long
+def test_two_timings_are_compared_at_their_minima_once_a_payload_was_found(tmp_path):
+    """Wherever searches have ended, and in whichever of the two: a held command is late by half of 10 ms."""
+    search, fit, held, linear = two_timings(tmp_path)
     best = search._try("held", fit)
     search.logs.way = linear
     moving = search._try("linear", fit)
@@ -158,18 +164,7 @@ def test_two_timings_are_compared_at_their_minima_once_a_payload_was_found(tmp_p
 @pytest.mark.long
 def test_the_other_timing_begins_where_this_one_has_ended_if_its_own_search_went_astray(tmp_path):
     """More than noise is left, and the held command, which is right, was far worse where its search had ended."""
-    pendulum = pendulum_logs(tmp_path)
-    fit = dict.fromkeys(("delay_s", "kp", "kv", "frictionloss", "armature"), "all")
-    search = ModelSearch(
-        Nominal(pendulum.robot, pendulum.model),
-        pendulum.episodes,
-        IdentifyConfig(fit=fit, models={}),
-        jobs=1,
-        seed=0,
-        checkpoints=None,
-        on_progress=None,
-    )
-    held, linear = (replace(search.logs.way, command=command) for command in ("held", "linear"))
+    search, fit, held, linear = two_timings(tmp_path)
     right = search._try("held", fit)
     astray = at(search, right, kp=3.0 * right.solution.values["kp[j]"])
     search.logs.way = linear
