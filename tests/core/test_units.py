@@ -68,3 +68,12 @@ def test_stamps_that_mean_the_same_instant_are_the_same(rate_hz, count):
     np.testing.assert_array_equal(held_rows(left, right), np.arange(count))
     np.testing.assert_array_equal(held_rows(right, left), np.arange(count))
     assert held_rows(left, np.array([-1.0]))[0] == -1
+
+
+@given(st.integers(1, 5000), st.integers(2, 300), st.floats(1.6e9, 1.9e9))
+def test_a_command_with_stamps_since_1970_is_held_from_its_own_instant(rate_hz, count, start):
+    """Doubles near 1.7e9 are 0.24 microseconds apart; so rounded, a command must not act a simulation step late."""
+    exact = np.arange(count) / rate_hz
+    rounded = (start + exact) - start
+    np.testing.assert_array_equal(held_rows(rounded, exact), np.arange(count))
+    np.testing.assert_array_equal(held_rows(exact, rounded), np.arange(count))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64, Int
 
-# Stamps that mean the same instant may differ by a rounding error, e.g. k * (1 / rate) and k / rate.
-SAME_INSTANT_S = 1e-9
+# Stamps that mean the same instant may differ by a rounding error: k * (1 / rate) and k / rate, stamps rounded to a
+# microsecond, and seconds since 1970 in double precision, which are 0.24 microseconds apart.
+SAME_INSTANT_S = 1e-6
 
 
 def held_rows(stamps_s: Float64[np.ndarray, "N"], time_s: Float64[np.ndarray, "*shape"]) -> Int[np.ndarray, "*shape"]:

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from trueup.align import JointMap
+from trueup.core.hold import SAME_INSTANT_S
 from trueup.core.interpolation import columns_at
 from trueup.core.provenance import provenance
 from trueup.core.timeseries import TimeSeries
@@ -169,7 +170,7 @@ def _series(
     motion: Motion, run: Run, stamps: Float64[np.ndarray, "M"], joints: Sequence[str], units: Sequence[str]
 ) -> TimeSeries:
     """What was simulated, at the robot's own stamps."""
-    rows = (stamps >= motion.time_s[0] - 1e-9) & (stamps <= motion.time_s[-1] + 1e-9)
+    rows = (stamps >= motion.time_s[0] - SAME_INSTANT_S) & (stamps <= motion.time_s[-1] + SAME_INSTANT_S)
     count = len(joints)
     position, velocity = np.split(columns_at(stamps[rows], motion.time_s, run.state), [count], axis=1)
     speeds = tuple(f"{unit}/s" for unit in units)
