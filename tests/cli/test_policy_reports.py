@@ -1,6 +1,6 @@
 """`trueup policy eval` of several policies and `trueup policy curves`, on policies that are trained in seconds."""
 
-import json
+import re
 import shutil
 
 import numpy as np
@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from cli.test_policy_command import SMALL
+from report.packed import read_json
 from trueup.cli.main import main
 from trueup.core.policy_card import POLICY_CARD, PolicyCard
 from trueup.core.policy_evaluation import EPISODES_NAME, EVALUATION_NAME, PolicyEvaluation
@@ -226,15 +227,11 @@ def test_curves_of_a_folder_with_policies_below_it(run, policies, tmp_path):
     (line,) = (line for line in out.splitlines() if "gamma 0.97" in line)
     assert f"{100 * best:.1f} cm" in line
     (data,) = (
-        text.split("</script>")[0]
-        for text in page.split('<script type="application/json" class="chooser-data">')[1:]
-        if "gamma 0.97" in text and '"Over"' in text
+        own
+        for own in map(read_json, re.findall(r'class="chooser-data">(.*?)</script>', page))
+        if "gamma 0.97" in str(own) and "'Over'" in str(own)
     )
-    curves = {
-        item["name"]: item
-        for item in json.loads(data)["variants"]["steps"]["figures"]["reward"]["data"]
-        if "name" in item
-    }
+    curves = {item["name"]: item for item in data["variants"]["steps"]["figures"]["reward"]["data"] if "name" in item}
     expected = np.mean([[item["reward"] for item in own] for own in history], axis=0)
     np.testing.assert_allclose(curves["gamma 0.97"]["y"], expected, rtol=1e-5)
 

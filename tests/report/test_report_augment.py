@@ -1,6 +1,5 @@
 """The section of learned corrections: words, tables and figures say what augment.json says."""
 
-import json
 import math
 import re
 import shutil
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 
 from augment.evaluation_cases import card_of
+from report.packed import read_json
 from report.run_folders import World, simulate
 from trueup.augment.evaluation import Candidate, EvaluationBuilder
 from trueup.core.attention import AttentionProfile
@@ -76,7 +76,7 @@ def run(folder):
 def chooser_data(page, name):
     """The data of one chooser as the page's script reads them."""
     found = re.search(rf'id="{name}">.*?class="chooser-data">(.*?)</script>', page, re.S)
-    return json.loads(found.group(1))
+    return read_json(found.group(1))
 
 
 def test_the_page_has_the_section_only_with_its_file(folder, run_folder):

@@ -6,6 +6,7 @@ import os
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from report.run_folders import (
@@ -168,8 +169,13 @@ def test_drawn_values_are_those_of_the_recording(driver, page, run_folder):
     choose(driver, "joint", "gripper")
     traces = TraceSet.load(run_folder).episodes["chirp_sweep"].traces
     trace = next(item for item in traces if (item.signal, item.joint) == ("position", "gripper"))
-    measured = driver.execute_script("return Array.from(document.getElementById('trace-figure').data[0].y)")
-    assert measured == pytest.approx(trace.curves["measured"].tolist())
+    drawn = driver.execute_script(
+        "return Object.fromEntries(document.getElementById('trace-figure').data.map((own) => [own.name, Array.from(own.y)]))"
+    )
+    measured = trace.curves["measured"]
+    assert drawn["measured"] == pytest.approx(measured.tolist(), abs=float(np.ptp(measured)) / 16_000)
+    away = measured - trace.curves["mujoco/stock"]
+    assert drawn["residual mujoco/stock"] == pytest.approx(away.tolist(), abs=float(np.ptp(away)) / 16_000 + 1e-6)
 
 
 @pytest.mark.long

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from augment.evaluation_cases import card_of, shift_folder
+from report.packed import read_json
 from trueup.augment.trained import Trained
 from trueup.cli.main import main
 from trueup.core.episode import Episode, EpisodeMeta
@@ -323,7 +324,7 @@ def test_the_page_says_what_the_file_says(world):
     assert page == build_report(folder / "out")
     assert "<title>Robustness of net on kickbot_b</title>" in page
     data = {
-        name: json.loads(re.search(rf'id="{name}">.*?class="chooser-data">(.*?)</script>', page, re.S).group(1))
+        name: read_json(re.search(rf'id="{name}">.*?class="chooser-data">(.*?)</script>', page, re.S).group(1))
         for name in ("robustness-datasets", "robustness-sizes")
     }
     shown = data["robustness-sizes"]["variants"]["max"]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import gzip
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -16,6 +14,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from trueup.core.atomic import write_text
+from trueup.report.embed import packed
 from trueup.report.folder import GAP_NAME, RunFolder, evaluation_of, robustness_of
 from trueup.report.sections import SECTIONS, Section
 from trueup.report.sections.judged import judged_sections
@@ -105,12 +104,9 @@ def write_report(folder: Path | str, out: Path | str | None = None) -> Path:
     return path
 
 
-def script_json(value: Any) -> Markup:
-    """JSON that may stand in a script element: no name in it can end the element or open a comment."""
-    text = json.dumps(value, sort_keys=True, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
-    for character in "<>&\u2028\u2029":
-        text = text.replace(character, f"\\u{ord(character):04x}")
-    return Markup(text)  # noqa: S704  # escaped above
+def packed_json(value: Any) -> str:
+    """JSON as the page's script unpacks it; in base64, no name in it can end the element that it stands in."""
+    return packed(json.dumps(value, sort_keys=True, allow_nan=False, separators=(",", ":")).encode())
 
 
 def breakable(text: str) -> Markup:
@@ -127,7 +123,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["script_json"] = script_json
+    environment.filters["packed_json"] = packed_json
     environment.filters["breakable"] = breakable
     return environment
 
@@ -168,8 +164,8 @@ def _asset(name: str) -> Markup:
 
 @cache
 def _plotly() -> str:
-    """The library that draws, packed by gzip, in base64: a third of its 4.8 MB, which report.js unpacks."""
+    """The library that draws: a third of its 4.8 MB."""
     # Imported here: it is needed for building pages only.
     from plotly.offline import get_plotlyjs
 
-    return base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode()
+    return packed(get_plotlyjs().encode())

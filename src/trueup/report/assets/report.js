@@ -5,15 +5,18 @@ const Report = (() => {
   const ready = unpack();
   const coarse = window.matchMedia("(pointer: coarse)").matches;
 
-  // The library that draws is packed; until it is there, tables and menus work without it.
+  // What gzip has packed and base64 made text of.
+  function unpacked(element) {
+    const bytes = Uint8Array.from(atob(element.textContent), (character) => character.charCodeAt(0));
+    return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip")));
+  }
+
+  // Until the library that draws is there, tables and menus work without it.
   async function unpack() {
-    const packed = document.getElementById("library").textContent;
     try {
-      const bytes = Uint8Array.from(atob(packed), (character) => character.charCodeAt(0));
-      const plain = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
-      document.head.append(node("script", await new Response(plain).text()));
+      document.head.append(node("script", await unpacked(document.getElementById("library")).text()));
     } catch {
-      document.querySelector("main").prepend(node("p", "Figures need a browser of 2023 or later.", { class: "notice" }));
+      document.querySelector("main").prepend(node("p", "Figures and menus need a browser of 2023 or later.", { class: "notice" }));
       throw new Error("the library that draws cannot be unpacked");
     }
   }
@@ -158,8 +161,8 @@ const Report = (() => {
     }
   }
 
-  function setUpChooser(container) {
-    const { menus, variants, default: first } = JSON.parse(container.querySelector(".chooser-data").textContent);
+  async function setUpChooser(container) {
+    const { menus, variants, default: first } = await unpacked(container.querySelector(".chooser-data")).json();
     const selects = [...container.querySelectorAll("select[data-level]")];
     // A choice that does not exist under the menus before it falls back to the first that does.
     function choose(path) {
@@ -219,5 +222,5 @@ const Report = (() => {
     button.addEventListener("click", () => sortBy(button.closest("th"))));
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   setUpPrinting();
-  return { draw, node, fillOptions };
+  return { draw, node, fillOptions, unpacked };
 })();

@@ -1,36 +1,44 @@
 "use strict";
-// The traces: curves are decoded when they are first looked at.
-(() => {
+// The traces.
+(async () => {
   const viewer = document.getElementById("trace-viewer");
   if (!viewer) return;
-  const { draw, node, fillOptions } = Report;
+  const { draw, node, fillOptions, unpacked } = Report;
   const byId = (id) => document.getElementById(`trace-${id}`);
-  const data = JSON.parse(byId("data").textContent);
+  const data = await unpacked(byId("data")).json();
   const episodeSelect = byId("episode"), jointSelect = byId("joint"), signalSelect = byId("signal");
   const degrees = byId("degrees"), figure = byId("figure");
   const hidden = new Set(data.hidden);
-  const decoded = new Map();
+  const decoded = decode(new Uint8Array(await unpacked(byId("curves")).arrayBuffer()));
   const plain = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
   const isMotion = (signal) => signal === "position" || signal === "velocity";
 
-  function decode(number) {
-    if (decoded.has(number)) return decoded.get(number);
-    const text = atob(byId(`blob-${number}`).textContent);
-    const bytes = Uint8Array.from(text, (character) => character.charCodeAt(0));
-    const flat = new Float32Array(bytes.buffer);
-    let position = 0;
-    const traces = data.episodes[number].traces.map((item) => {
-      const take = () => flat.subarray(position, (position += item.rows));
-      const time = take();
-      return { ...item, time, values: Object.fromEntries(item.curves.map((label) => [label, take()])) };
-    });
-    decoded.set(number, traces);
-    return traces;
+  // As embed.py packs them: changes of 16-bit codes, the low bytes of all before the high ones.
+  function decode(bytes) {
+    const count = bytes.length / 2;
+    let place = 0;
+    const take = (rows, [middle, step]) => {
+      const values = new Float32Array(rows);
+      let code = 0;
+      for (let row = 0; row < rows; row += 1, place += 1) {
+        const folded = bytes[place] | (bytes[count + place] << 8);
+        code = ((code + ((folded >> 1) ^ -(folded & 1))) << 16) >> 16;
+        values[row] = code === -32768 ? NaN : middle + step * code;
+      }
+      return values;
+    };
+    return data.episodes.map((episode) => episode.traces.map((item) => {
+      const [time, ...taken] = item.codes.map((code) => take(item.rows, code));
+      const values = Object.fromEntries(item.curves.map((label, number) => [label, taken[number]]));
+      for (const label of item.curves)
+        if (label !== "measured") values[label].forEach((away, row) => { values[label][row] = values.measured[row] + away; });
+      return { ...item, time, values };
+    }));
   }
 
   function current() {
     const number = Number(episodeSelect.value);
-    const trace = decode(number).find((item) => item.joint === jointSelect.value && item.signal === signalSelect.value);
+    const trace = decoded[number].find((item) => item.joint === jointSelect.value && item.signal === signalSelect.value);
     return { episode: data.episodes[number], trace };
   }
 

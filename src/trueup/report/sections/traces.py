@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from trueup.core.traces import COMMAND, EpisodeTraces
-from trueup.report.embed import BUDGET_BYTES, Embedded, fit_to_budget, to_base64
+from trueup.report.embed import BUDGET_BYTES, Embedded, fit_to_budget, pack
 from trueup.report.folder import RunFolder
 from trueup.report.labels import SIGNALS, SPLITS, ordered, run_title, split_title
 from trueup.report.numbers import plural, quantity_with_degrees
@@ -29,10 +29,10 @@ def traces_section(run: RunFolder) -> Section | None:
     taken = 0 if run.augment is None else _AUGMENT_BYTES + _NETWORK_BYTES * len(run.augment.models)
     embedded = fit_to_budget(worst_first, budget_bytes=BUDGET_BYTES - taken)
     listed = sorted(embedded.episodes, key=lambda item: (_split_rank(item.split), item.id))
-    packed = [item.pack() for item in listed]
+    packed = pack(listed)
     data = {
         "styles": {label: {**style.to_json(), "title": run_title(label)} for label, style in run.styles.items()},
-        "episodes": [{**index, **_about(run, item)} for item, (_, index) in zip(listed, packed, strict=True)],
+        "episodes": [{**index, **_about(run, item)} for item, index in zip(listed, packed.index, strict=True)],
         "signals": ordered({trace.signal for item in listed for trace in item.traces}, SIGNALS),
         "joints": ordered({trace.joint for item in listed for trace in item.traces}, run.gap.joints),
         "start": first_choice(run, worst_first),
@@ -40,7 +40,7 @@ def traces_section(run: RunFolder) -> Section | None:
         "runs": list(run.styles),
         "hidden": hidden_first(run),
     }
-    context = {"data": data, "blobs": [to_base64(flat) for flat, _ in packed], "notes": size_notes(embedded)}
+    context = {"data": data, "curves": packed.text, "notes": size_notes(embedded)}
     return Section("traces", "Traces", context)
 
 
