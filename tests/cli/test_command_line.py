@@ -303,6 +303,24 @@ def test_a_bug_is_exit_code_1_and_a_traceback_only_with_debug(run, demo, tmp_pat
         main(["gap", str(demo), "--debug"])
 
 
+def test_quiet_leaves_results_and_errors(run, demo):
+    _, table, err = run("gap", demo, "--overwrite")
+    assert "note:" in err
+    assert run("gap", demo, "--overwrite", "--quiet") == (0, table, "")
+    code, _, err = run("--quiet", "gap", demo.parent / "nowhere")
+    assert code == 2
+    assert err.startswith("error: ")
+
+
+def test_the_shell_completes_commands(monkeypatch, capsys):
+    words = {"_TRUEUP_COMPLETE": "complete_bash", "COMP_WORDS": "trueup cl", "COMP_CWORD": "1"}
+    for name, value in words.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(SystemExit):
+        main([])
+    assert capsys.readouterr().out.split() == ["close"]
+
+
 def test_a_way_to_draw_that_is_not_installed_is_no_bug(run, demo, monkeypatch):
     """PyOpenGL finds no library of that name, and says so in words that only it understands."""
     library = {"__name__": "OpenGL.raw.GL"}

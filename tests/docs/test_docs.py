@@ -116,7 +116,12 @@ def test_every_command_line_has_a_command_and_options_that_exist(name):
     for block in blocks(name):
         for line in command_lines(block):
             command = next(COMMANDS[words] for words in (line[0], " ".join(line[:2])) if words in COMMANDS)
-            known = {opt for parameter in command.params for opt in parameter.opts} | {"--help", "--debug"}
+            known = {opt for parameter in command.params for opt in parameter.opts} | {
+                "--help",
+                "--debug",
+                "--quiet",
+                "--verbose",
+            }
             assert {part for part in line if part.startswith("--")} <= known, line
 
 

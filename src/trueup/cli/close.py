@@ -14,7 +14,7 @@ import typer
 from trueup.cli import options
 from trueup.cli.augment_train import progress_line
 from trueup.cli.check import GO_ON, show_findings
-from trueup.cli.console import err, note, out, problem, search_line, status_line, track, warning
+from trueup.cli.console import begins, note, out, problem, search_line, status_line, track, volume, warning
 from trueup.cli.convert import show_flags, show_import
 from trueup.cli.fit_tables import status_line as fit_status
 from trueup.cli.gap import hold_bars
@@ -42,8 +42,8 @@ _BEGINS: dict[StepName, str] = {
     "augment": "augment: training networks on the remaining error",
 }
 _BEFORE_GAP: tuple[StepName, ...] = ("import", "replay")
-# What is said of a fit at the end of everything: the report says the rest.
-_MOST_NOTES = 8
+# Notes at the end of everything: the report has the rest.
+_MOST_NOTES = 5
 
 
 def register(app: typer.Typer) -> None:
@@ -167,7 +167,7 @@ def watching() -> Iterator[Watch]:
 
         def on_step(name: StepName) -> None:
             stack.close()  # a step has a line of its own
-            err.print(_BEGINS[name], markup=False)
+            begins(_BEGINS[name])
             lines[:] = [stack.enter_context(status_line())]
 
         def on_fit(model: str, progress: SearchProgress) -> None:
@@ -236,10 +236,11 @@ def show(closed: Closed, out_dir: Path) -> None:
     for step in closed.result.steps:
         if step.status in ("failed", "left out") and closed.result.is_asked(step.name) and not closed.stopped:
             warning(f"{step.name} {step.status}: {step.what}")
-    for line in closed.notes[:_MOST_NOTES]:
+    told = len(closed.notes) if volume.verbose else _MOST_NOTES
+    for line in closed.notes[:told]:
         note(line)
-    if len(closed.notes) > _MOST_NOTES:
-        note(f"{len(closed.notes) - _MOST_NOTES} more are in the report")
+    if len(closed.notes) > told:
+        note(f"{len(closed.notes) - told} more are in the report; --verbose prints them")
     out.print(f"report: {write_report(out_dir)}", markup=False)
 
 

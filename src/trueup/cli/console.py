@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -53,6 +54,22 @@ if not out.is_terminal:
     out = _Console(highlight=False, soft_wrap=True, width=_FILE_WIDTH)
 err = _Console(stderr=True, highlight=False, soft_wrap=True)
 
+
+@dataclass
+class Volume:
+    """How much is said besides results, warnings and errors.
+
+    Attributes:
+        quiet: no notes, and not where long work stands.
+        verbose: all notes.
+    """
+
+    quiet: bool = False
+    verbose: bool = False
+
+
+volume = Volume()
+
 # Seconds between lines where no terminal redraws a bar, e.g. in a log of CI.
 _PLAIN_EVERY_S = 5.0
 
@@ -66,6 +83,9 @@ class _Rate(ProgressColumn):
 
 def track(items: Iterable[T], what: str, total: int | None = None) -> Generator[T]:
     """A `stages.progress.Track`: a bar on a terminal, a line now and then elsewhere."""
+    if volume.quiet:
+        yield from items
+        return
     if not err.is_terminal:
         yield from _plain(items, what, total)
         return
@@ -107,6 +127,8 @@ def status_line() -> Iterator[Callable[[str], None]]:
 
         def show(text: str) -> None:
             nonlocal last
+            if volume.quiet:
+                return
             if err.is_terminal:
                 # Only now: two displays at once, this one and the bar of a reading, are refused by older versions.
                 if not status:
@@ -146,9 +168,16 @@ def problem(message: str, hint: str | None = None) -> None:
         err.print(Text("  next: ", style="bold") + Text(hint.strip()))
 
 
+def begins(message: str) -> None:
+    """What is done from now on, or is done by now, on stderr."""
+    if not volume.quiet:
+        err.print(message, markup=False)
+
+
 def note(message: str) -> None:
     """A remark on stderr."""
-    err.print(Text("note: ", style="bold yellow") + Text(message))
+    if not volume.quiet:
+        err.print(Text("note: ", style="bold yellow") + Text(message))
 
 
 def warning(message: str, hint: str | None = None) -> None:

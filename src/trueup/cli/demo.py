@@ -9,7 +9,7 @@ import typer
 
 from trueup.cli import options
 from trueup.cli.close import Step, exit_code, show, watching
-from trueup.cli.console import err, out, track
+from trueup.cli.console import begins, out, track
 
 
 def register(app: typer.Typer) -> None:
@@ -62,7 +62,7 @@ def demo(
             until=until or ("identify" if first else "augment"),
             budget_s=options.budget_s(budget),
             # Before the first motion come processes that start and plans that are made.
-            on_begin=lambda: err.print(f"planning and recording motions of a virtual {chosen}", markup=False),
+            on_begin=lambda: begins(f"planning and recording motions of a virtual {chosen}"),
             track=track,
             watch=watch,
         )

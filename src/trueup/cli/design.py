@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from trueup.cli import options
-from trueup.cli.console import err, note, out
+from trueup.cli.console import begins, note, out
 from trueup.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def design(
         seed=seed,
         jobs=jobs,
         overwrite=overwrite,
-        progress=lambda done, total, _: err.print(f"designed: {done}/{total}"),
+        progress=lambda done, total, _: begins(f"designed: {done}/{total}"),
     )
     show(designed, out_dir)
     return 0

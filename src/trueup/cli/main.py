@@ -38,14 +38,14 @@ from trueup.cli import (
     selftest,
     torque,
 )
-from trueup.cli.console import out, problem
+from trueup.cli.console import out, problem, volume
 from trueup.core.workers import wait_briefly
 from trueup.errors import TrueupError, how_to_install
 
 app = typer.Typer(
     name="trueup",
-    help="Measure, explain and close the sim-to-real gap of a robot from its logs. --debug shows tracebacks of errors.",
-    add_completion=False,
+    help="Measure, explain and close the sim-to-real gap of a robot from its logs. For every command: --quiet prints "
+    "results, warnings and errors only, --verbose all notes, --debug tracebacks of errors.",
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -77,6 +77,8 @@ for module in (
     module.register(app)
 
 
+# Flags of all commands, wherever they stand.
+_EVERYWHERE = ("--debug", "--quiet", "--verbose")
 # Letters of a file's name that are shown.
 _NAME = 200
 # What MuJoCo draws with, which it looks at when it is loaded, if only to compute.
@@ -125,8 +127,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     """
     wait_briefly()
     arguments = list(sys.argv[1:] if argv is None else argv)
-    debug = "--debug" in arguments
-    arguments = [argument for argument in arguments if argument != "--debug"] or ["--help"]
+    debug, volume.quiet, volume.verbose = (flag in arguments for flag in _EVERYWHERE)
+    arguments = [argument for argument in arguments if argument not in _EVERYWHERE] or ["--help"]
     try:
         # typer returns the code of typer.Exit when it does not handle exits by itself
         code = _command()(arguments, standalone_mode=False, prog_name="trueup")
