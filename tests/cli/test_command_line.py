@@ -4,6 +4,7 @@ import contextlib
 import importlib.util
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 from cli.hidden_packages import without
+from trueup import cli
 from trueup.cli import options
 from trueup.cli.main import main
 from trueup.core.results import GapResult, Ladder
@@ -310,6 +312,25 @@ def test_quiet_leaves_results_and_errors(run, demo):
     code, _, err = run("--quiet", "gap", demo.parent / "nowhere")
     assert code == 2
     assert err.startswith("error: ")
+
+
+def test_json_is_the_result_and_nothing_else(run, demo):
+    code, printed, _ = run("gap", demo, "--overwrite", "--json")
+    assert code == 0
+    found = json.loads(printed)
+    assert found["schema"].startswith("trueup.gap/")
+    assert set(found["runs"]) >= {"command"}
+    code, printed, err = run("export", demo, "--format", "csv", "--out", demo.parent / "as-csv", "--json")
+    assert (code, printed) == (0, "")
+    assert "no result to print as JSON" in err
+
+
+def test_every_command_with_a_table_has_json():
+    """A module of commands that prints a table answers --json, too."""
+    modules = [path for path in Path(cli.__file__).parent.glob("*.py") if path.name != "console.py"]
+    tables = [path for path in modules if re.search(r"out\.print\([a-z_]*table", path.read_text())]
+    assert len(tables) > 15
+    assert [path.name for path in tables if "answer(" not in path.read_text()] == []
 
 
 def test_the_shell_completes_commands(monkeypatch, capsys):

@@ -120,6 +120,7 @@ def test_every_command_line_has_a_command_and_options_that_exist(name):
                 "--help",
                 "--debug",
                 "--quiet",
+                "--json",
                 "--verbose",
             }
             assert {part for part in line if part.startswith("--")} <= known, line

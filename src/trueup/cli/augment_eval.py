@@ -16,7 +16,7 @@ from trueup.cli.augment_tables import (
     joint_gap_table,
     shown_groups,
 )
-from trueup.cli.console import note, out, track, warning
+from trueup.cli.console import answer, note, out, track, warning
 from trueup.cli.gap import hold_bars
 from trueup.core.timeseries import BODY_PREFIX
 
@@ -77,6 +77,7 @@ def evaluate(
         overwrite=overwrite,
         track=track,
     )
+    answer(evaluated.result)
     show(evaluated.result)
     for line in evaluated.warnings:
         warning(line)

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from trueup.cli import options
-from trueup.cli.console import note, out, track
+from trueup.cli.console import answer, note, out, track
 from trueup.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -89,6 +89,7 @@ def robustness(
         resume=resume,
         track=track,
     )
+    answer(result)
     show(result)
     for line in (lead(result), *sentences(result)):
         out.print(line, markup=False)

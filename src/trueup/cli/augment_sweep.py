@@ -14,7 +14,7 @@ from rich.table import Table
 from trueup.augment.networks import METHODS
 from trueup.cli import augment_config as trained
 from trueup.cli import options
-from trueup.cli.console import out, status_line, warning
+from trueup.cli.console import answer, out, status_line, warning
 from trueup.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -139,6 +139,7 @@ def show(found: SweepResult, out_dir: Path) -> None:
     """The ranking, what has failed, and where everything is."""
     from trueup.core.sweep_result import SWEEP_NAME
 
+    answer(found)
     out.print(_table(found))
     failed = [training for training in found.trainings if training.state == "failed"]
     if failed:

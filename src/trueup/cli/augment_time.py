@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from trueup.cli.console import note, out
+from trueup.cli.console import answer, note, out
 from trueup.core.sole_writer import writes_alone
 from trueup.errors import ConfigError, DataError
 
@@ -54,6 +54,7 @@ def measure(
         raise DataError(f"cannot write into {target}", hint="Give another --out.")
     note(f"{seconds:g} s without a word: a display would take part in the loop")
     times, report = time_steps(folder, rate_hz=rate_hz, seconds=seconds)
+    answer(times)
     table = Table(title=f"one step of {folder.name}, in a loop at {rate_hz:g} Hz on {times.machine}")
     for column in ("median", "99 %", "99.9 %", "longest", "steps"):
         table.add_column(column, justify="right")

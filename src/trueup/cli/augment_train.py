@@ -15,7 +15,7 @@ from rich.table import Table
 from trueup.augment.networks import METHODS
 from trueup.cli import augment_config as trained
 from trueup.cli import options
-from trueup.cli.console import note, out, status_line, track
+from trueup.cli.console import answer, note, out, status_line, track
 from trueup.errors import needing
 
 if TYPE_CHECKING:
@@ -85,6 +85,7 @@ def train(
             on_progress=on_progress,
         )
     card = made.augmentation.card
+    answer(card.to_json())
     out.print(_table(card))
     for line in made.notes:
         note(line)

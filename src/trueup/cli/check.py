@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from trueup.cli import options
-from trueup.cli.console import note, out, problem, track, warning
+from trueup.cli.console import answer, note, out, problem, track, warning
 from trueup.core.check_result import SEVERITIES, CheckResult, CheckSeverity, Finding
 from trueup.errors import OutputExists
 
@@ -51,6 +51,7 @@ def check(
         checked = run(dataset, spec, model=model)
     for line in notes:
         note(line)
+    answer(checked)
     show_findings(checked)
     for line in checked.unseen:
         note(line)

@@ -14,7 +14,7 @@ import typer
 from trueup.cli import options
 from trueup.cli.augment_train import progress_line
 from trueup.cli.check import GO_ON, show_findings
-from trueup.cli.console import begins, note, out, problem, search_line, status_line, track, volume, warning
+from trueup.cli.console import answer, begins, note, out, problem, search_line, status_line, track, volume, warning
 from trueup.cli.convert import show_flags, show_import
 from trueup.cli.fit_tables import status_line as fit_status
 from trueup.cli.gap import hold_bars
@@ -215,6 +215,7 @@ def show(closed: Closed, out_dir: Path) -> None:
     """Steps, ladder, verdicts, and the report's path; without a gap, where the motions are."""
     from trueup.report import write_report
 
+    answer(closed.result)
     if closed.measurement is not None and not closed.imported:
         show_flags(closed.measurement.quality)
     for name, error in _not_replayed(closed):

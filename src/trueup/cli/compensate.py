@@ -10,7 +10,7 @@ import typer
 from rich.table import Table
 
 from trueup.cli import options
-from trueup.cli.console import note, out, problem, status_line, track
+from trueup.cli.console import answer, note, out, problem, status_line, track
 from trueup.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -112,6 +112,7 @@ def train(
             ),
         )
     card = made.compensation.card
+    answer(card.to_json())
     what = "simulator - robot" if made.compensation.direction == "simulator" else "robot's twin - simulator"
     out.print(_table(f"{card.name}: positions on val, {what}", made.errors))
     for text in made.notes:

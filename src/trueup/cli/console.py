@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import sys
+import tempfile
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import (
@@ -62,13 +66,45 @@ class Volume:
     Attributes:
         quiet: no notes, and not where long work stands.
         verbose: all notes.
+        json: the result as JSON, and nothing else, on the standard output.
+        answered: whether it was printed.
     """
 
     quiet: bool = False
     verbose: bool = False
+    json: bool = False
+    answered: bool = False
+
+    def set(self, *, quiet: bool, verbose: bool, json: bool) -> None:
+        """For one command."""
+        self.quiet, self.verbose, self.json, self.answered = quiet, verbose, json, False
+        out.quiet = json
+
+
+@runtime_checkable
+class Saved(Protocol):
+    """A result with a file of its own."""
+
+    def save(self, path: Path) -> None:
+        """Write it."""
 
 
 volume = Volume()
+
+
+def answer(result: Saved | Mapping[str, Any] | Sequence[Any]) -> None:
+    """With --json, print a result as its file has it; without, nothing."""
+    if not volume.json:
+        return
+    volume.answered = True
+    if isinstance(result, Mapping | Sequence):
+        text = json.dumps(result, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            result.save(Path(folder) / "result.json")
+            text = (Path(folder) / "result.json").read_text(encoding="utf-8")
+    sys.stdout.write(text)
+
 
 # Seconds between lines where no terminal redraws a bar, e.g. in a log of CI.
 _PLAIN_EVERY_S = 5.0

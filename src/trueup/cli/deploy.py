@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 from rich.table import Table
 
 from trueup.cli import options, ros2
-from trueup.cli.console import out, problem, status_line
+from trueup.cli.console import answer, out, problem, status_line
 from trueup.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -94,6 +94,7 @@ def run(
             overwrite=overwrite,
             on_run=lambda done, count: line(f"{100 * done.final_m:.1f} cm from the goal, of {count} goals"),
         )
+    answer([_in_short(run) for run in runs])
     out.print(_table(runs))
     if real_time:
         out.print(_punctual(runs), markup=False)
@@ -106,6 +107,16 @@ def run(
         )
         return 2
     return 0
+
+
+def _in_short(run: PolicyRun) -> dict[str, Any]:
+    return {
+        "goal_m": run.goal.tolist(),
+        "distance_m": float(run.final_m),
+        "within_5_cm_after_s": run.within_s(_NEAR_M),
+        "limited": {name: float(share) for name, share in run.shares.items()},
+        "end": run.reason,
+    }
 
 
 def _table(runs: tuple[PolicyRun, ...]) -> Table:

@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from trueup.cli import options
-from trueup.cli.console import begins, note, out
+from trueup.cli.console import answer, begins, note, out
 from trueup.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -87,6 +87,9 @@ def design(
 
 def show(designed: Designed, out_dir: Path) -> None:
     """What each parameter's standard deviation will be, and where the motions are."""
+    from trueup.core.design_result import DESIGN_NAME, DesignResult
+
+    answer(DesignResult.load(out_dir / DESIGN_NAME))
     out.print(table_of(designed))
     for line in designed.notes:
         note(line)

@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from trueup.cli import options
-from trueup.cli.console import out
+from trueup.cli.console import answer, out
 from trueup.errors import ConfigError
 
 # Extra -> (what it is for, the modules that it brings: distribution name, import name).
@@ -76,11 +76,24 @@ def doctor(
         table.add_column(heading, overflow="fold")
     missing = [name for name in _BASE if _version(name) is None]
     out.print("base: " + ", ".join(f"{name} {_version(name)}" for name in _BASE if name not in missing))
+    extras: dict[str, dict[str, object]] = {}
     for extra, (purpose, modules) in EXTRAS.items():
         there = {name: _version(name) for name, module in modules if util.find_spec(module)}
         complete = len(there) == len(modules)
+        extras[extra] = {"installed": there, "complete": complete}
         shown = ", ".join(f"{name} {version}" for name, version in there.items()) or "-"
         table.add_row(extra, purpose, shown, "" if complete else escape(f"pip install '.[{extra}]'"))
+    answer(
+        {
+            "trueup": metadata.version("trueup"),
+            "python": platform.python_version(),
+            "platform": platform.platform(),
+            "threads": os.cpu_count(),
+            "gpu": _gpu(),
+            "missing": missing,
+            "extras": extras,
+        }
+    )
     out.print(table)
     if missing:
         out.print(f"missing from the base installation: {', '.join(missing)}")
@@ -107,6 +120,16 @@ def _realtime(hz: float, seconds: float, priority: int | None, cpu: list[int] | 
     late = report.wakeup
     shown = ", ".join(f"{share:g} % within {late.percentile_us(share):.0f} us" for share in (50.0, 99.0, 99.9))
     out.print(f"a loop of {hz:g} Hz for {seconds:g} s ({how}{where}): woken late by: {shown}, all {late.max_us:.0f}")
+    answer(
+        {
+            "checks": [{"what": own.what, "found": own.found, "good": own.good} for own in host_checks()],
+            "woken_late_us": {f"{share:g} %": late.percentile_us(share) for share in (50.0, 99.0, 99.9)},
+            "longest_us": late.max_us,
+            "cycles": report.cycles,
+            "overruns": report.overruns,
+            "skipped": report.skipped,
+        }
+    )
     missed = f"{report.overruns} of {report.cycles + report.skipped} cycles missed, {report.skipped} left out"
     out.print(f"period {1e6 / hz:.0f} us: {missed if report.overruns else 'no cycle missed'}")
     return 0 if report.overruns == 0 else 3

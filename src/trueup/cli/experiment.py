@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from trueup.cli import options
-from trueup.cli.console import note, out
+from trueup.cli.console import answer, note, out
 from trueup.cli.fit_tables import experiment_table
 from trueup.errors import ConfigError, OutputExists
 
@@ -56,6 +56,7 @@ def experiment(
         breakaway=breakaway,
         delay_s=delay_s,
     )
+    answer(found)
     out.print(experiment_table(found))
     for line in found.problems:
         note(line)

@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from trueup.cli import options
-from trueup.cli.console import note, out, problem, track
+from trueup.cli.console import answer, note, out, problem, track
 
 if TYPE_CHECKING:
     from trueup.core.fleet_result import FleetResult, FleetUnit
@@ -83,6 +83,7 @@ def show(found: FleetResult, out_dir: Path) -> None:
     """All units, then all parameters, then what must be said."""
     from trueup.core.fleet_result import FLEET_NAME
 
+    answer(found)
     out.print(_units(found))
     if found.parameters:
         out.print(_parameters(found))

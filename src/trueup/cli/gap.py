@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from trueup.cli import options
-from trueup.cli.console import iterations, note, out, track
+from trueup.cli.console import answer, iterations, note, out, track
 from trueup.cli.convert import show_flags
 from trueup.cli.fit_tables import attribution_table
 from trueup.cli.tables import gap_table, verdicts
@@ -103,6 +103,7 @@ def gap(
         seed=seed,
         track=track,
     )
+    answer(measurement.gap)
     shown = _list(metrics) or ["rmse"]
     show_flags(measurement.quality, only_dropped=True)
     people = gap_for_people(measurement.gap)

@@ -9,7 +9,7 @@ import typer
 
 from trueup.cli import options
 from trueup.cli.check import show_findings
-from trueup.cli.console import iterations, note, out, problem, track, warning
+from trueup.cli.console import answer, iterations, note, out, problem, track, warning
 from trueup.cli.fit_tables import model_table, parameter_table, status_line
 from trueup.cli.tables import ladder_table, verdicts
 
@@ -99,6 +99,7 @@ def show(identified: Identified, out_dir: Path) -> None:
     from trueup.report import write_report
 
     fit = identified.fit
+    answer(fit)
     out.print(parameter_table(fit))
     if len(fit.models) > 1:
         out.print(model_table(fit))

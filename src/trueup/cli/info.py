@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,10 +11,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from trueup.cli import options
-from trueup.cli.console import note, out
+from trueup.cli.console import answer, note, out
 
 _MOST_NAMES = 12
-_JSON = typer.Option("--json", help="Print JSON, and nothing else.")
 
 
 def register(app: typer.Typer) -> None:
@@ -31,16 +29,13 @@ def info(
     unit: options.Units = None,
     command_topic: options.CommandTopic = None,
     measured_topic: options.MeasuredTopic = None,
-    as_json: Annotated[bool, _JSON] = False,
 ) -> int:
     """Show what a file or folder holds."""
     from trueup.stages.contents import contents_of
 
     choices = options.reading(mapping, unit, command_topic, measured_topic)
     found = contents_of(path, format=format, options=choices)
-    if as_json:
-        _print_json(found)
-        return 0
+    answer(found)
     for line in _lines(found):
         out.print(line, markup=False)
     for line in [*found.get("notes", ()), *found.get("statements", ())]:
@@ -48,14 +43,12 @@ def info(
     return 0
 
 
-def robots(as_json: Annotated[bool, _JSON] = False) -> int:
+def robots() -> int:
     """List the robots that are known by name."""
     from trueup.stages.contents import robots as known
 
     found = known()
-    if as_json:
-        _print_json(found)
-        return 0
+    answer(found)
     table = Table()
     for name in ("robot", "joints", "driven by", "model", ""):
         table.add_column(name, overflow="fold")
@@ -65,10 +58,6 @@ def robots(as_json: Annotated[bool, _JSON] = False) -> int:
     out.print(table)
     out.print("next: trueup close LOGS --robot NAME; a robot of your own: trueup init MODEL LOGS", markup=False)
     return 0
-
-
-def _print_json(tree: Any) -> None:
-    out.print(json.dumps(tree, indent=2, ensure_ascii=False), markup=False, soft_wrap=True, highlight=False)
 
 
 def _lines(found: Mapping[str, Any]) -> list[str]:

@@ -38,14 +38,14 @@ from trueup.cli import (
     selftest,
     torque,
 )
-from trueup.cli.console import out, problem, volume
+from trueup.cli.console import note, out, problem, volume
 from trueup.core.workers import wait_briefly
 from trueup.errors import TrueupError, how_to_install
 
 app = typer.Typer(
     name="trueup",
     help="Measure, explain and close the sim-to-real gap of a robot from its logs. For every command: --quiet prints "
-    "results, warnings and errors only, --verbose all notes, --debug tracebacks of errors.",
+    "results, warnings and errors only, --verbose all notes, --json the result as JSON, --debug tracebacks of errors.",
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -78,7 +78,7 @@ for module in (
 
 
 # Flags of all commands, wherever they stand.
-_EVERYWHERE = ("--debug", "--quiet", "--verbose")
+_EVERYWHERE = ("--debug", "--quiet", "--verbose", "--json")
 # Letters of a file's name that are shown.
 _NAME = 200
 # What MuJoCo draws with, which it looks at when it is loaded, if only to compute.
@@ -127,7 +127,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     """
     wait_briefly()
     arguments = list(sys.argv[1:] if argv is None else argv)
-    debug, volume.quiet, volume.verbose = (flag in arguments for flag in _EVERYWHERE)
+    debug, quiet, verbose, as_json = (flag in arguments for flag in _EVERYWHERE)
+    volume.set(quiet=quiet, verbose=verbose, json=as_json)
     arguments = [argument for argument in arguments if argument not in _EVERYWHERE] or ["--help"]
     try:
         # typer returns the code of typer.Exit when it does not handle exits by itself
@@ -185,6 +186,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         problem(
             "interrupted", "What was finished is kept: give the same command again, with --resume if it asks for that."
         )
+    if as_json and not volume.answered and code in (None, 0):
+        note("this command has no result to print as JSON")
     raise SystemExit(code if isinstance(code, int) else 0)
 
 

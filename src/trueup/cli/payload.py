@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from trueup.cli import options
-from trueup.cli.console import iterations, note, out, problem, track, warning
+from trueup.cli.console import answer, iterations, note, out, problem, track, warning
 from trueup.core.payload_result import PAYLOAD_NAME, PayloadResult, Weighed
 
 _BY = {"motion": "by the motion", "torque": "by the torques"}
@@ -83,6 +83,7 @@ def payload(
 
 def show(result: PayloadResult) -> None:
     """Mass, center, how well motions are simulated with it, and what to think of it."""
+    answer(result)
     order = sorted(result.ways, key=lambda way: way != result.best)
     for way in order:
         own = result.ways[way]

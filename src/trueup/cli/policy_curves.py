@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from trueup.cli import options
-from trueup.cli.console import out
+from trueup.cli.console import answer, out
 from trueup.errors import OutputExists
 
 
@@ -50,7 +51,9 @@ def curves(
     table.add_column("group", overflow="fold")
     for heading in (draws, "best distance", "best reward", "minutes"):
         table.add_column(heading, justify="right")
-    for row in summaries(trials, by or ()):
+    found = summaries(trials, by or ())
+    answer([asdict(row) for row in found])
+    for row in found:
         table.add_row(
             Text(row.title),
             str(row.runs),

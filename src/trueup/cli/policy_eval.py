@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from trueup.cli import options
-from trueup.cli.console import out, status_line
+from trueup.cli.console import answer, out, status_line
 
 if TYPE_CHECKING:
     from trueup.core.policy_evaluation import PolicyEvaluation
@@ -70,6 +70,7 @@ def evaluate(
             overwrite=overwrite,
             on_episodes=lambda label, place, done, count: line(f"{label}, {place}: {done} of {count} goals"),
         ).evaluation
+    answer(found)
     out.print(_table(found))
     if found.differences:
         out.print(_differences(found))

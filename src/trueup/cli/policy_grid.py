@@ -12,7 +12,7 @@ from rich.table import Table
 
 from trueup.cli import options
 from trueup.cli import policy_config as trained
-from trueup.cli.console import out, status_line, warning
+from trueup.cli.console import answer, out, status_line, warning
 
 if TYPE_CHECKING:
     from trueup.stages.policy_grid import GridResult, GridTrial
@@ -49,10 +49,11 @@ def grid(
     resume: options.Resume = False,
 ) -> int:
     """Train a policy at each point of a grid of settings. Says which of them is best."""
+    from trueup.core.atomic import read_json
     from trueup.core.config import read_yaml
     from trueup.policy.grid import read_grid
     from trueup.robots import load_robot
-    from trueup.stages.policy_grid import search_grid
+    from trueup.stages.policy_grid import GRID_FILE, search_grid
 
     chosen = trained.configured(config, algorithm, randomize, steps, start)
     with status_line() as line:
@@ -71,6 +72,7 @@ def grid(
             resume=resume,
             on_trial=_standing(line),
         )
+    answer(read_json(out_dir / GRID_FILE))
     best = found.ranking[0]
     out.print(_table(found))
     failed = [trial for trial in found.trials if trial.reason]

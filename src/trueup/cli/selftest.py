@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from trueup.cli import options
-from trueup.cli.console import iterations, note, out, problem, track
+from trueup.cli.console import answer, iterations, note, out, problem, track
 from trueup.core.parameters import split_name
 from trueup.core.selftest_result import SELFTEST_VERDICTS, DrawnNumber, DrawnRobot, SelftestResult
 from trueup.errors import OutputExists
@@ -96,6 +96,7 @@ def selftest(
 
 def show(result: SelftestResult) -> None:
     """The numbers, what was cut, and how many would be recovered."""
+    answer(result)
     out.print(robot_table(result.truths[0]) if len(result.truths) == 1 else robots_table(result.truths))
     for line in result.notes:
         note(line)

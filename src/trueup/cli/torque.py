@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from trueup.cli import options
-from trueup.cli.console import note, out, problem, track
+from trueup.cli.console import answer, note, out, problem, track
 from trueup.core.torque_result import RIVALS, TORQUE_METHODS, TorqueResult
 
 _METHOD_WORDS = {"graybox": "gray box", "dynamics": "inverse dynamics"}
@@ -60,6 +60,7 @@ def torque(
         track=track,
     )
     result = explained.result
+    answer(result)
     out.print(torque_table(result))
     for name, why in result.left_out.items():
         note(f"{_METHOD_WORDS.get(name, RIVALS.get(name, name))}: {why}")
