@@ -28,6 +28,9 @@ from trueup.robots import RobotSpec, refuse_unknown_gains
 
 # Share of the time of a cause at which looking for a start ends.
 _SWEEP = 0.4
+# Shares of the gap are told in percent: a search ends when an iteration lowers the cost by less than this share, and
+# after so many of them.
+_ROUGH, _ITERATIONS = 0.005, 8
 _LABELS: Mapping[Cause, str] = {
     "delay": "delay",
     "gains": "gains of the drive",
@@ -142,7 +145,11 @@ class _NestedFits:
         self._segments, self._refused = make_segments(logs["train"], soft.simulator, rule)
         self._motions = [segment.episode_id for segment in self._segments]
         self._weights = Weights(config.weights, config.joints)
-        self._settings = replace(config.solver.settings(seed), solver="gauss-newton", starts=1)
+        settings = config.solver.settings(seed)
+        newton = settings.gauss_newton
+        tolerance, iterations = max(newton.tolerance, _ROUGH), min(newton.max_iterations, _ITERATIONS)
+        newton = replace(newton, tolerance=tolerance, max_iterations=iterations)
+        self._settings = replace(settings, solver="gauss-newton", starts=1, gauss_newton=newton)
         self._chosen: dict[str, object] = {}
         self._values: dict[str, float] = {}
         self._scored_s = sum(log.measured.duration_s for log in logs[split])
