@@ -23,7 +23,7 @@ from trueup.identify.model_search import ModelSearch, TriedModel
 from trueup.identify.problem import Problem, Weights
 from trueup.identify.search import Search, Stopwatch
 from trueup.identify.segments import SegmentRule, make_segments
-from trueup.identify.sensitivity import agreed, distances, invariant, split_shifts, verified
+from trueup.identify.sensitivity import agreed, distances, invariant, jitter_of, split_shifts, verified
 from trueup.identify.solution import Solution, SolveSettings
 from trueup.identify.uncertainty import noise_level, noise_of, precision_of, resolution_of
 
@@ -173,7 +173,7 @@ def test_the_jitter_of_a_simulation_is_no_information(seed):
     z = problem.parameters.start
 
     def central(step):
-        moves = np.diag(distances(step, np.linalg.norm(problem.true, axis=1), weight))
+        moves = np.diag(distances(step, np.linalg.norm(problem.true, axis=1), jitter_of(problem, z)))
         return (problem.residuals(moves) - problem.residuals(-moves)) / (2.0 * np.diag(moves)[:, None])
 
     real = verified(problem, z, agreed(central(0.01), central(0.002)), weight)

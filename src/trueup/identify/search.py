@@ -17,7 +17,7 @@ from trueup.core.time_limit import OutOfTime, TimeLimit
 from trueup.errors import DataError
 from trueup.identify.costs import PenalizedSquares, joint_errors, roles_of
 from trueup.identify.problem import Problem
-from trueup.identify.sensitivity import agreed, distances, verified
+from trueup.identify.sensitivity import agreed, distances, jitter_of, verified
 from trueup.identify.solution import Checkpoint, OnProgress, Progress, Solution, SolveSettings, fingerprint_of
 from trueup.identify.solvers import (
     AskTell,
@@ -268,7 +268,8 @@ class Search:
         # Errors of derivatives over two distances, and at two time steps, are others.
         assert newton.residual is not None
         weight = self._weight(newton.residual)
-        first, second = (distances(step, np.linalg.norm(jacobian, axis=1), weight) for step in _TWO_STEPS)
+        norms, jitter = np.linalg.norm(jacobian, axis=1), jitter_of(search.problem, newton.state.z)
+        first, second = (distances(step, norms, jitter) for step in _TWO_STEPS)
         jacobian = agreed(newton.central_jacobian(first), near.central_jacobian(second))
         newton.polish(verified(search.problem, newton.state.z, jacobian, weight, quick=True))
         jacobian = verified(search.problem, newton.state.z, jacobian, weight)

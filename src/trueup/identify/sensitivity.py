@@ -19,11 +19,11 @@ _FEWEST_DIRECTIONS = 12
 # As near as derivatives are taken, and as far as the residual should have changed by so many standard deviations, but
 # not further than the last; in z of the parameter that moves most.
 _NEAR, _FAR, _FARTHEST = 0.01, 3.0, 1.0
-# A parameter that hardly counts moves further, so that its change is more than the jitter of a simulation: by what
-# should change the residual by one observation, but not by more than so many times as far.
-_FURTHER = 20.0
-# A change that says more than derivatives did has to be so many times as large as its even part, which is no slope.
-_ODD = 3.0
+# Jitter is what moves in z of this size change the residual by, where nothing should change; so many are tried.
+_NOTHING, _TRIED = 1e-7, 5
+# A parameter that hardly counts moves so far that its change is so many times the jitter, but not further than so many
+# times as far as others; and how many times the jitter a change has to be that says more than derivatives did.
+_ABOVE, _FURTHER, _CLEAR = 20.0, 20.0, 3.0
 _ROUNDS = 2
 # Directions of one set that differ by less are not told apart.
 _ALIKE = 0.01
@@ -51,7 +51,7 @@ def verified(
     derivatives nearly cancel, and others in which they do, by the eigenvectors of J J^T with each row of J divided by
     its norm. They are looked for again when these are mended. One set is applied after the other, not all at once: two
     nearly equal directions would be told apart by the errors of their differences. A difference that says more than
-    the derivatives did counts only where it is odd, as slopes are, and not the jitter of the simulation.
+    the derivatives did counts only where it is more than the jitter of the simulation.
 
     Then the residual is simulated as far out as it should have changed by three standard deviations: where it changes
     by less than that, in either sense, |r(z + t v) - r(z)| = rho |t J^T v| with rho < 1, the derivatives along v are
@@ -72,6 +72,7 @@ def verified(
     norms = np.linalg.norm(jacobian, axis=1)
     alive = np.flatnonzero(norms > 0)
     low, high = problem.parameters.bounds
+    jitter = jitter_of(problem, z)
     unit = jacobian[alive] / norms[alive, None]
     own = invariant(problem.parameters, z)[:, alive] * norms[alive]
     own = own[np.linalg.norm(own @ unit, axis=1) < _CANCELED * np.linalg.norm(own, axis=1)]
@@ -86,7 +87,7 @@ def verified(
         own = own / np.linalg.norm(own, axis=1)[:, None]
         directions = np.zeros((len(own), z.size))
         directions[:, alive] = own / norms[alive]
-        reach = 1.0 / np.abs(directions / distances(_NEAR, norms, weight)).max(axis=1)
+        reach = 1.0 / np.abs(directions / distances(_NEAR, norms, jitter)).max(axis=1)
         if far:
             measurable = _FAR * np.sqrt(weight / np.maximum(squares[weak], 1e-300))
             reach = np.clip(measurable, reach, _FARTHEST / np.abs(directions).max(axis=1))
@@ -97,8 +98,8 @@ def verified(
             usable = np.isfinite(changed).all(axis=(0, 2)) & (places == np.stack([z + moves, z - moves])).all(
                 axis=(0, 2)
             )
-            slope, even = (np.linalg.norm(changed[0] + sign * changed[1], axis=1) for sign in (-1.0, 1.0))
-            usable &= (slope > _ODD * even) | (slope < 2 * reach * np.linalg.norm(own @ unit, axis=1))
+            change = 0.5 * np.linalg.norm(changed[0] - changed[1], axis=1)
+            usable &= (change > _CLEAR * jitter) | (change < reach * np.linalg.norm(own @ unit, axis=1))
             own = own[usable]
             slopes = ((changed[0] - changed[1]) / (2 * reach[:, None]))[usable]
             unit = unit + np.linalg.pinv(own, rcond=_ALIKE) @ (slopes - own @ unit)
@@ -115,19 +116,29 @@ def verified(
     return real
 
 
-def distances(step: float, norms: Float64[np.ndarray, "P"], weight: float) -> Float64[np.ndarray, "P"]:
+def jitter_of(problem: Problem, z: Float64[np.ndarray, "P"]) -> float:
+    """What the residual changes by where it should not: by next to nothing in z, in the median of some directions.
+
+    Where dry friction sticks and slips, and where a solver ends after one step more, a simulation jumps a little.
+    """
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (_TRIED, z.size))
+    low, high = problem.parameters.bounds
+    found = problem.slopes(np.concatenate([z[None], np.clip(z + _NOTHING * signs, low, high)]))
+    return float(np.median(np.nan_to_num(np.linalg.norm(found[1:] - found[0], axis=1))))
+
+
+def distances(step: float, norms: Float64[np.ndarray, "P"], jitter: float) -> Float64[np.ndarray, "P"]:
     """How far each parameter is moved for a derivative, (P,), in z: a step, and further if it hardly counts.
 
-    A simulation jitters, by some hundredths of an observation. Divided by the step, that is a derivative, too: of a
-    parameter that counts little, or along a direction in which such a one moves, it would be all there is.
+    The jitter of a simulation, divided by the step, is a derivative, too: of a parameter that counts little, or along a
+    direction in which such a one moves, it would be all there is.
 
     Args:
         step: of parameters that count, in z.
         norms: of the derivatives by each parameter, (P,).
-        weight: variance of one independent observation.
+        jitter: of the residual.
     """
-    one = np.sqrt(weight) / np.maximum(norms, 1e-300)
-    return np.asarray(step * np.clip(one / _NEAR, 1.0, _FURTHER))
+    return np.asarray(step * np.clip(_ABOVE * jitter / np.maximum(norms, 1e-300) / _NEAR, 1.0, _FURTHER))
 
 
 def agreed(one: Float64[np.ndarray, "P N"], other: Float64[np.ndarray, "P N"]) -> Float64[np.ndarray, "P N"]:
