@@ -80,7 +80,7 @@ def test_a_payload_is_looked_for_amid_what_carries_it_or_at_its_site(tmp_path):
 def test_a_payload_that_nobody_has_described_is_found_and_masses_stay_where_they_are(tmp_path):
     robot, model, logs = arm_logs(tmp_path, Lack(payload_kg=0.4), seconds=3.0)
     models = {"payload": IdentifyConfig().resolved(Nominal(robot, model)).models["payload"]}
-    some = {"train": logs["train"], "val": logs["val"][:1]}
+    some = {"train": logs["train"][:2], "val": logs["val"][:1]}
     found = identify(some, robot, model, config=IdentifyConfig(models=models)).result
     assert next(row.name for row in found.models if row.chosen) == "payload"
     payload = found["payload_mass"]

@@ -73,8 +73,8 @@ def assumption_shifts(
     ends = np.stack([np.clip(here + sign * moves, low, high) for sign in (1.0, -1.0)])
     seen = np.empty((2, count, jacobian.shape[1]))
     # Drives saturate for moments that a larger time step does not see.
-    short = np.array([item.quantity == "torque_limit" for item in assumed])
-    for own, simulated in ((~short, wider.slopes), (short, wider.residuals)):
+    short, fine = np.array([item.quantity == "torque_limit" for item in assumed]), wider.alone()
+    for own, simulated in ((~short, wider.slopes), (short, fine.residuals)):
         if own.any():
             seen[:, own] = simulated(ends[:, own].reshape(-1, here.size)).reshape(2, -1, jacobian.shape[1])
     away = (ends[0] - ends[1])[np.arange(count), z.size + np.arange(count)]
@@ -86,7 +86,7 @@ def assumption_shifts(
     if short.any():
         # These moments have kinks, where single derivatives do not add up to what all torques do together.
         scale = invariant(wider.parameters, here)[:1]
-        one, other = wider.residuals(np.concatenate([here + _NEAR * scale, here - _NEAR * scale]))
+        one, other = fine.residuals(np.concatenate([here + _NEAR * scale, here - _NEAR * scale]))
         known, slopes = np.concatenate([known, scale]), np.vstack([slopes, np.nan_to_num(one - other) / (2.0 * _NEAR)])
     known, unit = known * size, both / size[:, None]
     both = (unit + np.linalg.pinv(known) @ (slopes - known @ unit)) * size[:, None]

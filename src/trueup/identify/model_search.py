@@ -42,7 +42,7 @@ from trueup.identify.search import Search, Stopwatch
 from trueup.identify.segments import usable
 from trueup.identify.sensitivity import late_shifts, split_shifts
 from trueup.identify.simulated_logs import SimulatedLogs
-from trueup.identify.solution import OnModel, Solution, SolveSettings
+from trueup.identify.solution import OnModel, Solution
 from trueup.identify.solve import solve
 from trueup.identify.start import idle_names, off_bounds, regressed_start, servo_regressed, swept_start
 from trueup.identify.suspects import strange_masses, suspects_of
@@ -269,7 +269,7 @@ class ModelSearch:
         search = Search(problem, self._settings, Stopwatch(), checkpoint=None, on_progress=None)
         try:
             with problem.ending(self._until(_SURE)):
-                solution = replace(found, **search.certain(found.z, self.logs.sharp(found.parameters)))
+                solution = replace(found, **search.certain(found.z))
         except OutOfTime:
             return None
         self.logs.begin_at(solution.values, problem.starts)
@@ -775,10 +775,7 @@ class ModelSearch:
                 "no parameter is left to fit", got="; ".join(self.seen.statements) or "all are frozen"
             )
         report, prepared_s = self._on_progress, time.perf_counter() - began
-        known = None
-        if start is not None:
-            problem, settings, known = self._led(problem, settings, start, rough=rough)
-        solution = known or solve(
+        solution = solve(
             problem,
             settings,
             checkpoint=self._checkpoints / f"{name}.json" if self._checkpoints else None,
@@ -806,32 +803,6 @@ class ModelSearch:
             solution,
             self._on_val(solution),
         )
-
-    def _led(
-        self, problem: Problem, settings: SolveSettings, before: Solution, *, rough: bool
-    ) -> tuple[Problem, SolveSettings, Solution | None]:
-        """What is left to do where another search for the same numbers has ended.
-
-        That one has looked over long distances. Its derivatives lead to the minimum of any problem nearby, and if they
-        promise nothing more there, that is the end of a rough search.
-        """
-        own, its = ([item.name for item in parameters.free] for parameters in (problem.parameters, before.parameters))
-        if settings.solver != "gauss-newton" or before.solver["stop"] != "converged":
-            return problem, settings, None
-        if not set(own) <= set(its) or before.residual.size != problem.size:
-            return problem, settings, None
-        jacobian = before.jacobian[[its.index(name) for name in own]]
-        search = Search(problem, settings, Stopwatch(), checkpoint=None, on_progress=None)
-        try:
-            with problem.ending(self._until(_SURE)):
-                weight = noise_of(problem, before.residual).weight
-                found, promised = search.going_on(problem.parameters.start, jacobian, weight)
-        except (DataError, OutOfTime):
-            return problem, settings, None
-        if rough and promised < settings.gauss_newton.tolerance:
-            return problem, settings, found
-        last = replace(settings.gauss_newton, steps=settings.gauss_newton.steps[-1:])
-        return problem.with_parameters(problem.parameters.at(found.values)), replace(settings, gauss_newton=last), None
 
     def _until(self, spent: float) -> TimeLimit | None:
         return None if self._limit is None else self._limit.until(spent)

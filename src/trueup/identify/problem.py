@@ -202,9 +202,9 @@ class Problem:
             self.coarse.restart(z)
         return True
 
-    def with_slopes_of(self, other: Problem | None) -> Problem:
-        """The same with the derivatives of another one, or its own if there is none, and its limit of time."""
-        return self._like(starts=self.starts, coarse=other)
+    def alone(self) -> Problem:
+        """The same with derivatives at its own time step, and its limit of time."""
+        return self.with_starts(self.starts)
 
     def with_starts(self, starts: Mapping[Segment, WindowStarts]) -> Problem:
         """The same with other starts of the windows, simulated at its own time step alone."""

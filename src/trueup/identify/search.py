@@ -17,7 +17,7 @@ from trueup.core.time_limit import OutOfTime, TimeLimit
 from trueup.errors import DataError
 from trueup.identify.costs import PenalizedSquares, joint_errors, roles_of
 from trueup.identify.problem import Problem
-from trueup.identify.sensitivity import agreed, distances, jitter_of, verified
+from trueup.identify.sensitivity import agreed, verified
 from trueup.identify.solution import Checkpoint, OnProgress, Progress, Solution, SolveSettings, fingerprint_of
 from trueup.identify.solvers import (
     AskTell,
@@ -39,7 +39,7 @@ HARDLY = 0.01
 # Derivatives over a distance so many times as long differ by less than this share of their size, or show no slope.
 _LONGER, _SAME = 10.0, 0.5
 _STEP = ("evaluations", "cost", "seconds")
-# Of central differences, in z: by themselves, and of the two that have to agree.
+# Of central differences, in z: of those that lead, and of the two that have to agree.
 _CERTAIN_STEP, _TWO_STEPS = 0.004, (0.01, 0.002)
 # Descents to the minimum of verified derivatives, at most; after how many of them these are taken anew; and the promise
 # of a further one that is not worth it, in observations.
@@ -200,48 +200,25 @@ class Search:
         Raises:
             DataError: the model cannot be simulated at z, or has other samples.
         """
-        newton, _ = self._led(z, jacobian, weight)
-        assert newton.residual is not None
-        return newton.state.z, newton.residual
-
-    def going_on(
-        self, z: Float64[np.ndarray, "P"], jacobian: Float64[np.ndarray, "P N"], weight: float
-    ) -> tuple[Solution, float]:
-        """The end that given derivatives lead to, and by what share they promise another step lowers the cost there.
-
-        Args:
-            z: where to begin, (P,).
-            jacobian: derivatives near z, (P, N).
-            weight: variance of one observation at the minimum, which the prior is weighed against.
-
-        Raises:
-            DataError: the model cannot be simulated at z, or has other samples.
-        """
-        newton, moved = self._led(z, jacobian, weight)
-        return self._solution("gauss-newton", "converged", 1, newton, moved), newton.promised(moved)
-
-    def _led(
-        self, z: Float64[np.ndarray, "P"], jacobian: Float64[np.ndarray, "P N"], weight: float
-    ) -> tuple[GaussNewton, Float64[np.ndarray, "P N"]]:
-        """A search at the minimum that given derivatives lead to, and these as its steps have mended them."""
         newton = self._derivatives(GaussNewtonState(z))
         begun = newton.begin()
         if begun.shape != jacobian.shape[1:]:
             raise DataError("other samples", got=begun.size, expected=jacobian.shape[1])
-        moved = newton.polish(jacobian, weight)
+        newton.polish(jacobian, weight)
         if begun @ begun > _FAR_AWAY * newton.state.square:
-            moved = newton.polish(newton.jacobian(self.settings.gauss_newton.steps[-1]), weight)
+            newton.polish(newton.jacobian(self.settings.gauss_newton.steps[-1]), weight)
         for _ in range(_RESTARTS):
             before = newton.state.cost
             if not self.problem.restart(newton.state.z, coarse=False):
                 break
             newton.renew()
-            moved = newton.polish(jacobian, weight)
+            newton.polish(jacobian, weight)
             if before - newton.state.cost < _GAINED * weight:
                 break
-        return newton, moved
+        assert newton.residual is not None
+        return newton.state.z, newton.residual
 
-    def certain(self, z: Float64[np.ndarray, "P"], sharp: Problem | None = None) -> dict[str, Any]:
+    def certain(self, z: Float64[np.ndarray, "P"]) -> dict[str, Any]:
         """`z`, `residual`, `jacobian` and `rms` of a solution with verified derivatives, at the minimum that these see.
 
         Where derivatives were those of a larger time step, they lead near the minimum, and those of the step itself to
@@ -251,7 +228,6 @@ class Search:
 
         Args:
             z: where a search has ended, (P,).
-            sharp: the same problem with another time step than that of its derivatives, if it has no other itself.
 
         Raises:
             DataError: the model cannot be simulated there.
@@ -259,18 +235,15 @@ class Search:
         search = self
         near, jacobian = self._settled(z, _POLISHED)
         newton = near
-        if self.problem.coarse is not None or sharp is not None:
-            search = Search(
-                self.problem.with_slopes_of(sharp), self.settings, self.clock, checkpoint=None, on_progress=None
-            )
+        if self.problem.coarse is not None:
+            search = Search(self.problem.alone(), self.settings, self.clock, checkpoint=None, on_progress=None)
             newton, _ = search._settled(near.state.z, _FINISHED, jacobian)
             self.problem.starts = search.problem.starts
         # Errors of derivatives over two distances, and at two time steps, are others.
+        first, second = _TWO_STEPS
+        jacobian = agreed(newton.central_jacobian(first), near.central_jacobian(second))
         assert newton.residual is not None
         weight = self._weight(newton.residual)
-        norms, jitter = np.linalg.norm(jacobian, axis=1), jitter_of(search.problem, newton.state.z)
-        first, second = (distances(step, norms, jitter) for step in _TWO_STEPS)
-        jacobian = agreed(newton.central_jacobian(first), near.central_jacobian(second))
         newton.polish(verified(search.problem, newton.state.z, jacobian, weight, quick=True))
         jacobian = verified(search.problem, newton.state.z, jacobian, weight)
         counted, factor = as_least_squares(self.problem, newton.residual, self._loss(newton.residual))
@@ -281,7 +254,7 @@ class Search:
         self, z: Float64[np.ndarray, "P"], rounds: int, jacobian: Float64[np.ndarray, "P N"] | None = None
     ) -> tuple[GaussNewton, Float64[np.ndarray, "P N"]]:
         """A search at the minimum near z, and derivatives that agree with its last steps; it begins with given ones."""
-        newton, fresh = self._derivatives(GaussNewtonState(z)), jacobian is None
+        newton = self._derivatives(GaussNewtonState(z))
         if jacobian is None:
             jacobian = newton.central_jacobian(_CERTAIN_STEP)
         weight = self._weight(newton.begin())
@@ -292,13 +265,9 @@ class Search:
             jacobian = verified(self.problem, newton.state.z, jacobian, weight, quick=True)
             if number and newton.promised(jacobian) * newton.state.cost < _SETTLED * weight:
                 break
-            jacobian = newton.polish(jacobian)
-            stuck = newton.gained < _SETTLED * weight
-            if stuck and fresh:
-                break  # there is no such descent
-            fresh = (stuck or number % _AGAIN == _AGAIN - 1) and number < rounds - 1
-            if fresh:
-                jacobian = newton.central_jacobian(_CERTAIN_STEP)
+            moved = newton.polish(jacobian)
+            again = number % _AGAIN == _AGAIN - 1 and number < rounds - 1
+            jacobian = newton.central_jacobian(_CERTAIN_STEP) if again else moved
         return newton, jacobian
 
     def at_minimum(self, descent: Descent) -> bool:

@@ -19,11 +19,6 @@ _FEWEST_DIRECTIONS = 12
 # As near as derivatives are taken, and as far as the residual should have changed by so many standard deviations, but
 # not further than the last; in z of the parameter that moves most.
 _NEAR, _FAR, _FARTHEST = 0.01, 3.0, 1.0
-# Jitter is what moves in z of this size change the residual by, where nothing should change; so many are tried.
-_NOTHING, _TRIED = 1e-7, 5
-# A parameter that hardly counts moves so far that its change is so many times the jitter, but not further than so many
-# times as far as others; and how many times the jitter a change has to be that says more than derivatives did.
-_ABOVE, _FURTHER, _CLEAR = 20.0, 20.0, 3.0
 _ROUNDS = 2
 # Directions of one set that differ by less are not told apart.
 _ALIKE = 0.01
@@ -50,8 +45,7 @@ def verified(
     and D their differences as rows, J <- J + pinv(V) (D - V J). Directions are those of `invariant` along which
     derivatives nearly cancel, and others in which they do, by the eigenvectors of J J^T with each row of J divided by
     its norm. They are looked for again when these are mended. One set is applied after the other, not all at once: two
-    nearly equal directions would be told apart by the errors of their differences. A difference that says more than
-    the derivatives did counts only where it is more than the jitter of the simulation.
+    nearly equal directions would be told apart by the errors of their differences.
 
     Then the residual is simulated as far out as it should have changed by three standard deviations: where it changes
     by less than that, in either sense, |r(z + t v) - r(z)| = rho |t J^T v| with rho < 1, the derivatives along v are
@@ -72,7 +66,6 @@ def verified(
     norms = np.linalg.norm(jacobian, axis=1)
     alive = np.flatnonzero(norms > 0)
     low, high = problem.parameters.bounds
-    jitter = jitter_of(problem, z)
     unit = jacobian[alive] / norms[alive, None]
     own = invariant(problem.parameters, z)[:, alive] * norms[alive]
     own = own[np.linalg.norm(own @ unit, axis=1) < _CANCELED * np.linalg.norm(own, axis=1)]
@@ -87,10 +80,10 @@ def verified(
         own = own / np.linalg.norm(own, axis=1)[:, None]
         directions = np.zeros((len(own), z.size))
         directions[:, alive] = own / norms[alive]
-        reach = 1.0 / np.abs(directions / distances(_NEAR, norms, jitter)).max(axis=1)
+        reach = _NEAR / np.abs(directions).max(axis=1)
         if far:
             measurable = _FAR * np.sqrt(weight / np.maximum(squares[weak], 1e-300))
-            reach = np.clip(measurable, reach, _FARTHEST / np.abs(directions).max(axis=1))
+            reach = np.clip(measurable, reach, reach * _FARTHEST / _NEAR)
         moves = directions * reach[:, None]
         places = np.clip(np.stack([z + moves, z - moves]), low, high)
         changed = _changes(problem, z, places)
@@ -98,8 +91,6 @@ def verified(
             usable = np.isfinite(changed).all(axis=(0, 2)) & (places == np.stack([z + moves, z - moves])).all(
                 axis=(0, 2)
             )
-            change = 0.5 * np.linalg.norm(changed[0] - changed[1], axis=1)
-            usable &= (change > _CLEAR * jitter) | (change < reach * np.linalg.norm(own @ unit, axis=1))
             own = own[usable]
             slopes = ((changed[0] - changed[1]) / (2 * reach[:, None]))[usable]
             unit = unit + np.linalg.pinv(own, rcond=_ALIKE) @ (slopes - own @ unit)
@@ -114,31 +105,6 @@ def verified(
     real = jacobian.copy()
     real[alive] = unit * norms[alive, None]
     return real
-
-
-def jitter_of(problem: Problem, z: Float64[np.ndarray, "P"]) -> float:
-    """What the residual changes by where it should not: by next to nothing in z, in the median of some directions.
-
-    Where dry friction sticks and slips, and where a solver ends after one step more, a simulation jumps a little.
-    """
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], (_TRIED, z.size))
-    low, high = problem.parameters.bounds
-    found = problem.slopes(np.concatenate([z[None], np.clip(z + _NOTHING * signs, low, high)]))
-    return float(np.median(np.nan_to_num(np.linalg.norm(found[1:] - found[0], axis=1))))
-
-
-def distances(step: float, norms: Float64[np.ndarray, "P"], jitter: float) -> Float64[np.ndarray, "P"]:
-    """How far each parameter is moved for a derivative, (P,), in z: a step, and further if it hardly counts.
-
-    The jitter of a simulation, divided by the step, is a derivative, too: of a parameter that counts little, or along a
-    direction in which such a one moves, it would be all there is.
-
-    Args:
-        step: of parameters that count, in z.
-        norms: of the derivatives by each parameter, (P,).
-        jitter: of the residual.
-    """
-    return np.asarray(step * np.clip(_ABOVE * jitter / np.maximum(norms, 1e-300) / _NEAR, 1.0, _FURTHER))
 
 
 def agreed(one: Float64[np.ndarray, "P N"], other: Float64[np.ndarray, "P N"]) -> Float64[np.ndarray, "P N"]:

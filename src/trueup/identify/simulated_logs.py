@@ -19,9 +19,6 @@ from trueup.identify.problem import Problem, Weights
 from trueup.identify.segments import Segment, make_segments
 from trueup.identify.window_starts import WindowStarts, window_starts
 
-# Divisors of the model's time step at which derivatives that are told of certainty are taken: least and most.
-_SHARP = 2, 4
-
 
 class SimulatedLogs:
     """Motions, the pieces of them that a fit looks at, their weights, and the way in which they are simulated.
@@ -117,16 +114,6 @@ class SimulatedLogs:
             self._first = self._first or [self._starts[way][own] for own in segments if own in self._starts[way]]
         problem.starts = self._starts[way]
         return problem
-
-    def sharp(self, parameters: ParameterSet) -> Problem | None:
-        """The fit with a time step that has less error than that of its derivatives, and takes less time than its own.
-
-        None where its own is such a step, or the logs are simulated as the model came.
-        """
-        divisor = int(np.clip(self.way.divisor, *_SHARP))
-        if not self.way.trapezoidal or divisor == self.way.divisor:
-            return None
-        return self.problem(parameters, replace(self.way, divisor=divisor))
 
     def held_out(self, parameters: ParameterSet, way: Discretization | None = None) -> Problem | None:
         """The motions of val, simulated as those of the fit; None without."""

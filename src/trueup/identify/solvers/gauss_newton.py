@@ -161,7 +161,6 @@ class GaussNewton:
 
     Attributes:
         residual: at the best parameters, None before the first step.
-        gained: by how much the last `polish` has lowered the cost.
     """
 
     def __init__(
@@ -190,7 +189,6 @@ class GaussNewton:
         self._logarithmic = np.zeros(low.size, dtype=bool) if logarithmic is None else logarithmic
         self.settings = settings or GaussNewtonSettings()
         self.residual: Float64[np.ndarray, "N"] | None = None
-        self.gained = 0.0
         self._loss = Loss()
         self._latest: Float64[np.ndarray, "P N"] | None = None
 
@@ -285,7 +283,7 @@ class GaussNewton:
         assert self.residual is not None
         self._loss = self.loss_of(self.residual)
         weight = self._prior_weight(self.residual) if weight is None else weight
-        state.cost = begun = self._cost(self.residual, state.z, weight)
+        state.cost = self._cost(self.residual, state.z, weight)
         for _ in range(_POLISHED):
             normal, gradient = self._normal(jacobian, weight)
             if _expected(normal, gradient, self._bounded_step(normal, gradient, _UNDAMPED[0])) < _SETTLED * weight:
@@ -300,7 +298,7 @@ class GaussNewton:
             state.z, state.cost, self.residual = move.z, move.cost, move.residual
             if gained < _SETTLED * weight:
                 break
-        state.square, self.gained = float(self.residual @ self.residual), begun - state.cost
+        state.square = float(self.residual @ self.residual)
         return jacobian
 
     def _best_move(self, jacobian: Float64[np.ndarray, "P N"], weight: float, *, fresh: bool) -> _Move | None:
@@ -368,25 +366,21 @@ class GaussNewton:
         A parameter at its upper bound is moved down; one whose candidate cannot be simulated is moved the other way,
         and has derivative zero if that fails too.
         """
-        return self._differences(self.state.z, np.asarray(step))
+        return self._differences(self.state.z, step)
 
-    def central_jacobian(self, step: float | Float64[np.ndarray, "P"]) -> Float64[np.ndarray, "P N"]:
+    def central_jacobian(self, step: float) -> Float64[np.ndarray, "P N"]:
         """The same by central differences, whose error is of order step^2; one-sided next to a bound.
-
-        Args:
-            step: of all parameters, or of each, (P,).
 
         Raises:
             DataError: the model cannot be simulated here.
         """
         if self.residual is None:
             self._start()
-        return self._differences(self.state.z, np.asarray(step), central=True)
+        return self._differences(self.state.z, step, central=True)
 
     def _differences(
-        self, z: Float64[np.ndarray, "P"], step: Float64[np.ndarray, "*P"], *, central: bool = False
+        self, z: Float64[np.ndarray, "P"], step: float, *, central: bool = False
     ) -> Float64[np.ndarray, "P N"]:
-        step = np.broadcast_to(step, z.shape)
         signs = np.where(z + step <= self.high, 1.0, -1.0)
         signs[(signs < 0) & (z - step < self.low)] = 1.0
         # One row per color: parameters of one color change different residuals.
@@ -480,7 +474,7 @@ class GaussNewton:
             return self.jacobian(step)
         if self._latest is None:
             # A resumed search has the same derivatives as one that was not interrupted.
-            self._latest = self._differences(place, np.asarray(step))
+            self._latest = self._differences(place, step)
         return self._latest
 
     def promised(self, jacobian: Float64[np.ndarray, "P N"]) -> float:
