@@ -18,6 +18,7 @@ import pytest
 from cli.hidden_packages import without
 from trueup import cli
 from trueup.cli import options
+from trueup.cli.console import out
 from trueup.cli.main import main
 from trueup.core.results import GapResult, Ladder
 from trueup.dataset import Dataset, DatasetWriter
@@ -320,6 +321,7 @@ def test_json_is_the_result_and_nothing_else(run, demo):
     found = json.loads(printed)
     assert found["schema"].startswith("trueup.gap/")
     assert set(found["runs"]) >= {"command"}
+    assert not out.quiet  # for what the same process prints afterwards
     code, printed, err = run("export", demo, "--format", "csv", "--out", demo.parent / "as-csv", "--json")
     assert (code, printed) == (0, "")
     assert "no result to print as JSON" in err

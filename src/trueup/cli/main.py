@@ -125,8 +125,15 @@ def main(argv: Sequence[str] | None = None) -> None:
 
     0: done; 1: a bug in trueup; 2: bad input; 3: a bar was not met or nothing could be identified; 130: Ctrl-C.
     """
+    try:
+        _run(list(sys.argv[1:] if argv is None else argv))
+    finally:  # what else this process prints has no flags
+        volume.set(quiet=False, verbose=False, json=False)
+
+
+def _run(arguments: list[str]) -> None:
+    """One command, until `SystemExit`."""
     wait_briefly()
-    arguments = list(sys.argv[1:] if argv is None else argv)
     debug, quiet, verbose, as_json = (flag in arguments for flag in _EVERYWHERE)
     volume.set(quiet=quiet, verbose=verbose, json=as_json)
     arguments = [argument for argument in arguments if argument not in _EVERYWHERE] or ["--help"]
