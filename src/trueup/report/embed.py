@@ -86,9 +86,9 @@ def fit_to_budget(episodes: Sequence[EpisodeTraces], *, budget_bytes: int = BUDG
 def pack(episodes: Sequence[EpisodeTraces]) -> Packed:
     """Curves as integers: a value is middle + step * code.
 
-    Measured curves are coded by themselves, others by their difference from it, since that is drawn, too. Each code
-    stands as its change from the one before, with the sign in the last bit; first the low bytes of all, then the high
-    ones, which are mostly zero.
+    The measured curve is coded by itself, the others by their difference from it, which is drawn, too; where it has no
+    value, by that from its middle. Each code stands as its change from the one before, with the sign in the last bit;
+    first the low bytes of all, then the high ones, which are mostly zero.
     """
     changes: list[Int64[np.ndarray, "K"]] = []
     index = []
@@ -112,8 +112,10 @@ def _coded_of(trace: Trace) -> Iterator[Float[np.ndarray, "K"]]:
     """The clock, and for each curve what is coded of it, in the order of `trace.curves`."""
     yield trace.time_s.astype(np.float64)
     measured = trace.curves[MEASURED].astype(np.float64)
+    _, (middle, _) = _codes(measured)
+    base = np.where(np.isfinite(measured), measured, middle)
     for label, values in trace.curves.items():
-        yield measured if label == MEASURED else values - measured
+        yield measured if label == MEASURED else values - base
 
 
 def _codes(values: Float[np.ndarray, "K"]) -> tuple[Int64[np.ndarray, "K"], list[float]]:

@@ -30,8 +30,10 @@
     return data.episodes.map((episode) => episode.traces.map((item) => {
       const [time, ...taken] = item.codes.map((code) => take(item.rows, code));
       const values = Object.fromEntries(item.curves.map((label, number) => [label, taken[number]]));
+      const [middle] = item.codes[1 + item.curves.indexOf("measured")];
+      const base = values.measured.map((value) => (Number.isNaN(value) ? middle : value));
       for (const label of item.curves)
-        if (label !== "measured") values[label].forEach((away, row) => { values[label][row] = values.measured[row] + away; });
+        if (label !== "measured") values[label] = values[label].map((away, row) => base[row] + away);
       return { ...item, time, values };
     }));
   }
