@@ -1,8 +1,9 @@
-"""How narrow intervals can be: what logs say of a robot's numbers if time step, timing and all else are known.
+"""How narrow intervals can be: what logs say of a robot's numbers if time step and timing are known.
 
 The Cramer-Rao bound at the truth, with the priors that the fit has: derivatives of the readings by every number that
-the fit has left free, in plain MuJoCo at the fine step, and none of the package's simulators. A robot that is simulated
-piece by piece begins each at a state of which only the readings are known.
+the fit has left free, in plain MuJoCo at the fine step, and none of the package's simulators. The largest torque of a
+drive is known to a tenth, as it is to the fit: one that saturates would otherwise tell the scale of all torques. A
+robot that is simulated piece by piece begins each at a state of which only the readings are known.
 """
 
 from __future__ import annotations
@@ -25,14 +26,19 @@ from benchmarks.foreign_truth import TORQUE_NOISE, numbers
 from trueup.core.parameters import Parameter
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import IdentifyConfig, make_parameters
+from trueup.identify.quantities import quantity
 from trueup.robots import load_robot
 
 # Of differences, in z, and of states at the begin of windows, in rad (m) and rad/s (m/s).
 _STEP, _STATE_STEP = 0.01, 1e-4
+# How well a drive's largest torque is known, one standard deviation of its logarithm.
+_LIMIT = 0.1
 # Of torque-driven robots, as their robot.yaml says [s].
 _WINDOW_S = 0.5
 # Half of 95 % of a normal distribution.
 _WIDE = 1.96
+# Fields of `Numbers` that have another name than their quantity.
+_FIELDS = {"torque_limit": "limit"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +69,15 @@ def intervals(case: Case, seed: int, folder: Path, motions: Sequence[int], free:
     nominal = Nominal(load_robot(folder / "robot.yaml"), folder / "model.xml")
     known = {item.name: item for item in make_parameters(IdentifyConfig().resolved(nominal).fit, nominal)}
     items, truth = [known[name] for name in free], Truth(case, seed, folder, motions)
+    made = quantity("torque_limit")
+    limits = [made.parameter(nominal, joint) for joint in case.joints if joint in made.holders(nominal)]
+    items += [replace(item, prior_std=_LIMIT) for item in limits if item.name not in free]
     slopes = np.array([truth.slope(item) for item in items])
     information = slopes @ slopes.T - truth.lost(slopes)
     information += np.diag([0.0 if item.prior_std is None else item.prior_std**-2.0 for item in items])
     reach = _WIDE * np.sqrt(np.diag(np.linalg.pinv(information, hermitian=True)))
     rows = []
-    for item, own in zip(items, reach, strict=True):
+    for item, own in zip(items[: len(free)], reach, strict=False):
         value = truth.value(item.name)
         low, high = (_at(item, value, side * own) for side in (-1.0, 1.0))
         row = {"name": item.name, "value": value, "low": low, "high": high, "truth": value}
@@ -93,12 +102,12 @@ class Truth:
 
     def value(self, name: str) -> float:
         """The true value of a number that a fit may change."""
-        quantity, target = _split(name)
-        if quantity.startswith("com_"):
-            return float(self._model.body(target).ipos["xyz".index(quantity[-1])])
-        if quantity in ("mass", "inertia_scale"):
-            return self._true.mass[target] if quantity == "mass" else 1.0
-        return float(getattr(self._true, quantity)[self._case.joints.index(target)])
+        kind, target = _split(name)
+        if kind.startswith("com_"):
+            return float(self._model.body(target).ipos["xyz".index(kind[-1])])
+        if kind in ("mass", "inertia_scale"):
+            return self._true.mass[target] if kind == "mass" else 1.0
+        return float(getattr(self._true, _FIELDS.get(kind, kind))[self._case.joints.index(target)])
 
     def slope(self, item: Parameter) -> np.ndarray:
         """Derivatives of all readings by one number, in z, (N,)."""
@@ -161,26 +170,26 @@ class Truth:
         """The true numbers and model with other values."""
         true, case = self._true, self._case
         for name, value in changed.items():
-            quantity, target = _split(name)
-            if quantity == "mass":
+            kind, target = _split(name)
+            if kind == "mass":
                 true = replace(true, mass={**true.mass, target: value})
-            elif quantity in Numbers.__dataclass_fields__:
+            elif (field := _FIELDS.get(kind, kind)) in Numbers.__dataclass_fields__:
                 here = np.array([joint == target for joint in case.joints])
-                true = replace(true, **{quantity: np.where(here, value, getattr(true, quantity))})
+                true = replace(true, **{field: np.where(here, value, getattr(true, field))})
         model = true_model(self._path, case, true, {}, drives=True)
         for name, value in changed.items():
-            quantity, target = _split(name)
-            if quantity.startswith("com_"):
-                model.body(target).ipos["xyz".index(quantity[-1])] = value
-            elif quantity == "inertia_scale":
+            kind, target = _split(name)
+            if kind.startswith("com_"):
+                model.body(target).ipos["xyz".index(kind[-1])] = value
+            elif kind == "inertia_scale":
                 model.body(target).inertia[:] *= value
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return true, model
 
 
 def _split(name: str) -> tuple[str, str]:
-    quantity, _, target = name.removesuffix("]").partition("[")
-    return quantity, target
+    kind, _, target = name.removesuffix("]").partition("[")
+    return kind, target
 
 
 def _at(item: Parameter, value: float, step: float) -> float:

@@ -39,7 +39,8 @@ Each case is drawn with {seeds} seeds and identified without any configuration:
 
 A parameter is *called determined* if it was fitted, with `identified: yes`; it *holds the truth* if its interval does.
 *Error* is relative and of positive quantities only. The narrowest widths are the Cramér-Rao bound at the
-truth with the fit's priors, of seed {oracle_seed}.
+truth with the fit's priors, of seed {oracle_seed}: time step and timing are known, and the torque limits of the drives
+to 10 %, as in the fit.
 
 ## Group A: the model can be right
 

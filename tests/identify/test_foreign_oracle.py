@@ -72,3 +72,27 @@ def test_more_motions_tell_more_and_unknown_states_less(made):
         assert np.linalg.eigvalsh(slopes @ slopes.T - lost).min() > 0
     else:
         assert not lost.any()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("made", ["velocity"], indirect=True)
+@pytest.mark.parametrize("share", [20.0, 0.5])
+def test_a_largest_torque_that_is_known_to_a_tenth_tells_less_where_a_drive_saturates(made, share, monkeypatch):
+    """With limits at half of what the motions ask for, and with some that none reaches."""
+    case, folder, true = made
+    full = replace(
+        true, limit=share * np.abs(simulate(case, folder / "model.xml", true, 0, cause={}).torque).max((0, 1)) * 1.01
+    )
+    monkeypatch.setattr("benchmarks.foreign_oracle.numbers", lambda *_: (None, full, None))
+    names = [f"{name}[{joint}]" for name in ("kv", "frictionloss") for joint in case.joints]
+
+    def widths():
+        rows = intervals(case, 0, folder, [0], names)
+        assert [row["name"] for row in rows] == names
+        return np.log([row["high"] / row["low"] for row in rows])
+
+    now = widths()
+    monkeypatch.setattr("benchmarks.foreign_oracle._LIMIT", 1e-6)
+    ratio = now / widths()
+    assert ratio.min() > 0.999
+    assert (ratio.max() > 2.0) == (share < 1.0)

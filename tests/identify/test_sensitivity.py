@@ -142,6 +142,50 @@ def test_to_look_along_a_direction_adds_no_information_that_is_not_there(shown, 
     assert np.linalg.norm(real - problem.true) < 0.05 * np.linalg.norm(problem.true)
 
 
+class Jittering(Kinked):
+    """Four strong numbers whose common factor shows next to nothing, eight weak ones, and a simulation that jitters."""
+
+    OBSERVATION = 1e-3
+
+    def __init__(self, seed):
+        rng = np.random.default_rng(seed)
+        self.coarse, self.starts, self.seed = None, {}, seed
+        self.parameters = ParameterSet(
+            tuple(Parameter(f"com_x[{number}]", 0.0, "m", -10.0, 10.0, prior_std=1.0) for number in range(12))
+        )
+        self.true = self._rows(rng, 12, np.geomspace(5.0, 0.02, 12)[:, None])
+        self.true[:3] = self._rows(rng, 3, 5000.0)
+        self.true[3] = self._rows(rng, 1, 2.0)[0] - self.true[:3].sum(axis=0)
+
+    def _rows(self, rng, count, size):
+        drawn = rng.standard_normal((count, 400))
+        return size * self.OBSERVATION * drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
+
+    def residuals(self, z):
+        jitter = [self._rows(np.random.default_rng([self.seed, *row.view(np.uint32)]), 1, 0.05)[0] for row in z]
+        return z @ self.true + np.array(jitter)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_jitter_of_a_simulation_is_no_information(seed):
+    """A direction in which a number moves that hardly counts is a tiny step for the others: jitter over it is huge."""
+    problem, weight = Jittering(seed), Jittering.OBSERVATION**2
+    z = problem.parameters.start
+
+    def central(step):
+        moves = step * np.eye(12)
+        return (problem.residuals(moves) - problem.residuals(-moves)) / (2.0 * step)
+
+    real = verified(problem, z, agreed(central(0.01), central(0.002)), weight)
+    factor = np.array([1.0] * 4 + [0.0] * 8)
+    assert np.linalg.norm(factor @ real) < 15.0 * Jittering.OBSERVATION
+    # What counts is seen as it is.
+    sizes = np.linalg.norm(real, axis=1) / np.linalg.norm(problem.true, axis=1)
+    assert sizes[:4] == pytest.approx(1.0, rel=0.02)
+    # What hardly counts is not called known.
+    assert np.linalg.norm(real[4:], axis=1).max() < 4.0 * Jittering.OBSERVATION
+
+
 def test_with_masses_that_are_known_the_scale_is_seen(pendulum):
     problem = problem_of(pendulum, SCALED[:-1])
     z = problem.parameters.start

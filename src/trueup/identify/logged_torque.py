@@ -26,8 +26,8 @@ _LATER_S = 0.002
 # Standard deviation of the moment of a command, as a share of the time between two that are logged: it is anywhere
 # between them.
 _ANYWHERE = 12.0**-0.5
-# How late the feedback of a drive may be, one standard deviation [s]: half of the period of a loop of 4 kHz.
-LATE_S = 0.000125
+# How late the feedback of a drive may be, one standard deviation [s]: half of the period of a loop of 2 kHz.
+LATE_S = 0.00025
 
 
 @dataclass(frozen=True)

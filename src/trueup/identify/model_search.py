@@ -65,6 +65,8 @@ _WORTH = 0.01
 _ROUGH = 0.005
 # What is left is the noise of the measurement up to this ratio.
 EXPLAINED = 1.1
+# Of a simulation with the model's own step: a fit simulates it exactly, and what it leaves is the noise alone.
+_EXACT = 1.03
 # Where so many times the noise is left, a finer step has to take away this share of its squares, and how commands act
 # between their stamps is not looked at again.
 _FAR_FROM_NOISE, _WORTH_A_STEP = 5.0, 0.1
@@ -74,6 +76,9 @@ _TO_FINISH = 12
 _HOPELESS = 3.0
 # How often bounds that were hit are moved.
 _WIDENINGS = 2
+# One standard deviation of the logarithm of a number that the data know exactly. No model is truer: gravity differs by
+# more from one city to another, and what a drive's cycle of half a millisecond does to inertia is as much.
+_LEAST_KNOWN = 5e-4
 # A number below this share of its usual start hardly moves from there.
 _DEAD = 0.1
 # Shares of a time limit at which the base model ends, no richer one is begun, these end, the best one ends, and what
@@ -237,7 +242,8 @@ class ModelSearch:
         split = split_shifts(problem, found.z, found.jacobian, weight)
         assumed = assumption_shifts(problem, found.z, found.jacobian, weight)
         late = late_shifts(problem, found.z)
-        return known.widened([left, *undecided, *split, *assumed, *late, step * np.ones(found.z.size), unknown])
+        sized = _LEAST_KNOWN * np.diag([float(item.transform == "log") for item in found.parameters.free])
+        return known.widened([left, *undecided, *split, *assumed, *late, *sized, step * np.ones(found.z.size), unknown])
 
     def suspects(self, item: TriedModel) -> tuple[Suspect, ...] | None:
         """What the model may lack; None where no time is left to look for it."""
@@ -591,7 +597,7 @@ class ModelSearch:
         A robot has no step. Logs that are explained to their noise, and decidedly worse with half of the model's step,
         have the error of that step in them: a simulation has made them, and with it comes MuJoCo's own damping.
         """
-        if not self._explained(best):
+        if self._left(best) > _EXACT:
             return best
         if not self.logs.way.trapezoidal:
             self._of_this_step, self._finer = True, None

@@ -254,7 +254,7 @@ class Search:
         self, z: Float64[np.ndarray, "P"], rounds: int, jacobian: Float64[np.ndarray, "P N"] | None = None
     ) -> tuple[GaussNewton, Float64[np.ndarray, "P N"]]:
         """A search at the minimum near z, and derivatives that agree with its last steps; it begins with given ones."""
-        newton = self._derivatives(GaussNewtonState(z))
+        newton, fresh = self._derivatives(GaussNewtonState(z)), jacobian is None
         if jacobian is None:
             jacobian = newton.central_jacobian(_CERTAIN_STEP)
         weight = self._weight(newton.begin())
@@ -265,9 +265,13 @@ class Search:
             jacobian = verified(self.problem, newton.state.z, jacobian, weight, quick=True)
             if number and newton.promised(jacobian) * newton.state.cost < _SETTLED * weight:
                 break
-            moved = newton.polish(jacobian)
-            again = number % _AGAIN == _AGAIN - 1 and number < rounds - 1
-            jacobian = newton.central_jacobian(_CERTAIN_STEP) if again else moved
+            before, jacobian = newton.state.z, newton.polish(jacobian)
+            stuck = np.array_equal(before, newton.state.z)
+            if stuck and fresh:
+                break  # the same derivatives would lead nowhere once more
+            fresh = (stuck or number % _AGAIN == _AGAIN - 1) and number < rounds - 1
+            if fresh:
+                jacobian = newton.central_jacobian(_CERTAIN_STEP)
         return newton, jacobian
 
     def at_minimum(self, descent: Descent) -> bool:

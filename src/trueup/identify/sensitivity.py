@@ -20,6 +20,12 @@ _FEWEST_DIRECTIONS = 12
 # not further than the last; in z of the parameter that moves most.
 _NEAR, _FAR, _FARTHEST = 0.01, 3.0, 1.0
 _ROUNDS = 2
+# Error of single derivatives, as a share of their size: from curvature and kinks.
+_SHARE = 0.02
+# Jitter is what moves in z of this size change the residual by, where nothing should change; so many are tried.
+_NOTHING, _TRIED = 1e-7, 5
+# Numbers whose move should change the residual by less than so many times the jitter are not moved with others.
+_CLEAR = 3.0
 # Directions of one set that differ by less are not told apart.
 _ALIKE = 0.01
 # The weakest directions along which others follow a move not further than this, in z, and how many times.
@@ -42,10 +48,13 @@ def verified(
     not add up. Along a combination of parameters that changes nothing (all torques and masses times the same factor,
     say) the true derivatives cancel, and their errors do not: they look like information. So the residual itself is
     simulated along such directions v, and its central difference d takes the place of J^T v: with V the directions
-    and D their differences as rows, J <- J + pinv(V) (D - V J). Directions are those of `invariant` along which
-    derivatives nearly cancel, and others in which they do, by the eigenvectors of J J^T with each row of J divided by
-    its norm. They are looked for again when these are mended. One set is applied after the other, not all at once: two
-    nearly equal directions would be told apart by the errors of their differences.
+    and D their differences as rows, J <- J + K (D - V J) with the gain of least squares, K = P V^T (V P V^T + R)^-1,
+    where P are the squared errors of single derivatives and R those of the differences. A simulation jitters a little,
+    and over a move of next to nothing that is a large slope: where a number moves that hardly counts, all others would
+    move so little. So it does not move with them. Directions are those of `invariant` along which derivatives nearly
+    cancel, and others in which they do, by the eigenvectors of J J^T with each row of J divided by its norm. They are
+    looked for again when these are mended. One set is applied after the other, not all at once: two nearly equal
+    directions would be told apart by the errors of their differences.
 
     Then the residual is simulated as far out as it should have changed by three standard deviations: where it changes
     by less than that, in either sense, |r(z + t v) - r(z)| = rho |t J^T v| with rho < 1, the derivatives along v are
@@ -66,15 +75,19 @@ def verified(
     norms = np.linalg.norm(jacobian, axis=1)
     alive = np.flatnonzero(norms > 0)
     low, high = problem.parameters.bounds
-    unit = jacobian[alive] / norms[alive, None]
-    own = invariant(problem.parameters, z)[:, alive] * norms[alive]
+    unit, jitter = jacobian[alive] / norms[alive, None], _jitter(problem, z)
+    errors = np.hypot(_SHARE, jitter / (np.sqrt(2.0) * _NEAR * norms[alive]))
+    counts = _NEAR * norms[alive] > _CLEAR * jitter
+    own = np.where(counts, invariant(problem.parameters, z)[:, alive] * norms[alive], 0.0)
     own = own[np.linalg.norm(own @ unit, axis=1) < _CANCELED * np.linalg.norm(own, axis=1)]
     for number in range(1 if quick else _ROUNDS + 1):
         far = number == _ROUNDS
         if number or not (quick or own.size):
-            squares, vectors = np.linalg.eigh(unit @ unit.T)
-            weak = np.flatnonzero(squares < _CANCELED**2)[: max(_FEWEST_DIRECTIONS, alive.size // 2)]
-            own = vectors[:, weak].T
+            looked = np.flatnonzero(counts | far)
+            squares, vectors = np.linalg.eigh(unit[looked] @ unit[looked].T)
+            weak = np.flatnonzero(squares < _CANCELED**2)[: max(_FEWEST_DIRECTIONS, looked.size // 2)]
+            own = np.zeros((weak.size, alive.size))
+            own[:, looked] = vectors[:, weak].T
         if not own.size:
             break
         own = own / np.linalg.norm(own, axis=1)[:, None]
@@ -91,9 +104,11 @@ def verified(
             usable = np.isfinite(changed).all(axis=(0, 2)) & (places == np.stack([z + moves, z - moves])).all(
                 axis=(0, 2)
             )
-            own = own[usable]
-            slopes = ((changed[0] - changed[1]) / (2 * reach[:, None]))[usable]
-            unit = unit + np.linalg.pinv(own, rcond=_ALIKE) @ (slopes - own @ unit)
+            slopes = (changed[0] - changed[1]) / (2 * reach[:, None])
+            # Half a jump shows in the sum of both changes, where a slope does not.
+            jumps = np.minimum(jitter, np.linalg.norm(changed[0] + changed[1], axis=1) / np.sqrt(6.0))
+            own, slopes, noise = own[usable], slopes[usable], (jumps / (np.sqrt(2.0) * reach))[usable]
+            unit = unit + _gain(own, errors, np.hypot(noise, _ALIKE * _SHARE)) @ (slopes - own @ unit)
             continue
         kept = _kept(changed, places - z, unit, alive, norms)
         unit = _lowered(unit, own, kept)
@@ -105,6 +120,30 @@ def verified(
     real = jacobian.copy()
     real[alive] = unit * norms[alive, None]
     return real
+
+
+def _jitter(problem: Problem, z: Float64[np.ndarray, "P"]) -> float:
+    """What the residual changes by where it should not: by next to nothing in z, in the median of some directions.
+
+    Where dry friction sticks and slips, and where a solver ends after one step more, a simulation jumps a little.
+    """
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (_TRIED, 1, z.size))
+    changed = _changes(problem, z, np.clip(z + _NOTHING * signs, *problem.parameters.bounds))
+    return float(np.median(np.nan_to_num(np.linalg.norm(changed, axis=2))))
+
+
+def _gain(
+    own: Float64[np.ndarray, "K A"], errors: Float64[np.ndarray, "A"], noise: Float64[np.ndarray, "K"]
+) -> Float64[np.ndarray, "A K"]:
+    """What is made of differences along directions, by least squares: P V^T (V P V^T + R)^-1.
+
+    Args:
+        own: the directions V.
+        errors: standard deviations of derivatives, the roots of P.
+        noise: of the differences, the roots of R.
+    """
+    both = own * errors**2
+    return np.asarray(np.linalg.solve(both @ own.T + np.diag(noise**2), both).T)
 
 
 def agreed(one: Float64[np.ndarray, "P N"], other: Float64[np.ndarray, "P N"]) -> Float64[np.ndarray, "P N"]:
@@ -145,8 +184,8 @@ def _roots(matrix: Float64[np.ndarray, "A A"]) -> tuple[Float64[np.ndarray, "A A
 
 
 def _changes(
-    problem: Problem, z: Float64[np.ndarray, "P"], places: Float64[np.ndarray, "2 K P"]
-) -> Float64[np.ndarray, "2 K N"]:
+    problem: Problem, z: Float64[np.ndarray, "P"], places: Float64[np.ndarray, "M K P"]
+) -> Float64[np.ndarray, "M K N"]:
     """What the residual that derivatives are taken of changes by from z to each place."""
     seen = problem.slopes(np.concatenate([z[None], *places]))
     return np.asarray((seen[1:] - seen[0]).reshape(*places.shape[:2], -1))
