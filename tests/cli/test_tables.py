@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from rich.console import Console
 
 from trueup.cli.tables import gap_table, ladder_table, verdicts
 from trueup.core.results import Estimate, GapResult, Ladder, MetricResult, PairedDifference, Rung
@@ -35,3 +36,22 @@ def test_one_motion_has_no_interval_and_it_is_said(motions, said):
     gap = GapResult({"stock": {"test": {"position": {"rmse": result}}}}, ("a",), ("a",), splits={"m": "test"})
     for table in (ladder_table(ladder), gap_table(gap)):
         assert (table.caption == "no interval from one motion") == said
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "said"),
+    [
+        (0.0082934, 0.0015912, 0.0154, "0.0083 [0.0016, 0.015]"),
+        (0.0072, 0.0, 0.016, "0.0072 [0, 0.016]"),
+        (123.4, 99.7, 1234.0, "123 [100, 1234]"),
+        (0.5, None, None, "0.5"),
+        (math.nan, None, None, "not defined"),
+    ],
+)
+def test_the_ladder_has_two_digits_and_says_its_unit_once(value, low, high, said, capsys):
+    result = MetricResult(Estimate(value, "rad", low, high), {}, 3)
+    table = ladder_table(Ladder([Rung("stock", 0.0, {"test": {"position": {"rmse": result}}})]))
+    Console(width=120).print(table)
+    shown = capsys.readouterr().out
+    assert "position rmse [rad], mean" in shown
+    assert f"│ stock │ {said.rjust(8)} │" in shown

@@ -28,29 +28,37 @@ def number(estimate: Estimate) -> str:
     return f"{estimate.value:.4g} [{estimate.low:.3g}, {estimate.high:.3g}]{unit}"
 
 
+def _short(estimate: Estimate) -> str:
+    """The same to two digits and without its unit."""
+    if math.isnan(estimate.value):
+        return "not defined"
+    value, low, high = (
+        "" if own is None else f"{own:.0f}" if abs(own) >= 99.5 else f"{own:.2g}"
+        for own in (estimate.value, estimate.low, estimate.high)
+    )
+    return f"{value} [{low}, {high}]" if low and high else value
+
+
 def ladder_table(ladder: Ladder, *, signal: str = "position", metric: str = "rmse") -> Table:
     """One row per rung, one column per split."""
     present = {split for rung in ladder.rungs for split in rung.splits}
     order = ("train", "val", "test") if present - {"all"} else ("all",)
     splits = [split for split in order if split in present]
-    table = Table(title=f"{signal} {metric}, mean over scored joints and motions [95 % interval]", title_justify="left")
+    results = [rung.splits.get(split, {}).get(signal, {}).get(metric) for rung in ladder.rungs for split in splits]
+    units = sorted({result.total.unit for result in results if result is not None})
+    title = f"{signal} {metric} [{' or '.join(units)}], mean over scored joints and motions, with 95 % intervals"
+    table = Table(title=escape(title), title_justify="left")
     table.add_column("rung")
     for split in splits:
         episodes = max((_episodes(rung.splits.get(split, {}), signal, metric) for rung in ladder.rungs), default=0)
         table.add_column(f"{split} ({episodes})", justify="right")
     table.add_column("seconds", justify="right")
-    counts = {
-        result.episodes
-        for rung in ladder.rungs
-        for split in splits
-        if (result := rung.splits.get(split, {}).get(signal, {}).get(metric)) is not None
-    }
-    _say_where_none(table, counts)
+    _say_where_none(table, {result.episodes for result in results if result is not None})
     for rung in ladder.rungs:
         cells = []
         for split in splits:
             result = rung.splits.get(split, {}).get(signal, {}).get(metric)
-            cells.append("" if result is None else number(result.total))
+            cells.append("" if result is None else _short(result.total))
         table.add_row(rung.name + (" *" if rung.chosen else ""), *cells, f"{rung.seconds:.1f}")
     return table
 
