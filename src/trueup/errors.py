@@ -136,6 +136,10 @@ class ConfigError(TrueupError):
     """An option, a YAML file or a model description is wrong."""
 
 
+class ImpossibleLinks(ConfigError):
+    """A URDF has masses or inertias that no body has."""
+
+
 class OutputExists(TrueupError):
     """The output is already there and neither `--overwrite` nor `--resume` was given."""
 

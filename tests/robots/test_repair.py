@@ -98,6 +98,31 @@ def test_the_command_says_the_link_and_repairs_a_copy(tmp_path, capsys):
     assert robot.model == "arm.repaired.urdf"
 
 
+def test_yes_repairs_what_needs_it_and_nothing_else(tmp_path, capsys):
+    path = write(tmp_path, izz=0.01)
+    with pytest.raises(SystemExit) as left:
+        main(["init", str(path), "--out", str(tmp_path / "out"), "--yes"])
+    assert left.value.code == 0
+    assert "repaired: upper" in capsys.readouterr().out
+    assert load_robot(tmp_path / "out" / "robot.yaml").model == "arm.repaired.urdf"
+    with pytest.raises(SystemExit) as left:
+        main(["init", str(write(tmp_path)), "--out", str(tmp_path / "right"), "--yes"])
+    assert left.value.code == 0
+    assert not list((tmp_path / "right").glob("*.urdf"))
+
+
+@pytest.mark.parametrize("answer", ["y", "n"])
+def test_on_a_terminal_it_asks(tmp_path, answer, monkeypatch, capsys):
+    path = write(tmp_path, izz=0.01)
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("typer.confirm", lambda *_, **__: answer == "y")
+    with pytest.raises(SystemExit) as left:
+        main(["init", str(path), "--out", str(tmp_path / "out")])
+    assert left.value.code == (0 if answer == "y" else 2)
+    assert "upper" in capsys.readouterr().err
+    assert (tmp_path / "out" / "robot.yaml").exists() == (answer == "y")
+
+
 @pytest.mark.parametrize(("mesh", "content"), [("part.dae", b"<COLLADA/>"), ("part.stl", bytes(84)), ("flat.obj", b"")])
 def test_meshes_that_cannot_be_read_are_missing(tmp_path, mesh, content):
     (tmp_path / mesh).write_bytes(content or b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 3 4\n")

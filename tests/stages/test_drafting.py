@@ -14,7 +14,7 @@ from trueup.core.check_result import Finding, Mend
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
 from trueup.dataset.importers.base import ImportOptions
-from trueup.errors import ConfigError, DataError, OutputExists
+from trueup.errors import ConfigError, DataError, OutputExists, TrueupError
 from trueup.robots import load_robot
 from trueup.stages import draft, plan_import
 from trueup.stages.importing import checked
@@ -203,6 +203,30 @@ def test_nothing_is_written_over(made, tmp_path):
     with pytest.raises(OutputExists):
         draft(path, out=tmp_path)
     assert (tmp_path / "robot.yaml").read_text() == "mine"
+
+
+def test_a_call_that_failed_does_not_stand_in_the_way_of_the_next(made, tmp_path):
+    """Names of columns are found, and written down, before the model turns out to be broken."""
+    robot, path, episodes = made
+    signal = robot.controller.signal
+    own = episodes[0]
+    told, names = own.command[signal], own.measured.joints
+    columns = [own.command.time_s, *own.measured["position"].T, *told.T]
+    head = ["t_s", *(f"{name}_pos_actual" for name in names), *(f"{name}_{signal}_cmd" for name in names)]
+    np.savetxt(tmp_path / "run.csv", np.stack(columns, axis=1), delimiter=",", header=",".join(head), comments="")
+    out, broken = tmp_path / "out", tmp_path / "broken.xml"
+    broken.write_text(path.read_text().replace("<mujoco", "<mujoco><compiler angle='x'/", 1))
+    with pytest.raises(TrueupError):
+        draft(broken, tmp_path / "run.csv", out=out)
+    assert (out / "mapping.yaml").exists()
+    found = draft(path, tmp_path / "run.csv", out=out)
+    assert out / "mapping.yaml" in found.files
+    # Somebody else's is not written over.
+    (out / "robot.yaml").unlink()
+    (out / "mapping.yaml").write_text("mine: true")
+    with pytest.raises(OutputExists):
+        draft(path, tmp_path / "run.csv", out=out)
+    assert (out / "mapping.yaml").read_text() == "mine: true"
 
 
 def test_a_close_needs_no_robot_yaml(made, tmp_path, capsys):

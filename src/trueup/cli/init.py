@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,7 @@ from trueup.cli import options
 from trueup.cli.check import mend_lines
 from trueup.cli.console import note, out, warning
 from trueup.core.check_result import Finding
+from trueup.errors import ImpossibleLinks
 
 
 def register(app: typer.Typer) -> None:
@@ -35,7 +37,9 @@ def init(
     repair: Annotated[
         bool, typer.Option("--repair", help="Use a copy of a URDF in which impossible masses and inertias are mended.")
     ] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="Take what is likely, too, without a question.")] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Take what is likely, and `--repair` where it is needed, without a question.")
+    ] = False,
     overwrite: options.Overwrite = False,
 ) -> int:
     """Write robot.yaml from a model and logs.
@@ -53,17 +57,26 @@ def init(
             out.print(f"  {line}", markup=False)
         return typer.confirm("Write it so?", default=False)
 
-    found = draft(
+    drafted = partial(
+        draft,
         model,
         logs,
         out=out_dir,
         format=format,
         options=options.reading(mapping, unit, command_topic, measured_topic),
         calibration=calibration,
-        repair=repair,
         overwrite=overwrite,
         ask=agreed,
     )
+    try:
+        found = drafted(repair=repair)
+    except ImpossibleLinks as error:
+        asked = not yes and sys.stdin.isatty()
+        if asked:
+            warning(str(error))
+        if not (typer.confirm("Use a copy with possible ones?", default=False) if asked else yes):
+            raise
+        found = drafted(repair=True)
     for line in found.taken:
         out.print(f"  {line}", markup=False)
     for finding in found.findings:

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from jaxtyping import Float64
 
-from trueup.errors import ConfigError
+from trueup.errors import ConfigError, ImpossibleLinks
 from trueup.robots.extent import folders_of, refuse_pipe, root_tag
 from trueup.robots.repair import drop_static, faults
 
@@ -140,7 +140,7 @@ def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
         model = spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
         if any(word in str(error) for word in _IMPOSSIBLE) and root_tag(path) == "robot" and (found := faults(path)):
-            raise ConfigError(
+            raise ImpossibleLinks(
                 f"{path}: no body has the mass or inertia of {', '.join(fault.link for fault in found[:_MOST_NAMES])}"
                 + (f" and {len(found) - _MOST_NAMES} more links" if len(found) > _MOST_NAMES else ""),
                 got=f"{found[0].wrong} of {found[0].link}",

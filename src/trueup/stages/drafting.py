@@ -186,9 +186,10 @@ def _some_of(
             raise
         format = "table"
     with tempfile.TemporaryDirectory() as place:
-        mapping = (Path(place) if folder is None else folder) / MAPPING_NAME
-        if not overwrite:
-            _refuse_there(mapping)
+        kept = None if folder is None else folder / MAPPING_NAME
+        # One that an earlier call has left, which then failed, is no reason to refuse.
+        there = kept is not None and kept.exists() and not overwrite
+        mapping = Path(place) / MAPPING_NAME if kept is None or there else kept
         write_text(mapping, suggestion.text)
         episodes = _spread(logs, format, replace(options, mapping=mapping))
         told = episodes[0].command
@@ -196,6 +197,8 @@ def _some_of(
             suggestion = _with_command_named(suggestion, episodes)
             write_text(mapping, suggestion.text)
             episodes = _spread(logs, format, replace(options, mapping=mapping))
+        if kept is not None and there and kept.read_text() != suggestion.text:
+            _refuse_there(kept)
         return episodes, suggestion
 
 
