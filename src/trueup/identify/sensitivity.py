@@ -22,8 +22,8 @@ _NEAR, _FAR, _FARTHEST = 0.01, 3.0, 1.0
 _ROUNDS = 2
 # Error of single derivatives, as a share of their size: from curvature and kinks.
 _SHARE = 0.02
-# Jitter is what moves in z of this size change the residual by, where nothing should change; so many are tried.
-_NOTHING, _TRIED = 1e-7, 5
+# Moves in z that show what a simulation jitters, of this size; so many are tried.
+_LITTLE, _TRIED = 1e-4, 5
 # Numbers whose move should change the residual by less than so many times the jitter are not moved with others.
 _CLEAR = 3.0
 # Directions of one set that differ by less are not told apart.
@@ -51,10 +51,10 @@ def verified(
     and D their differences as rows, J <- J + K (D - V J) with the gain of least squares, K = P V^T (V P V^T + R)^-1,
     where P are the squared errors of single derivatives and R those of the differences. A simulation jitters a little,
     and over a move of next to nothing that is a large slope: where a number moves that hardly counts, all others would
-    move so little. So it does not move with them. Directions are those of `invariant` along which derivatives nearly
-    cancel, and others in which they do, by the eigenvectors of J J^T with each row of J divided by its norm. They are
-    looked for again when these are mended. One set is applied after the other, not all at once: two nearly equal
-    directions would be told apart by the errors of their differences.
+    move so little. So it moves with them only where the equations ask for it. Directions are those of `invariant` along
+    which derivatives nearly cancel, and others in which they do, by the eigenvectors of J J^T with each row of J
+    divided by its norm. They are looked for again when these are mended. One set is applied after the other, not all at
+    once: two nearly equal directions would be told apart by the errors of their differences.
 
     Then the residual is simulated as far out as it should have changed by three standard deviations: where it changes
     by less than that, in either sense, |r(z + t v) - r(z)| = rho |t J^T v| with rho < 1, the derivatives along v are
@@ -76,9 +76,9 @@ def verified(
     alive = np.flatnonzero(norms > 0)
     low, high = problem.parameters.bounds
     unit, jitter = jacobian[alive] / norms[alive, None], _jitter(problem, z)
-    errors = np.hypot(_SHARE, jitter / (np.sqrt(2.0) * _NEAR * norms[alive]))
+    spread = np.diag(_SHARE**2 + (jitter / (_NEAR * norms[alive])) ** 2)
     counts = _NEAR * norms[alive] > _CLEAR * jitter
-    own = np.where(counts, invariant(problem.parameters, z)[:, alive] * norms[alive], 0.0)
+    own = invariant(problem.parameters, z)[:, alive] * norms[alive]
     own = own[np.linalg.norm(own @ unit, axis=1) < _CANCELED * np.linalg.norm(own, axis=1)]
     for number in range(1 if quick else _ROUNDS + 1):
         far = number == _ROUNDS
@@ -105,10 +105,12 @@ def verified(
                 axis=(0, 2)
             )
             slopes = (changed[0] - changed[1]) / (2 * reach[:, None])
-            # Half a jump shows in the sum of both changes, where a slope does not.
-            jumps = np.minimum(jitter, np.linalg.norm(changed[0] + changed[1], axis=1) / np.sqrt(6.0))
-            own, slopes, noise = own[usable], slopes[usable], (jumps / (np.sqrt(2.0) * reach))[usable]
-            unit = unit + _gain(own, errors, np.hypot(noise, _ALIKE * _SHARE)) @ (slopes - own @ unit)
+            # A jump on one side is half of it in a slope, and all of it in the sum, where a slope does not show. What
+            # the equations say is the same motion does not jump; others may, and show it at the next place only.
+            jumps = np.maximum(0.5 * np.linalg.norm(changed[0] + changed[1], axis=1), jitter if number else 0.0)
+            own, slopes, noise = own[usable], slopes[usable], (jumps / reach)[usable]
+            gain = np.linalg.solve(own @ spread @ own.T + np.diag(noise**2 + (_ALIKE * _SHARE) ** 2), own @ spread).T
+            unit, spread = unit + gain @ (slopes - own @ unit), spread - gain @ own @ spread
             continue
         kept = _kept(changed, places - z, unit, alive, norms)
         unit = _lowered(unit, own, kept)
@@ -123,27 +125,13 @@ def verified(
 
 
 def _jitter(problem: Problem, z: Float64[np.ndarray, "P"]) -> float:
-    """What the residual changes by where it should not: by next to nothing in z, in the median of some directions.
+    """What the residual jumps by, root mean square over some directions: half of what is even in a small move.
 
     Where dry friction sticks and slips, and where a solver ends after one step more, a simulation jumps a little.
     """
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], (_TRIED, 1, z.size))
-    changed = _changes(problem, z, np.clip(z + _NOTHING * signs, *problem.parameters.bounds))
-    return float(np.median(np.nan_to_num(np.linalg.norm(changed, axis=2))))
-
-
-def _gain(
-    own: Float64[np.ndarray, "K A"], errors: Float64[np.ndarray, "A"], noise: Float64[np.ndarray, "K"]
-) -> Float64[np.ndarray, "A K"]:
-    """What is made of differences along directions, by least squares: P V^T (V P V^T + R)^-1.
-
-    Args:
-        own: the directions V.
-        errors: standard deviations of derivatives, the roots of P.
-        noise: of the differences, the roots of R.
-    """
-    both = own * errors**2
-    return np.asarray(np.linalg.solve(both @ own.T + np.diag(noise**2), both).T)
+    moves = _LITTLE * np.random.default_rng(0).choice([-1.0, 1.0], (1, _TRIED, z.size))
+    one, other = _changes(problem, z, np.clip(np.concatenate([z + moves, z - moves]), *problem.parameters.bounds))
+    return float(0.5 * np.sqrt(np.mean(np.nan_to_num(((one + other) ** 2).sum(axis=1)))))
 
 
 def agreed(one: Float64[np.ndarray, "P N"], other: Float64[np.ndarray, "P N"]) -> Float64[np.ndarray, "P N"]:
