@@ -278,6 +278,7 @@ def test_a_split_by_shares_is_drawn_by_whole_motion(run, motion, tmp_path):
     assert sorted(set(splits.values())) == ["test", "train", "val"]
     assert len(splits) == 10
     assert run("import", motion.parent, "--out", tmp_path / "x", "--splits", "nothing.json")[0] == 2
+    assert run("import", motion.parent, "--out", tmp_path / "x", "--splits", "70/20/20")[0] == 2
 
 
 @pytest.mark.long

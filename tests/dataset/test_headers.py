@@ -306,6 +306,25 @@ def test_values_say_whether_qd_is_a_velocity(told, side):
     assert found.tree["series"][side]["signals"][signal]["columns"] == "qd"
 
 
+def test_columns_that_are_called_as_joints_are_keep_their_names(tmp_path):
+    rng, names = np.random.default_rng(0), ("FL_hip_joint", "FL_thigh_joint", "FL_calf_joint")
+    head = ",".join(["t", *names, *(f"{name}_cmd" for name in names)])
+    rows = np.column_stack([np.arange(50) / 100, rng.normal(size=(50, 6))])
+    (tmp_path / "logs").mkdir()
+    np.savetxt(tmp_path / "logs" / "run.csv", rows, delimiter=",", header=head, comments="")
+    _, (motion,) = read_as_suggested(tmp_path / "logs")
+    assert motion.measured.joints == motion.command.joints == names
+
+
+def test_targets_of_positions_are_taken_before_actions_that_may_be_scaled(tmp_path):
+    rng = np.random.default_rng(0)
+    arrays = {name: rng.normal(size=(50, 3)) for name in ("dof_pos", "dof_vel", "actions", "target_dof_pos")}
+    (tmp_path / "logs").mkdir()
+    np.savez(tmp_path / "logs" / "run.npz", dt=0.02, **arrays)
+    _, (motion,) = read_as_suggested(tmp_path / "logs")
+    np.testing.assert_array_equal(motion.command["position"], arrays["target_dof_pos"])
+
+
 def test_what_a_library_keeps_for_itself_is_no_signal(tmp_path):
     table = np.zeros(
         T.size, [("index", "i8"), ("time", "f8"), *((name, "f8") for name in ("a", "b", "a_cmd", "b_cmd"))]

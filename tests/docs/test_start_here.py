@@ -46,14 +46,14 @@ def test_every_extra_stands_there_with_what_it_brings():
 def test_the_verdict_is_that_of_the_fit(found):
     assert f"status: {found.fit.status};" in PAGE
     words = [parameter.identified for parameter in found.fit.parameters]
-    known = f"{words.count('yes')}, {words.count('effective')} as effective values, {words.count('weakly')} weakly"
-    counts = f"of {len(words)} fitted parameters, the data determine {known}"
+    known = f"{words.count('yes')} determined, {words.count('effective')} known as effective values"
+    counts = f"of {len(words)} fitted parameters, {known}, {words.count('weakly')} weakly determined"
     assert counts in PAGE
     rungs = {rung.name: rung.splits["test"]["position"]["rmse"].total for rung in found.ladder.rungs}
     assert "│ command │ " in PAGE
     for name in ("command", "stock"):
         total = rungs[name]
-        assert f"{total.value:.4g} [{total.low:.3g}, {total.high:.3g}] rad" in PAGE
+        assert f"{total.value:.2g} [{total.low:.2g}, {total.high:.2g}]" in PAGE
     less = 100 * (1 - rungs["fitted"].value / rungs["stock"].value)
     assert float(re.search(r"mujoco/fitted against mujoco/stock, test: ([\d.]+) % less", PAGE)[1]) == pytest.approx(
         less, abs=1.0

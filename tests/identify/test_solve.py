@@ -22,7 +22,7 @@ from trueup.identify import (
 )
 from trueup.identify.config import SolverChoice, make_parameters
 from trueup.identify.costs import PenalizedSquares, roles_of
-from trueup.identify.logged_torque import LATE_S, LoggedTorque
+from trueup.identify.logged_torque import READ_S, LoggedTorque
 from trueup.identify.problem import Weights
 from trueup.identify.solution import Checkpoint, fingerprint_of
 from trueup.identify.solvers import GaussNewtonSettings
@@ -177,7 +177,7 @@ def test_the_moment_of_a_torque_is_known_as_well_as_is_said(tmp_path, noise):
     slope = np.concatenate([np.zeros((1, 1, 2)), np.diff(course.velocity, axis=1)], axis=1) / step_s
     sooner, later = (plan.told("position", np.full(2, late)) for late in (-0.002, 0.002))
     changes = kp * (sooner - later) / 0.004, kp * plan.at_stamps(course.velocity), kv * plan.at_stamps(slope)
-    certain_s = np.median(np.diff(log.command.time_s)) / 12**0.5, LATE_S, LATE_S
+    certain_s = np.median(np.diff(log.command.time_s)) / 12**0.5, READ_S, READ_S
     for joint in range(2):
         spread = np.eye(len(rows))
         for change, std_s in zip(changes, certain_s if noise else certain_s[:1], strict=False):

@@ -1,5 +1,7 @@
 """Masses and inertias that no body has are named by link, and repaired where that is asked for."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -77,6 +79,22 @@ def test_a_base_that_does_not_move_may_weigh_what_it_likes(tmp_path):
     path = write(tmp_path, base=bad)
     assert faults(path) == []
     assert compile_spec(load_spec(path), path).njnt == 2
+
+
+def test_masses_that_the_file_does_not_state_are_told(tmp_path, capsys):
+    path = write(tmp_path)
+    assert not any("states no mass" in line for line in draft_robot(path).unsure)
+    text = path.read_text()
+    shape = '<collision><geometry><box size=".1 .1 .3"/></geometry></collision>'
+    path.write_text(re.sub(r'(<link name="upper">)<inertial>.*?</inertial>', rf"\1{shape}", text, flags=re.S))
+    (said,) = [line for line in draft_robot(path).unsure if "states no mass" in line]
+    assert "upper" in said
+    assert "lower" not in said
+    path.write_text(re.sub(r'(<link name="upper">)<inertial>.*?</inertial>', r"\1", text, flags=re.S))
+    with pytest.raises(SystemExit) as left:
+        main(["init", str(path), "--out", str(tmp_path / "out"), "--yes"])
+    assert left.value.code == 0
+    assert "upper had no mass and got next to none" in capsys.readouterr().err
 
 
 def test_the_command_says_the_link_and_repairs_a_copy(tmp_path, capsys):

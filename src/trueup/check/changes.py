@@ -17,6 +17,7 @@ from scipy.optimize import linear_sum_assignment
 
 from trueup.check.evidence import ZERO, Evidence, Score, loss
 from trueup.check.reading import Columns, Reading, Side, Unit, units_of
+from trueup.check.setting import listed
 
 # A servo whose error is larger than this share of its motion does not follow its command.
 LOST = 0.15
@@ -54,6 +55,7 @@ class Proposal:
         reading: with the change.
         side: which series it changes; empty if it is none of them.
         says: what is wrong if it is true, after the names of the joints, without a full stop.
+        turned: joints that also count the other way round.
         units: side and joint -> unit, where a factor is a unit's.
         freedom: how much a change that is chosen among many has to be better than one of few (of the logarithm).
         value: of the change: a factor, an offset, a lag.
@@ -71,6 +73,13 @@ class Proposal:
     value: float = 0.0
     order: dict[int, int] = field(default_factory=dict)
     again: Callable[[float], Proposal] | None = None
+    turned: tuple[int, ...] = ()
+
+    def words(self, names: Sequence[str]) -> str:
+        """What is wrong if it is true, without the names of its joints; `names` are those of all joints."""
+        turned = [names[joint] for joint in self.turned]
+        count = "count" if len(turned) > 1 else "counts"
+        return self.says + (f", and {listed(turned)} {count} the other way round" if turned else "")
 
     @property
     def alike(self) -> tuple[str, tuple[int, ...]]:
@@ -376,9 +385,8 @@ def _with_mirrored(looked: Looked, whole: Proposal) -> Iterator[Proposal]:
     mirrored = [joint for joint in far if turned[joint] < _INSIDE]
     if mirrored:
         reading = whole.reading.with_columns("both", lambda columns: flip(columns, mirrored))
-        count = f"{len(mirrored)} of them count" if len(mirrored) > 1 else "one of them counts"
-        says = f"{whole.says}, and {count} the other way round"
-        yield replace(whole, reading=reading, says=says, freedom=whole.freedom + _EACH_MIRRORED * len(mirrored))
+        freedom = whole.freedom + _EACH_MIRRORED * len(mirrored)
+        yield replace(whole, reading=reading, turned=tuple(mirrored), freedom=freedom)
 
 
 def _against(looked: Looked, joint: int, unit: Unit) -> float:

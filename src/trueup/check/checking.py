@@ -90,14 +90,15 @@ def _finding(
     joint = int(max(change.joints, key=lambda one: change.before.left[one] / (change.after.left[one] + 1e-9)))
     said, numbers = _explained(robot, evidence, change, joint)
     subject = listed(names) + " " if names else ""
-    text = f"{subject}{proposal.says}: {said}"
+    text = f"{subject}{proposal.words(robot.joint_names)}: {said}"
     mends = _mends(robot, evidence, proposal, units, lengths)
     others = []
     for other in change.others:
         alternative = _mends(robot, evidence, other, {**units, **other.units}, lengths)[:1]
         about = "the log cannot tell it from this" if other.alike == proposal.alike else "explains nearly as much"
         subject = listed([robot.joint_names[own] for own in other.joints])
-        others += [replace(mend, words=f"{subject} {other.says}".strip() + f" ({about})") for mend in alternative]
+        words = f"{subject} {other.words(robot.joint_names)}".strip()
+        others += [replace(mend, words=f"{words} ({about})") for mend in alternative]
     return Finding(
         proposal.kind,
         change.severity,
@@ -156,7 +157,7 @@ def _mends(
     if proposal.joints:
         names = [robot.joint_names[joint] for joint in sorted(proposal.joints)]
         lines = joint_lines(robot, reading, units, signal=evidence.followed(reading), lengths=lengths, only=names)
-        return (Mend("robot.yaml", lines, f"{listed(names)} {proposal.says}"),)
+        return (Mend("robot.yaml", lines, f"{listed(names)} {proposal.words(robot.joint_names)}"),)
     if proposal.kind == "delay":
         lag_s, shift_s = round(reading.lag_s, 3), round(robot.clock.command_shift_s + reading.lag_s, 3)
         clock = Mend(

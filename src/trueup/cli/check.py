@@ -45,7 +45,7 @@ def check(
 
     if out_file is not None and out_file.exists() and not overwrite:
         raise OutputExists(f"{out_file} exists", hint="Give --overwrite, or choose another --out.")
-    choices, spec = options.reading(mapping, unit, command_topic, measured_topic), options.robot_of(robot, data)
+    choices, spec = options.reading(mapping, unit, command_topic, measured_topic, robot), options.robot_of(robot, data)
     with contextlib.ExitStack() as stack:
         dataset, notes = dataset_of(data, stack, robot=spec, format=format, options=choices, track=track)
         checked = run(dataset, spec, model=model)

@@ -104,7 +104,7 @@ def close(
         )
     methods = tuple(method or METHODS)
     refuse_unknown(bars, runs=possible_runs(until, methods))
-    choices = options.reading(mapping, unit, command_topic, measured_topic)
+    choices = options.reading(mapping, unit, command_topic, measured_topic, robot)
     known = options.robot_or_model(robot, model)
     drafted = options.drafted_of(known, dataset, format, choices)
     described = load_robot(known) if drafted is None else drafted.robot

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _STYLE = {"yes": "", "effective": "cyan", "weakly": "yellow", "no": "red"}
 _HINT = {
     "not-identifiable": "Record motions that show these parameters (see the remarks in the table), or freeze them.",
-    "unexplained": "Let the fit have what is missing (models: …), or use the model for motions like these only.",
+    "unexplained": "See what may be missing in the report, or use the model for motions like these only.",
     "signal-worse": "Check sign, scale and unit of that signal, or weigh it (signals: {torque: …}) and fit again.",
     "at-bound": "Widen the bound in the configuration, or doubt the structure of the model.",
     "not-converged": "Allow more iterations, evaluations, seconds or starts (solver: …); run again with --overwrite.",
@@ -101,10 +101,10 @@ def status_line(fit: FitResult) -> tuple[str, str | None]:
     """The status as a sentence, and what to do about it."""
     free = fit.free
     count = {word: sum(item.identified == word for item in free) for word in IDENTIFIED}
-    effective = f"{count['effective']} as effective values, " if count["effective"] else ""
+    effective = f"{count['effective']} known as effective values, " if count["effective"] else ""
     text = (
-        f"status: {fit.status}; of {len(free)} fitted parameters, the data determine {count['yes']}, "
-        f"{effective}{count['weakly']} weakly, {count['no']} not"
+        f"status: {fit.status}; of {len(free)} fitted parameters, {count['yes']} determined, {effective}"
+        f"{count['weakly']} weakly determined, {count['no']} not determined"
     )
     if fit.ended_by_time:
         return f"{text}; stopped at the time limit", "Give it more time (--budget), and run again with --overwrite."

@@ -66,6 +66,13 @@ def _lines(found: Mapping[str, Any]) -> list[str]:
         return _recorded(found)
     if found["kind"] == "fit":
         return _fitted(found)
+    if found["kind"] == "model":
+        floats = ", a base that floats" if found["free"] else ""
+        return [
+            f"model: {len(found['joints'])} joints{floats}, {found['actuators']} actuators, {found['mass_kg']:.4g} kg",
+            f"joints: {_listed(found['joints'])}",
+            f"next: trueup init {found['path']} LOGS",
+        ]
     steps = [f"  {step['name']}: {step['status']}: {step['what']}" for step in found["steps"]]
     return [f"results of close --until {found['until']}", *steps, *(_fitted(found["fit"]) if "fit" in found else ())]
 
@@ -96,6 +103,9 @@ def _fitted(found: Mapping[str, Any]) -> list[str]:
     for run, splits in found["errors"].items():
         values = ", ".join(f"{split} {own['value']:.4g} {own['unit']}" for split, own in splits.items())
         lines.append(f"  {run}: {values}")
+    for own in found["values"]:
+        low, high = own["interval"]
+        lines.append(f"  {own['name']} {own['value']:.4g} [{low:.3g}, {high:.3g}] {own['unit']} ({own['identified']})")
     return lines
 
 

@@ -88,7 +88,8 @@ def init(
     for file in found.files:
         out.print(f"wrote {file}", markup=False)
     source = logs if logs is not None else "LOGS"
-    with_mapping = "".join(f" --mapping {file}" for file in found.files if file.name == "mapping.yaml")
+    read_with = [file for file in found.files if file.name == "mapping.yaml"] or ([mapping] if mapping else [])
+    with_mapping = "".join(f" --mapping {file}" for file in read_with)
     line = f"next: trueup close {source} --robot {found.files[-1]}{with_mapping} --out runs/{found.robot.name}"
     out.print(line, markup=False)
     return 0

@@ -193,8 +193,8 @@ def splits_choice(text: str | None) -> Path | dict[str, float] | None:
     parts = text.split("/")
     if len(parts) == 3 and all(part.strip().replace(".", "", 1).isdigit() for part in parts):
         numbers = [float(part) for part in parts]
-        if sum(numbers) <= 0:
-            raise ConfigError("the shares of --splits add up to nothing", got=text)
+        if abs(sum(numbers) - 100.0) > 1.0:  # thirds are rounded
+            raise ConfigError("the shares of --splits do not add up to 100", got=text, expected="e.g. 80/10/10")
         return {name: number / sum(numbers) for name, number in zip(("train", "val", "test"), numbers, strict=True)}
     path = Path(text)
     if not path.is_file():
@@ -214,18 +214,24 @@ def names_among(text: str, known: Sequence[str]) -> list[str]:
 
 
 def reading(
-    mapping: Path | None, unit: list[str] | None, command_topic: str | None, measured_topic: str | None
+    mapping: Path | None,
+    unit: list[str] | None,
+    command_topic: str | None,
+    measured_topic: str | None,
+    robot: str | Path | None = None,
 ) -> ImportOptions:
-    """How logs are read.
+    """How logs are read; the mapping.yaml that `init` has left beside robot.yaml counts where no other fits.
 
     Raises:
         ConfigError: a unit is not said as it has to be.
     """
+    beside = Path(robot).parent / "mapping.yaml" if robot is not None and Path(robot).is_file() else None
     return ImportOptions(
         mapping=mapping,
         units=unit_choices(unit),
         command_topic=command_topic,
         measured_topic=measured_topic,
+        spare_mapping=beside if beside is not None and beside.is_file() else None,
     )
 
 

@@ -66,7 +66,7 @@ def payload(
             model=model,
             config=IdentifyConfig.load(config) if config else None,
             format=format,
-            options=options.reading(mapping, unit, command_topic, measured_topic),
+            options=options.reading(mapping, unit, command_topic, measured_topic, robot),
             seed=seed,
             jobs=jobs,
             overwrite=overwrite,

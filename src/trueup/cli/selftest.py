@@ -81,7 +81,7 @@ def selftest(
             budget_s=options.budget_s(budget),
             seeds=seeds,
             format=format,
-            options=options.reading(mapping, unit, command_topic, measured_topic),
+            options=options.reading(mapping, unit, command_topic, measured_topic, robot),
             seed=seed,
             jobs=jobs,
             track=track,

@@ -55,7 +55,7 @@ def torque(
         model=model,
         drop_flagged=drop_flagged,
         format=format,
-        options=options.reading(mapping, unit, command_topic, measured_topic),
+        options=options.reading(mapping, unit, command_topic, measured_topic, robot),
         overwrite=overwrite,
         track=track,
     )

@@ -13,7 +13,9 @@ from trueup.draft.gains import Gains, stable_gains
 from trueup.errors import ConfigError
 from trueup.robots import BaseSpec, ControllerSpec, JointGains, JointSpec, RobotSpec
 from trueup.robots.coupling import Coupling
+from trueup.robots.extent import root_tag
 from trueup.robots.model import compile_spec, load_spec, lost_meshes
+from trueup.robots.repair import unweighed
 from trueup.robots.spec import CommandSignal
 from trueup.sim.actuator_inputs import followed_signals
 
@@ -95,6 +97,11 @@ class _Draft:
             robot = replace(robot, replay=replace(robot.replay, window_s=_WINDOW_S))
         if lost := lost_meshes(self._path):
             self._unsure.append(lost)
+        if root_tag(self._path) == "robot" and (bare := unweighed(self._path)):
+            self._unsure.append(
+                f"the file states no mass for {_listed(bare)}: what MuJoCo takes from shapes is a guess, as are gains "
+                "and torques; write the masses into it"
+            )
         invented = not follows and self._signal != "torque"
         return RobotDraft(robot, tuple(self._taken), tuple(self._unsure), invented)
 

@@ -26,8 +26,8 @@ _LATER_S = 0.002
 # Standard deviation of the moment of a command, as a share of the time between two that are logged: it is anywhere
 # between them.
 _ANYWHERE = 12.0**-0.5
-# How late the feedback of a drive may be, one standard deviation [s]: half of the period of a loop of 2 kHz.
-LATE_S = 0.00025
+# How far from its stamp the position may be that a logged torque answers to, one standard deviation [s].
+READ_S = 0.000125
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Moments:
         delays = np.zeros(len(plan.measured.joints))
         delays[columns] = [one.delay_s for one in own]
         later, sooner = (plan.told(signal, delays + shift)[rows][:, columns] for shift in (-_LATER_S, _LATER_S))
-        told_s, read_s = _ANYWHERE * plan.command_period_s, LATE_S
+        told_s, read_s = _ANYWHERE * plan.command_period_s, READ_S
         noise = np.array([one.noise for one in own])
         certain = np.sqrt(segments) / np.maximum(noise, 1e-9)
         follows = stiff if signal == "position" else damped

@@ -7,7 +7,6 @@ from jaxtyping import Float64, Int64
 
 from trueup.core.parameters import ParameterSet
 from trueup.errors import DataError
-from trueup.identify.logged_torque import LATE_S
 from trueup.identify.problem import Problem
 from trueup.identify.quantities import quantity
 from trueup.identify.uncertainty import precision_of
@@ -30,6 +29,8 @@ _CLEAR = 3.0
 _ALIKE = 0.01
 # The weakest directions along which others follow a move not further than this, in z, and how many times.
 _MOST_FOLLOWED, _CURVED, _FOLLOWED = 6, 0.2, 4
+# How late the feedback of a drive may be, one standard deviation [s]: half of the period of a loop of 2 kHz.
+_LATE_S = 0.00025
 # A drive is at its limit from this share of it on, and saturates where that is so for this share of the time.
 _AT_LIMIT, _SATURATED = 0.99, 0.005
 
@@ -296,7 +297,7 @@ def late_shifts(problem: Problem, z: Float64[np.ndarray, "P"]) -> list[Float64[n
     A drive reads commands and sensors some thousand times a second, and acts on what it has read until the next time.
     Feedback that is late by less than what counts as that (`causes.late_feedback`) is seen by nobody, and acts like
     other numbers: by a time t, like k_p t less damping and k_v t less inertia. Commands are later by it. One standard
-    deviation of t is `LATE_S`.
+    deviation of t is `_LATE_S`.
 
     Args:
         problem: of the fit.
@@ -313,7 +314,7 @@ def late_shifts(problem: Problem, z: Float64[np.ndarray, "P"]) -> list[Float64[n
             place = places.get((name, joint))
             if place is not None and rate:
                 value = free[place].from_z(float(z[place]))
-                less = rate * LATE_S
+                less = rate * _LATE_S
                 shift[place] = free[place].to_z(value - min(less, 0.5 * abs(value))) - z[place]
         found.append(shift)
     return [shift for shift in found if shift.any()]

@@ -143,7 +143,7 @@ def _of_the_unlooked(evidence: Evidence) -> _Judged | None:
     left = any(unexplained({joint: item}) > 1.0 for joint, item in evidence.whiteness.items())
     return _Judged(
         "unexplained" if left else "ok",
-        "no time was left to look for what the model lacks" + ("; give the fit more time" if left else ""),
+        "no time was left to look for what the model lacks" + ("; give the fit more (--budget)" if left else ""),
         "nobody has looked for what the model lacks" if left else "",
     )
 
@@ -167,8 +167,8 @@ def _of_numbers(evidence: Evidence) -> _Judged | None:
     asked = evidence.chosen_by_user or not any(item.identified == "yes" for item in free)
     return _Judged(
         "not-identifiable" if asked else "ok",
-        f"{len(unknown)} of {len(free)} parameters are not determined by these motions: {names}; their values come "
-        "from your model, and their intervals say how far off they may be",
+        f"{len(unknown)} of {len(free)} parameters are not determined by these motions: {names}; their values "
+        "rest on the model that you gave, and their intervals say how far off they may be",
     )
 
 
@@ -217,7 +217,9 @@ def _of_signals(evidence: Evidence) -> _Judged | None:
 def _of_search(evidence: Evidence) -> _Judged | None:
     solver = evidence.solution.solver
     if solver["stop"] != "converged":
-        text = f"the search stopped early ({solver['stop']}): raise solver.max_iterations, or give it more time"
+        text = f"the search stopped early ({solver['stop']}): raise solver.max_iterations"
+        if solver["stop"] == "time":
+            text = "the search ran out of time: give it more (--budget)"
         return _Judged("not-converged", text, "the search did not end")
     return _Judged("ok", str(solver["remark"])) if "remark" in solver else None
 

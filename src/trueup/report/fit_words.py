@@ -105,7 +105,7 @@ def sure_sentence(fit: FitResult) -> str:
     if not free:
         return "No parameter was fitted."
     counts = {kind: sum(item.identified == kind for item in free) for kind in IDENTIFIED}
-    rest = [f"{counts['effective']} as effective values"] if counts["effective"] else []
+    rest = [f"{counts['effective']} more as effective values"] if counts["effective"] else []
     rest += [f"{counts['weakly']} weakly"] if counts["weakly"] else []
     rest += [f"{counts['no']} not at all"] if counts["no"] else []
     which = f"{counts['yes']} of {plural(len(free), 'parameter')}, {listed(rest)}"

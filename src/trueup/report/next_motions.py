@@ -88,9 +88,7 @@ def design_words(unsure: Sequence[FittedParameter], *, limits_asked: bool) -> st
         "Run the lines in the folder of these results. The robot is the one as it came, not the fitted one.",
     ]
     if limits_asked:
-        words.append(
-            "The limits are what the recorded motions reached, as the model states none: put those of your robot."
-        )
+        words.append("The limits are what the recorded motions reached: put those of your robot.")
     words.append("The last lines judge the new fit on the motions of this report.")
     return " ".join(words)
 

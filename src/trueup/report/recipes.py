@@ -110,10 +110,11 @@ def fit_recipes(run: RunFolder, fit: FitResult, *, stepped: bool = True) -> list
         own = (
             "The model carries friction laws that MuJoCo does not know; trueup adds them by a callback." if law else ""
         )
-        late = f"A model file holds no delays: hold the commands back yourself ({delays})." if delays else ""
+        late = f"A model file holds no delays: hold the commands back yourself ({delays}). " if delays else ""
+        late += moving_on(fit) if delays else ""
         found.append(Recipe("In plain MuJoCo", f"{own} {late}".strip(), _MUJOCO_FRICTION if law else _MUJOCO))
     if ISAAC in run.fitted_files:
-        found.append(Recipe("In Isaac Lab", _isaac_words(delays, law=law), _ISAAC))
+        found.append(Recipe("In Isaac Lab", _isaac_words(fit, law=law), _ISAAC))
     if SAMPLES in run.fitted_files:
         text = "As many plausible robots as there are draws, for randomization in training: each is one whole set."
         found.append(Recipe("Randomization", text, _SAMPLES))
@@ -140,26 +141,42 @@ def stepped_lines(fit: FitResult, network: str = "") -> str:
 def held_back(fit: FitResult) -> str:
     """A sentence on what a loop of steps does about delays; empty without one."""
     delays = delay_words(fit)
-    return f"Commands act as late as the fit says ({delays})." if delays else ""
+    return f"Commands act as late as the fit says ({delays}). {moving_on(fit)}".strip() if delays else ""
+
+
+def moving_on(fit: FitResult) -> str:
+    """What delays of commands that move on between their stamps mean for a loop that holds them; else empty."""
+    if fit.data.get("command", "held") == "held":
+        return ""
+    return (
+        "These delays are for commands that move on between two stamps of the log: in a loop that holds each one as "
+        "long, they are half of that time shorter."
+    )
 
 
 def delay_words(fit: FitResult) -> str:
-    """How much later commands act: `yaw 20.8 ms and elbow 10.7 ms`; empty without a delay."""
-    delays = {
+    """How much later commands act: `yaw 20.8 ms and elbow 10.7 ms`; empty without a delay.
+
+    Where one is below zero, the stamps of the log are late, and all delays are told from the least.
+    """
+    own = {
         split_name(item.name)[1] or "all joints": shown_value(item)
         for item in fit.parameters
-        if split_name(item.name)[0] == "delay_s" and shown_value(item) > 0
+        if split_name(item.name)[0] == "delay_s"
     }
+    least = min(0.0, *own.values(), 0.0)
+    delays = {joint: delay - least for joint, delay in own.items() if delay > least}
     return listed([f"{joint} {significant(1e3 * delay)}\N{NO-BREAK SPACE}ms" for joint, delay in delays.items()])
 
 
-def _isaac_words(delays: str, *, law: bool) -> str:
+def _isaac_words(fit: FitResult, *, law: bool) -> str:
+    delays = delay_words(fit)
     words = ["For Isaac Lab 2.2 or later on Isaac Sim 5 or later, where friction is a torque."]
     if law:
         words.append("Isaac does not know the friction laws of this model.")
     if delays:
         words.append(
             f"Its implicit actuators know no delays: hold the targets back yourself ({delays}), or take "
-            "DelayedPDActuatorCfg, whose min_delay and max_delay count physics steps."
+            f"DelayedPDActuatorCfg, whose min_delay and max_delay count physics steps. {moving_on(fit)}"
         )
-    return " ".join(words)
+    return " ".join(words).strip()

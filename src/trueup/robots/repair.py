@@ -6,6 +6,7 @@ The principal moments A <= B <= C of a body are positive, and C <= A + B.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,6 +44,13 @@ class Fault:
 def faults(urdf: Path) -> list[Fault]:
     """Impossible links of a URDF that move, in the order of the file."""
     return [fault for _, fault in _faulty(ET.parse(urdf).getroot())]  # noqa: S314 - looked at by `extent` before
+
+
+def unweighed(urdf: Path) -> list[str]:
+    """Links of a URDF that a joint moves and whose mass the file does not say, nor that of what is fixed to them."""
+    root = ET.parse(urdf).getroot()  # noqa: S314
+    weighs = _weighing(root)
+    return [child for _, child, fixed in _ends(root) if not fixed and not weighs(child)]
 
 
 def repaired(urdf: Path) -> tuple[str, list[Fault]]:
@@ -94,16 +102,7 @@ def _ends(root: ET.Element) -> list[tuple[str, str, bool]]:
 
 def _faulty(root: ET.Element) -> list[tuple[ET.Element, Fault]]:
     """Links, and what is wrong with them."""
-    links = {link.get("name", ""): link for link in root.iter("link")}
-    carried: dict[str, list[str]] = {}
-    for above, below, fixed in _ends(root):
-        if fixed:
-            carried.setdefault(above, []).append(below)
-
-    def weighs(name: str) -> bool:
-        own = name in links and _number(links[name].find("inertial/mass"), "value") > 0.0
-        return own or any(weighs(child) for child in carried.get(name, ()))
-
+    links, weighs = {link.get("name", ""): link for link in root.iter("link")}, _weighing(root)
     moving, static = {child for _, child, fixed in _ends(root) if not fixed}, _static(root)
     found = []
     for name, link in links.items():
@@ -116,6 +115,21 @@ def _faulty(root: ET.Element) -> list[tuple[ET.Element, Fault]]:
         ) is not None:
             found.append((link, fault))
     return found
+
+
+def _weighing(root: ET.Element) -> Callable[[str], bool]:
+    """Says whether a link has a mass, or something that is fixed to it."""
+    links = {link.get("name", ""): link for link in root.iter("link")}
+    carried: dict[str, list[str]] = {}
+    for above, below, fixed in _ends(root):
+        if fixed:
+            carried.setdefault(above, []).append(below)
+
+    def weighs(name: str) -> bool:
+        own = name in links and _number(links[name].find("inertial/mass"), "value") > 0.0
+        return own or any(weighs(child) for child in carried.get(name, ()))
+
+    return weighs
 
 
 def _fault(link: str, inertial: ET.Element, *, moves: bool) -> Fault | None:

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from trueup.core.close_result import CLOSE_NAME, CloseResult
@@ -18,14 +19,16 @@ from trueup.dataset.importers.base import ImportOptions
 from trueup.errors import ConfigError
 from trueup.robots import RobotSpec, find_model, load_robot, shipped_robots
 from trueup.robots.known import NAMESAKES
+from trueup.robots.model import compile_spec, load_spec
 from trueup.stages.close_steps import FIT_NAME
 from trueup.stages.importing import plan_import
 
 INFO_SCHEMA = "trueup.info/1"
+_MODELS = (".urdf", ".xml", ".mjcf")
 
 
 def contents_of(path: Path | str, *, format: str | None = None, options: ImportOptions | None = None) -> dict[str, Any]:
-    """What a file or folder holds, JSON types only: `kind` is `close`, `fit`, `dataset` or `logs`.
+    """What a file or folder holds, JSON types only: `kind` is `close`, `fit`, `dataset`, `model`, `logs`.
 
     Of logs, one motion is read, the rest is listed.
 
@@ -46,6 +49,8 @@ def contents_of(path: Path | str, *, format: str | None = None, options: ImportO
         return {**found, "kind": "fit", **_of_fit(FitResult.load(file))}
     if is_dataset(path):
         return {**found, "kind": "dataset", **_of_dataset(Dataset(path))}
+    if path.suffix.lower() in _MODELS and path.is_file():
+        return {**found, "kind": "model", **_of_model(path)}
     return {**found, "kind": "logs", **_of_logs(path, format, options or ImportOptions())}
 
 
@@ -87,7 +92,30 @@ def _of_fit(fit: FitResult) -> dict[str, Any]:
         run: {split: {"value": own.value, "unit": own.unit} for split, own in splits.items()}
         for run, splits in fit.errors.items()
     }
-    return {"status": fit.status, "parameters": dict(counts), "errors": errors, "statements": list(fit.statements)}
+    values = [
+        {"name": item.name, "value": item.value, "interval": list(item.interval), "unit": item.unit}
+        | {"identified": item.identified}
+        for item in fit.free
+    ]
+    return {
+        "status": fit.status,
+        "parameters": dict(counts),
+        "values": values,
+        "errors": errors,
+        "statements": list(fit.statements),
+    }
+
+
+def _of_model(path: Path) -> dict[str, Any]:
+    model = compile_spec(load_spec(path), path)
+    moving = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+    return {
+        "joints": [model.joint(number).name for number in range(model.njnt) if model.jnt_type[number] in moving],
+        "free": int(np.count_nonzero(model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE))),
+        "actuators": model.nu,
+        "mass_kg": round(float(model.body_mass.sum()), 6),
+        "timestep_s": float(model.opt.timestep),
+    }
 
 
 def _of_dataset(dataset: Dataset) -> dict[str, Any]:

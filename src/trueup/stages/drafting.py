@@ -114,6 +114,7 @@ def draft(
         _refuse_there(target)
     files: list[Path] = []
     taken: list[str] = []
+    unsure, checked, findings, suggestion = list[str](), list[str](), list[Finding](), None
     name = ""
     if repair and folder is not None:
         text, faults = repaired(path) if path.suffix == ".urdf" else ("", [])
@@ -123,7 +124,11 @@ def draft(
         write_text(path, text)
         files.append(path)
         taken += [f"repaired: {fault.link} had {fault.wrong}; it has {fault.done}" for fault in faults]
-    unsure, checked, findings, suggestion = list[str](), list[str](), list[Finding](), None
+        if light := [fault.link for fault in faults if fault.wrong.startswith("a mass")]:
+            unsure.append(
+                f"{', '.join(light)} had no mass and got next to none: write their masses into {model}, or gains, "
+                "torques and all that is fitted mean nothing"
+            )
     if logs is None:
         first = draft_robot(path)
         robot, matching = first.robot, None

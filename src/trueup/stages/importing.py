@@ -350,11 +350,11 @@ def _plain(options: ImportOptions | None) -> dict[str, Any]:
     """Options as JSON; a mapping file by its content, which decides, not its place."""
     options = options or ImportOptions()
     tree = asdict(options)
-    mapping = options.mapping
-    if mapping is not None:
-        content = hashlib.sha256(mapping.read_bytes()).hexdigest() if mapping.is_file() else str(mapping)
-        tree["mapping"] = content
-    return tree
+    for name in ("mapping", "spare_mapping"):
+        mapping = tree.pop(name)
+        if mapping is not None:
+            tree[name] = hashlib.sha256(mapping.read_bytes()).hexdigest() if mapping.is_file() else str(mapping)
+    return {"mapping": None, **tree}
 
 
 def _refuse_other_options(stored: DatasetInfo, info: DatasetInfo, out: Path) -> None:

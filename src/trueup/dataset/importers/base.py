@@ -32,6 +32,7 @@ class ImportOptions:
         units: `signal` or `signal.joint` -> unit, over what the format implies.
         command_topic: bag topic that holds the commands.
         measured_topic: bag topic that holds the measured states.
+        spare_mapping: YAML file that counts for tables which no other mapping fits.
     """
 
     mapping: Path | None = None
@@ -39,18 +40,20 @@ class ImportOptions:
     units: Mapping[str, str] = field(default_factory=dict)
     command_topic: str | None = None
     measured_topic: str | None = None
+    spare_mapping: Path | None = None
 
     def refuse_others(self, format: str, *read: str) -> None:
         """Refuse what an importer would not look at: whoever said it believes that it counts.
 
         Args:
             format: the importer's name.
-            read: names of the options that it reads; the robot is everybody's.
+            read: names of the options that it reads; the robot is everybody's, and the spare mapping nobody's choice.
 
         Raises:
             ConfigError: another one is given.
         """
-        given = [item.name for item in fields(self) if getattr(self, item.name) and item.name not in ("robot", *read)]
+        unread = {item.name for item in fields(self)} - {"robot", "spare_mapping", *read}
+        given = [item.name for item in fields(self) if getattr(self, item.name) and item.name in unread]
         if given:
             raise ConfigError(
                 f"{format} logs are read without {' and '.join(_OPTIONS[name] for name in given)}",

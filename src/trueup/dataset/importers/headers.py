@@ -495,7 +495,8 @@ class _Suggesting:
             if order is not None and all(self._is_number(by_label[label].name) for label in order):
                 found[key] = [by_label[label] for label in order]
         named = self._said_by_columns(joints) or tuple(
-            f"joint_{label}" if label.isdigit() or not label else label for label in joints
+            f"joint_{label}" if label.isdigit() or not label else column.name if _is_joint(column) else label
+            for column, label in zip(base, joints, strict=True)
         )
         shown = ", ".join(named[:8]) + (" …" if len(named) > 8 else "")
         self._taken.append(f"{len(named)} joints by the names of columns: {shown}")
@@ -670,9 +671,17 @@ def _relative(column: Column) -> bool:
     return not {"obs", "observation", "observations"}.isdisjoint(_words_of(column.name))
 
 
-def _preferred(column: Column) -> tuple[bool, bool, bool]:
+def _preferred(column: Column) -> tuple[bool, bool, bool, bool]:
     """Of vectors that are as long, the one to take sorts first: actions may be scaled, unless they are processed."""
-    return _elsewhere(column), "processed" not in column.words, _relative(column)
+    processed = "processed" in column.words
+    raw = not processed and not {"action", "actions"}.isdisjoint(_words_of(column.name))
+    return _elsewhere(column), raw, not processed, _relative(column)
+
+
+def _is_joint(column: Column) -> bool:
+    """Whether a column is called as its joint is, without a word for what it holds."""
+    said = [word for word in _words_of(column.name) if word not in _WHOSE]
+    return column.name.isidentifier() and said == [word for word in column.words if word not in _WHOSE]
 
 
 def _apart(column: Column) -> bool:

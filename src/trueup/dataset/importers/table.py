@@ -74,7 +74,7 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
     """List the episodes that the mapping finds below `path`.
 
     The mapping is `options.mapping` (a file, or the name of a shipped one), else `mapping.yaml` in the folder,
-    else the one shipped mapping that fits all files.
+    else the one shipped mapping that fits all files, else `options.spare_mapping`.
 
     Raises:
         FormatError: no mapping is given and none fits; no file matches the mapping.
@@ -90,7 +90,12 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
     if given is None:
         tables = [name for name in names if name.lower().endswith(_ENDINGS)]
         names = tables or [name for name in names if name.lower().endswith((".json", *_MAYBE))]
-    mapping = _recognize(path, root, names) if given is None else load_mapping(given)
+    try:
+        mapping = _recognize(path, root, names) if given is None else load_mapping(given)
+    except FormatError:
+        if options.spare_mapping is None or given is not None:
+            raise
+        mapping = load_mapping(options.spare_mapping)
     if mapping.joint_pattern and (first := next(iter(_matching(mapping, names)), None)):
         mapping = mapping.of_columns(open_table(inside(root, root / first[0]), mapping).names)
     episodes = _episodes(root, names, mapping, options)

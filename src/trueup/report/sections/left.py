@@ -74,15 +74,15 @@ def left_summary(rows: Sequence[LeftRow]) -> str:
         return ""
     noise = sum(row.white for row in rows)
     if noise == len(rows):
-        return "What is left looks like noise on every joint: a better model of this kind would not help."
+        return "The remaining error is noise on every joint: a better model of this kind would not help."
     if noise == 0:
         return (
-            "What is left looks like noise on no joint: something is in it that this model cannot say, and the "
-            "intervals are widened for that."
+            "On no joint is the remaining error only noise: the model misses something, and the intervals are widened "
+            "for that."
         )
     return (
-        f"What is left looks like noise on {noise} of {plural(len(rows), 'joint')}; on the others something is in it "
-        "that this model cannot say, and their intervals are widened for that."
+        f"The remaining error is noise on {noise} of {plural(len(rows), 'joint')}; on the others the model misses "
+        "something, and their intervals are widened for that."
     )
 
 
