@@ -29,12 +29,13 @@ def _listing(names: Iterable[object], limit: int = 24) -> str:
     return ", ".join(shown[:limit]) + more if shown else "none"
 
 
-def _meant(text: str, names: Sequence[str]) -> str:
+def meant(text: str, names: Sequence[str]) -> str:
     """The name that is nearest to a quoted word of a text, or to its last one; empty if none is near."""
     words = [*re.findall(r"'([^']{2,60})'", text), *text.split()[-1:]]
+    small = {name.lower(): name for name in names[:_MOST_NAMES]}
     for word in words:
-        if word not in names and (near := get_close_matches(word, names[:_MOST_NAMES], 1, _NEAR)):
-            return str(near[0])
+        if word not in names and (near := get_close_matches(word.lower(), small, 1, _NEAR)):
+            return small[near[0]]
     return ""
 
 
@@ -76,8 +77,8 @@ class TrueupError(Exception):
             details.append(f"expected {_plain(expected, 1000)}")
         if available is not None:
             names = list(map(str, available))
-            meant = _meant(f"{what} {got if isinstance(got, str) else ''}", names)
-            asked = f"did you mean {_plain(meant, 60)!r}? " if meant else ""
+            near = meant(f"{what} {got if isinstance(got, str) else ''}", names)
+            asked = f"did you mean {_plain(near, 60)!r}? " if near else ""
             details.append(f"{asked}available: {_listing(names)}")
         self.details = "; ".join(details)
         super().__init__(": ".join(part for part in (what, self.details) if part))

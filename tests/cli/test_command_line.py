@@ -57,6 +57,14 @@ def motion(tmp_path):
     return folder
 
 
+def test_a_choice_that_is_nearly_right_is_asked_for(run):
+    code, _, said = run("close", "logs", "--robot", "demo_arm", "--until", "identfy")
+    assert code == 2
+    assert "Did you mean 'identify'?" in said
+    assert "Value error" not in said
+    assert "Did you mean" not in run("close", "logs", "--robot", "demo_arm", "--until", "xyz")[2]
+
+
 @pytest.mark.long
 def test_the_package_is_the_command_too():
     done = subprocess.run([sys.executable, "-m", "trueup", "gap", "nowhere"], capture_output=True, text=True)

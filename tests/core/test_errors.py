@@ -16,6 +16,7 @@ def test_a_message_is_one_printable_line_whatever_a_file_said():
         ("'so11' is no shipped robot", None, "so101"),
         ("robot.yaml has unknown keys ['modle']", None, "model"),
         ("there is no format", "tabel", "table"),
+        ("joints: unknown keys ['Panda']", None, "panda"),
         ("'so101' is there", None, ""),
         ("there is no robot 'xyz'", None, ""),
     ],

@@ -242,10 +242,11 @@ def _unseen(robot: RobotSpec, evidence: Evidence, reading: Reading) -> list[str]
     said = []
     if signs:
         said.append(
-            f"Whether the signs of {signs} are right in command and measurement: nothing here depends on both together."
+            f"These motions cannot show whether the signs of {signs} are right: they would look the same with both "
+            "command and measurement turned."
         )
     if zeros:
-        said.append(f"Whether the zeros of {zeros} are those of the model: nothing here depends on them.")
+        said.append(f"These motions cannot show whether the zeros of {zeros} are those of the model.")
     return said
 
 

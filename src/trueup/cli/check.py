@@ -57,7 +57,7 @@ def check(
         note(line)
     counts = [(sum(one.severity == severity for one in checked.findings), severity) for severity in SEVERITIES]
     said = ", ".join(f"{count} {severity}" for count, severity in counts if count) or "nothing wrong seen"
-    out.print(f"{said} in {checked.motions} motions", markup=False)
+    out.print(f"{said} in {checked.motions} motion{'s' if checked.motions != 1 else ''}", markup=False)
     if out_file is not None:
         checked.save(out_file)
         out.print(f"findings: {out_file}", markup=False)

@@ -79,7 +79,8 @@ def show_import(summary: ImportSummary) -> None:
     for name, error in summary.refused.items():
         problem(f"{name} was not imported: {error.what}: {error.details}", error.hint)
     kept = f", {summary.kept} were there" if summary.kept else ""
-    out.print(f"{summary.imported} episodes imported ({summary.format}){kept} -> {summary.path}", markup=False)
+    episodes = "1 episode" if summary.imported == 1 else f"{summary.imported} episodes"
+    out.print(f"{episodes} imported ({summary.format}){kept} -> {summary.path}", markup=False)
 
 
 def show_flags(quality: Quality, *, only_dropped: bool = False) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import functools
 import os
+import re
 import sys
 import traceback
 from collections.abc import Callable, Sequence
@@ -40,7 +41,7 @@ from trueup.cli import (
 )
 from trueup.cli.console import note, out, problem, volume
 from trueup.core.workers import wait_briefly
-from trueup.errors import TrueupError, how_to_install
+from trueup.errors import TrueupError, how_to_install, meant
 
 app = typer.Typer(
     name="trueup",
@@ -213,8 +214,11 @@ def _misused(error: Any) -> int:
             f"{message} Commands of {context.command_path}: {', '.join(context.command.commands)}.",
             f"{own} says what they do.",
         )
-    else:
-        problem(message, f"{own} lists the options.")
+        return 2
+    message = message.replace("Value error, ", "")
+    words = re.findall(r"'([^']+)'", message)
+    near = meant(f"{words[1]!r}", words[2:]) if len(words) > 2 else ""
+    problem(message, f"Did you mean {near!r}? {own} lists the options." if near else f"{own} lists the options.")
     return 2
 
 

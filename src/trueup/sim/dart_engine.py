@@ -119,7 +119,7 @@ class DartSimulator(CompiledRobot):
                 raise DataError(
                     f"the simulation of {self.robot.name!r} diverged",
                     got=f"{(row + 1) * self.timestep_s:.3f} s after its start, at a time step of {self.timestep_s} s",
-                    hint="Take a smaller simulation.timestep_s in robot.yaml, or lower gains.",
+                    hint="`trueup check` says whether units or signs are wrong; else take a smaller timestep_s.",
                 )
         torque[:, -1] = torque[:, -2]
         position, velocity = q[..., self._dofs], v[..., self._dofs]

@@ -316,7 +316,7 @@ class MujocoSimulator(CompiledRobot):
         raise DataError(
             f"the simulation of {self.robot.name!r} diverged",
             got=f"{row * self.timestep_s:.3f} s after its start, at a time step of {self.timestep_s} s",
-            hint="Take a smaller simulation.timestep_s in robot.yaml, or lower gains.",
+            hint="`trueup check` says whether units or signs are wrong; else take a smaller simulation.timestep_s.",
         )
 
 

@@ -67,7 +67,7 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
         source = file.relative_to(root).as_posix()
         id = episode_id(source[: -len(".npz")])
         episodes.append(EpisodeSource(id, partial(_load, root, file, id, options), file.stat().st_size, source))
-    return plan_with(NAME, path, root, episodes, robot=options.robot, notes=["clocks are kept as they are"])
+    return plan_with(NAME, path, root, episodes, robot=options.robot)
 
 
 def _load(root: Path, path: Path, id: str, options: ImportOptions) -> Episode:
