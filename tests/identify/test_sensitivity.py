@@ -385,6 +385,28 @@ def test_what_is_unknown_of_a_change_by_the_step_is_what_is_left():
     assert probability(20.0) + probability(-20.0) == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize(
+    ("finer", "kept"), [("settled", False), ("matters", True), ("no time", True), ("exact", False)]
+)
+def test_timings_that_were_compared_with_a_large_step_alone_are_both_possible(finer, kept):
+    free = ParameterSet((Parameter("mass[a]", 1.0, "kg", 0.1, 10.0, "log"),))
+    here, there = (Solution(free, np.array([z]), np.zeros(3), np.ones((1, 3)), 0.0, {}) for z in (0.0, 0.4))
+    rival = TriedModel(ModelRow("base", ("mass",), 1, 0.0, {}), there, None)
+    shift = np.array([0.0 if finer == "settled" else 1.0])
+    search = SimpleNamespace(
+        _rival=(rival, "held"),
+        _of_this_step=finer == "exact",
+        _finer=None
+        if finer in ("no time", "exact")
+        else Alternative(Discretization(trapezoidal=True), shift, gain=0.0),
+        logs=SimpleNamespace(way=Discretization()),
+    )
+    found = ModelSearch._compared_too_early(search, here, np.array([0.1]))
+    assert found == ([{"mass[a]": pytest.approx(0.4)}] if kept else [])
+    search._rival = None
+    assert not ModelSearch._compared_too_early(search, here, np.array([0.1]))
+
+
 @pytest.mark.parametrize(("gain", "better", "kept"), [(-100.0, False, False), (0.0, False, True), (100.0, True, False)])
 def test_what_the_data_do_not_decide_is_kept_for_the_intervals(gain, better, kept):
     free = ParameterSet((Parameter("mass[a]", 1.0, "kg", 0.1, 10.0, "log"),))

@@ -482,8 +482,10 @@ def test_with_no_time_it_ends_all_the_same(data, tmp_path):
     assert [step.status for step in done.result.steps] == ["done", "done", "done", "left out", "left out", "left out"]
     assert [rung.name for rung in done.ladder.rungs] == ["command", "stock"]
     assert "no time was left" in build_report(tmp_path / "out")
-    assert lacking(done) == [f"no time was left for {step}" for step in ("explain", "identify", "augment")]
+    assert lacking(done) == [f"no time was left for {step}" for step in ("identify", "augment")]
     assert exit_code(done) == 3
+    asked = quick(data, tmp_path / "asked", config=None, budget_s=0.001, until="explain")
+    assert lacking(asked) == ["no time was left for explain"]
     # What was not asked for is not missed.
     fewer = quick(data, tmp_path / "fewer", config=None, budget_s=0.001, until="gap")
     assert lacking(fewer) == []

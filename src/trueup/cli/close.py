@@ -204,7 +204,9 @@ def _not_replayed(closed: Closed) -> list[tuple[str, TrueupError]]:
 def lacking(closed: Closed) -> list[str]:
     """What was asked for and is not there, or of no use; a fit that the time has ended is what there was time for."""
     found = [f"{step.name} failed" for step in closed.result.failed]
-    found += [f"no time was left for {step.name}" for step in closed.result.untimely]
+    # No later step needs the explanation, so that its absence is a warning where another step was asked for.
+    untimely = [step.name for step in closed.result.untimely]
+    found += [f"no time was left for {name}" for name in untimely if name != "explain" or closed.result.until == name]
     fit = None if closed.identified is None else closed.identified.fit
     if fit is not None and fit.status in UNUSABLE and not fit.ended_by_time:
         found.append(f"the fit is of no use ({fit.status})")

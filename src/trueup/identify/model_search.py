@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float64
 
 from trueup.core.episode import Episode
 from trueup.core.fit_result import ModelRow, Suspect
@@ -235,7 +236,10 @@ class ModelSearch:
         if self.logs.way.command != "held":
             held_s = 0.125 * self.logs.period_s
             unknown = np.array([held_s / item.scale * (item.quantity == "delay_s") for item in found.parameters.free])
-        undecided = [np.array([own.get(item.name, 0.0) for item in found.parameters.free]) for own in self._undecided]
+        undecided = [
+            np.array([own.get(item.name, 0.0) for item in found.parameters.free])
+            for own in (*self._undecided, *self._compared_too_early(found, known.std))
+        ]
         step = 0.0 if self._finer is None else self._finer.unknown(self.logs.way)
         left = remaining_step(problem, found.z, found.residual, found.jacobian)
         weight = noise_of(problem, found.residual).weight
@@ -244,6 +248,20 @@ class ModelSearch:
         late = late_shifts(problem, found.z)
         sized = _LEAST_KNOWN * np.diag([float(item.transform == "log") for item in found.parameters.free])
         return known.widened([left, *undecided, *split, *assumed, *late, *sized, step * np.ones(found.z.size), unknown])
+
+    def _compared_too_early(self, found: Solution, std: Float64[np.ndarray, "P"]) -> list[dict[str, float]]:
+        """What numbers change by, in z, with the other timing of the command, if a finer step is still to decide.
+
+        A large step acts late by itself, as a command that is held does: timings that were compared with it alone,
+        since the time was over, are both possible.
+        """
+        rival = self._rival[0] if self._rival else None
+        settled = self._finer is not None and not self._finer.matters(self.logs.way, std)
+        if rival is None or self._of_this_step or settled:
+            return []
+        there = rival.solution.values
+        rows = zip(found.parameters.free, found.z.tolist(), strict=True)
+        return [{item.name: item.to_z(there[item.name]) - at for item, at in rows if item.name in there}]
 
     def suspects(self, item: TriedModel) -> tuple[Suspect, ...] | None:
         """What the model may lack; None where no time is left to look for it."""

@@ -17,7 +17,7 @@ from trueup.core.time_limit import OutOfTime, TimeLimit
 from trueup.errors import DataError
 from trueup.identify.costs import PenalizedSquares, joint_errors, roles_of
 from trueup.identify.problem import Problem
-from trueup.identify.sensitivity import agreed, verified
+from trueup.identify.sensitivity import agreed, jitter_of, verified
 from trueup.identify.solution import Checkpoint, OnProgress, Progress, Solution, SolveSettings, fingerprint_of
 from trueup.identify.solvers import (
     AskTell,
@@ -244,8 +244,9 @@ class Search:
         jacobian = agreed(newton.central_jacobian(first), near.central_jacobian(second))
         assert newton.residual is not None
         weight = self._weight(newton.residual)
-        newton.polish(verified(search.problem, newton.state.z, jacobian, weight, quick=True))
-        jacobian = verified(search.problem, newton.state.z, jacobian, weight)
+        jitter = jitter_of(search.problem, newton.state.z)
+        newton.polish(verified(search.problem, newton.state.z, jacobian, weight, jitter=jitter, quick=True))
+        jacobian = verified(search.problem, newton.state.z, jacobian, weight, jitter=jitter)
         counted, factor = as_least_squares(self.problem, newton.residual, self._loss(newton.residual))
         rms = float(np.linalg.norm(newton.residual))
         return {"z": newton.state.z, "residual": counted, "jacobian": jacobian * factor, "rms": rms}
@@ -257,12 +258,12 @@ class Search:
         newton, fresh = self._derivatives(GaussNewtonState(z)), jacobian is None
         if jacobian is None:
             jacobian = newton.central_jacobian(_CERTAIN_STEP)
-        weight = self._weight(newton.begin())
+        weight, jitter = self._weight(newton.begin()), jitter_of(self.problem, z)
         for number in range(rounds):
             if number and self.problem.restart(newton.state.z):
                 newton.renew()
             # What cancels at one place does not at the next: derivatives are mended before each descent.
-            jacobian = verified(self.problem, newton.state.z, jacobian, weight, quick=True)
+            jacobian = verified(self.problem, newton.state.z, jacobian, weight, jitter=jitter, quick=True)
             if number and newton.promised(jacobian) * newton.state.cost < _SETTLED * weight:
                 break
             before, jacobian = newton.state.z, newton.polish(jacobian)

@@ -41,6 +41,7 @@ def verified(
     jacobian: Float64[np.ndarray, "P N"],
     weight: float,
     *,
+    jitter: float | None = None,
     quick: bool = False,
 ) -> Float64[np.ndarray, "P N"]:
     """The Jacobian without what it claims to see along directions in which the residual does not change.
@@ -68,6 +69,7 @@ def verified(
         z: best parameters, (P,).
         jacobian: at z, (P, N).
         weight: variance of one independent observation.
+        jitter: of the simulation near z, as `jitter_of` has it; looked for if None.
         quick: look along the directions of `invariant` only.
 
     Returns:
@@ -76,7 +78,7 @@ def verified(
     norms = np.linalg.norm(jacobian, axis=1)
     alive = np.flatnonzero(norms > 0)
     low, high = problem.parameters.bounds
-    unit, jitter = jacobian[alive] / norms[alive, None], _jitter(problem, z)
+    unit, jitter = jacobian[alive] / norms[alive, None], jitter_of(problem, z) if jitter is None else jitter
     spread = np.diag(_SHARE**2 + (jitter / (_NEAR * norms[alive])) ** 2)
     counts = _NEAR * norms[alive] > _CLEAR * jitter
     own = invariant(problem.parameters, z)[:, alive] * norms[alive]
@@ -125,10 +127,14 @@ def verified(
     return real
 
 
-def _jitter(problem: Problem, z: Float64[np.ndarray, "P"]) -> float:
+def jitter_of(problem: Problem, z: Float64[np.ndarray, "P"]) -> float:
     """What the residual jumps by, root mean square over some directions: half of what is even in a small move.
 
     Where dry friction sticks and slips, and where a solver ends after one step more, a simulation jumps a little.
+
+    Args:
+        problem: what is simulated.
+        z: where, (P,).
     """
     moves = _LITTLE * np.random.default_rng(0).choice([-1.0, 1.0], (1, _TRIED, z.size))
     one, other = _changes(problem, z, np.clip(np.concatenate([z + moves, z - moves]), *problem.parameters.bounds))
