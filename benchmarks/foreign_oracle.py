@@ -64,7 +64,8 @@ def intervals(case: Case, seed: int, folder: Path, motions: Sequence[int], free:
         seed: of its draws.
         folder: where `foreign_truth.make` has written it.
         motions: that are fitted.
-        free: names of the numbers that the fit has left free; those of whole motions count as known.
+        free: names of the numbers that the fit has left free; others are known as well as their priors say, or exactly
+            without one.
     """
     nominal = Nominal(load_robot(folder / "robot.yaml"), folder / "model.xml")
     known = {item.name: item for item in make_parameters(IdentifyConfig().resolved(nominal).fit, nominal)}
@@ -72,7 +73,9 @@ def intervals(case: Case, seed: int, folder: Path, motions: Sequence[int], free:
     made = quantity("torque_limit")
     limits = [made.parameter(nominal, joint) for joint in case.joints if joint in made.holders(nominal)]
     items += [replace(item, prior_std=_LIMIT) for item in limits if item.name not in free]
-    slopes = np.array([truth.slope(item) for item in items])
+    # What the fit has left as the model has it, since these motions do not show it, is known no better than before.
+    items += [item for item in known.values() if item.name not in free and item.prior_std is not None]
+    slopes = truth.slopes(items)
     information = slopes @ slopes.T - truth.lost(slopes)
     information += np.diag([0.0 if item.prior_std is None else item.prior_std**-2.0 for item in items])
     reach = _WIDE * np.sqrt(np.diag(np.linalg.pinv(information, hermitian=True)))
@@ -108,6 +111,26 @@ class Truth:
         if kind in ("mass", "inertia_scale"):
             return self._true.mass[target] if kind == "mass" else 1.0
         return float(getattr(self._true, _FIELDS.get(kind, kind))[self._case.joints.index(target)])
+
+    def slopes(self, items: Sequence[Parameter]) -> np.ndarray:
+        """Derivatives of all readings by each number, in z, (P, N).
+
+        Where positions alone are read, all torques and masses times the same factor change nothing. Single derivatives
+        do not add up to that over the kinks of dry friction: the difference along all of them takes the place of their
+        sum, and each gets a part by the square of its size.
+        """
+        found = np.array([self.slope(item) for item in items])
+        sized = np.array([item.transform == "log" and item.unit.startswith(("N", "kg")) for item in items])
+        if sized.any():
+            rows = [item for item, own in zip(items, sized, strict=True) if own]
+            up, down = (
+                self._readings({item.name: _at(item, self.value(item.name), side * _STEP) for item in rows})
+                for side in (1.0, -1.0)
+            )
+            shares = np.square(np.linalg.norm(found, axis=1)) * sized
+            missed = (up - down).ravel() / (2 * _STEP) - found[sized].sum(axis=0)
+            found += np.outer(shares / max(float(shares.sum()), 1e-300), missed)
+        return found
 
     def slope(self, item: Parameter) -> np.ndarray:
         """Derivatives of all readings by one number, in z, (N,)."""

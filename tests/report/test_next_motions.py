@@ -54,7 +54,7 @@ def test_one_motion_for_each_kind_of_cause_and_one_more(copied):
         *("path/to/robot.yaml", "fit.json", "3", "plans"),
     )
     assert "friction and inertia" in recipe.text
-    assert "the model states none" in recipe.text
+    assert "put those of your robot" in recipe.text
     assert recipe.lines in build_report(copied).replace("&#34;", '"')
 
 

@@ -620,7 +620,7 @@ def test_intervals_of_errors_end_at_zero():
 def test_what_is_left_is_told_joint_by_joint(copied):
     page = section(build_report(add_identification(copied, make_fit(JOINTS), JOINTS)), "left")
     text = words(page)
-    assert "looks like noise on 1 of 3 joints" in text
+    assert "The remaining error is noise on 1 of 3 joints" in text
     assert f"{JOINTS[0]} 0.00300 rad none ✓ noise What is left looks like noise." in text
     assert f"{JOINTS[1]} 0.00600 rad 0.20 s ▲ model error What is left is model error." in text
     assert left_summary([]) == ""
