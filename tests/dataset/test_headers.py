@@ -306,7 +306,7 @@ def test_values_say_whether_qd_is_a_velocity(told, side):
     assert found.tree["series"][side]["signals"][signal]["columns"] == "qd"
 
 
-def test_columns_that_are_called_as_joints_are_keep_their_names(tmp_path):
+def test_columns_named_like_joints_keep_their_names(tmp_path):
     rng, names = np.random.default_rng(0), ("FL_hip_joint", "FL_thigh_joint", "FL_calf_joint")
     head = ",".join(["t", *names, *(f"{name}_cmd" for name in names)])
     rows = np.column_stack([np.arange(50) / 100, rng.normal(size=(50, 6))])
