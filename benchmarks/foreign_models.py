@@ -31,7 +31,7 @@ from trueup.core.provenance import provenance
 from trueup.core.timeseries import TimeSeries
 from trueup.core.units import SI_UNIT
 from trueup.dataset import Dataset, DatasetInfo, DatasetWriter
-from trueup.errors import TrueupError
+from trueup.errors import ImpossibleLinks, TrueupError
 from trueup.robots import RobotSpec, load_robot
 from trueup.robots.model import load_spec
 from trueup.stages import draft, replay
@@ -124,9 +124,7 @@ def tried(model: Path, folder: Path) -> dict[str, Any]:
         began = time.monotonic()
         try:
             drafted = draft(model, out=folder)
-        except TrueupError as error:
-            if "--repair" not in str(error):
-                raise
+        except ImpossibleLinks:
             drafted, repaired = draft(model, out=folder, repair=True), True
         seconds = time.monotonic() - began
         robot = load_robot(str(folder / "robot.yaml"))

@@ -23,7 +23,7 @@ from trueup.identify.model_search import ModelSearch, TriedModel
 from trueup.identify.problem import Problem, Weights
 from trueup.identify.search import Search, Stopwatch
 from trueup.identify.segments import SegmentRule, make_segments
-from trueup.identify.sensitivity import agreed, invariant, split_shifts, verified
+from trueup.identify.sensitivity import agreed, invariant, jitter_of, split_shifts, verified
 from trueup.identify.solution import Solution, SolveSettings
 from trueup.identify.uncertainty import noise_level, noise_of, precision_of, resolution_of
 
@@ -184,6 +184,15 @@ def test_the_jitter_of_a_simulation_is_no_information(seed):
     assert sizes[:4] == pytest.approx(1.0, rel=0.02)
     # What hardly counts is not called known.
     assert np.linalg.norm(real[4:], axis=1).max() < 4.0 * Jittering.OBSERVATION
+
+
+def test_a_slope_at_a_bound_is_no_jitter():
+    problem = Jittering(0)
+    problem.residuals = lambda z: z @ problem.true
+    z = problem.parameters.start.copy()
+    z[:3] = problem.parameters.bounds[1][:3]
+    assert jitter_of(problem, z) < 1e-9 * Jittering.OBSERVATION
+    assert 0.02 < jitter_of(Jittering(0), z) / Jittering.OBSERVATION < 0.1
 
 
 def test_with_masses_that_are_known_the_scale_is_seen(pendulum):

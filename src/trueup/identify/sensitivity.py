@@ -84,8 +84,8 @@ def verified(
     own = invariant(problem.parameters, z)[:, alive] * norms[alive]
     own = own[np.linalg.norm(own @ unit, axis=1) < _CANCELED * np.linalg.norm(own, axis=1)]
     for number in range(1 if quick else _ROUNDS + 1):
-        far = number == _ROUNDS
-        if number or not (quick or own.size):
+        far, asked = number == _ROUNDS, bool(quick or own.size) and not number
+        if not asked:
             looked = np.flatnonzero(counts | far)
             squares, vectors = np.linalg.eigh(unit[looked] @ unit[looked].T)
             weak = np.flatnonzero(squares < _CANCELED**2)[: max(_FEWEST_DIRECTIONS, looked.size // 2)]
@@ -110,7 +110,7 @@ def verified(
             slopes = (changed[0] - changed[1]) / (2 * reach[:, None])
             # A jump on one side is half of it in a slope, and all of it in the sum, where a slope does not show. What
             # the equations say is the same motion does not jump; others may, and show it at the next place only.
-            jumps = np.maximum(0.5 * np.linalg.norm(changed[0] + changed[1], axis=1), jitter if number else 0.0)
+            jumps = np.maximum(0.5 * np.linalg.norm(changed[0] + changed[1], axis=1), 0.0 if asked else jitter)
             own, slopes, noise = own[usable], slopes[usable], (jumps / reach)[usable]
             gain = np.linalg.solve(own @ spread @ own.T + np.diag(noise**2 + (_ALIKE * _SHARE) ** 2), own @ spread).T
             unit, spread = unit + gain @ (slopes - own @ unit), spread - gain @ own @ spread
@@ -136,8 +136,11 @@ def jitter_of(problem: Problem, z: Float64[np.ndarray, "P"]) -> float:
         problem: what is simulated.
         z: where, (P,).
     """
+    low, high = problem.parameters.bounds
     moves = _LITTLE * np.random.default_rng(0).choice([-1.0, 1.0], (1, _TRIED, z.size))
-    one, other = _changes(problem, z, np.clip(np.concatenate([z + moves, z - moves]), *problem.parameters.bounds))
+    # What cannot move both ways stays: its slope would not cancel.
+    moves = np.where((z - _LITTLE >= low) & (z + _LITTLE <= high), moves, 0.0)
+    one, other = _changes(problem, z, np.concatenate([z + moves, z - moves]))
     return float(0.5 * np.sqrt(np.mean(np.nan_to_num(((one + other) ** 2).sum(axis=1)))))
 
 

@@ -22,7 +22,7 @@ from trueup.dataset.importers.stated import UnnamedCommand
 from trueup.dataset.importers.table import suggested
 from trueup.errors import ConfigError, DataError, OutputExists, TrueupError
 from trueup.robots import RobotSpec
-from trueup.robots.repair import repaired
+from trueup.robots.repair import repaired, unweighed
 from trueup.robots.spec import CommandSignal
 from trueup.robots.written import robot_yaml
 from trueup.stages.importing import plan_import
@@ -124,7 +124,7 @@ def draft(
         write_text(path, text)
         files.append(path)
         taken += [f"repaired: {fault.link} had {fault.wrong}; it has {fault.done}" for fault in faults]
-        if light := [fault.link for fault in faults if fault.wrong.startswith("a mass")]:
+        if light := unweighed(Path(model)):
             unsure.append(
                 f"{', '.join(light)} had no mass and got next to none: write their masses into {model}, or gains, "
                 "torques and all that is fitted mean nothing"
