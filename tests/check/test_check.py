@@ -80,6 +80,18 @@ def test_a_mirrored_joint_is_named(made, signal, joint, side):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("signal", ["position", "velocity"])
+def test_two_joints_of_which_one_mirrored_alone_explains_nothing_are_named_together(made, signal):
+    robot, path, episodes = made(signal)
+    wrong = changed(changed(episodes, mirrored(1)), mirrored(2))
+    findings = look(robot, path, wrong)
+    assert certain(findings) == [("sign", ("lift", "elbow"))], findings
+    mended_robot = mended(robot, findings[0].mends[0].lines)
+    assert [rule.sign for rule in mended_robot.joints] == [1, -1, -1]
+    assert certain(look(mended_robot, path, wrong)) == []
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("side", ["measured", "command"])
 def test_a_whole_robot_that_counts_the_other_way_round_is_named_by_one_finding(made, side):
     robot, path, episodes = made("position")

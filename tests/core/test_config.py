@@ -80,6 +80,24 @@ def test_aliases_that_multiply_are_refused(text):
         parse_yaml(text, "robot.yaml")
 
 
+@pytest.mark.parametrize(
+    ("text", "line", "hint"),
+    [
+        ("name: a\n  model: x.xml\n", "in line 2: model: x.xml", "Indent the keys"),
+        ("joints:\n- name: b\n\tlog: c\n", "in line 3: log: c", "not with tabs"),
+        ("fit:\n  kp: all\n  kv all\nx: 1\n", "in line 3: kv all", "a colon and a space"),
+        ("joints: [a, b\nname: c\n", "in line 1: joints: [a, b", "Close each"),
+        ('a: 1\nname: "b\nc: 1\n', 'in line 2: name: "b', "Close each"),
+        ("name: @a\n", "in line 1: name: @a", "in quotes"),
+    ],
+)
+def test_a_slip_in_yaml_is_shown_with_its_line_and_how_to_mend_it(text, line, hint):
+    with pytest.raises(ConfigError) as raised:
+        parse_yaml(text, "robot.yaml")
+    assert line in str(raised.value)
+    assert hint in raised.value.hint
+
+
 def test_aliases_and_merges_that_say_things_once_are_read():
     text = "usual: &usual {kp: 10, limits: &limits [-1, 1]}\njoints: [{<<: *usual, kp: 5}, *usual]\nfar: *limits"
     usual = {"kp": 10, "limits": [-1, 1]}

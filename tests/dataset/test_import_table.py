@@ -348,6 +348,13 @@ def test_shipped_mappings_are_recognized_when_they_fit_every_file(tmp_path):
     plan = table.scan(tmp_path, ImportOptions())
     assert [source.id for source in plan.episodes] == ["_2", "swing"]
     assert any("dfki_simple_pendulum" in note for note in plan.notes)
+    # A recording that was cut off at once is refused by its own name, and no other for its sake.
+    (tmp_path / "data_measured_1.csv").touch()
+    (tmp_path / "data_desired_1.csv").touch()
+    found = {source.id: source for source in table.scan(tmp_path, ImportOptions()).episodes}
+    assert len(found["_2"].load().measured) == 1
+    with pytest.raises(DataError, match=r"_1\.csv is empty"):
+        found["_1"].load()
     (tmp_path / "notes.csv").write_text("a,b\n1,2\n")
     with pytest.raises(FormatError, match="no mapping says"):
         table.scan(tmp_path, ImportOptions())

@@ -416,6 +416,18 @@ def test_timings_that_were_compared_with_a_large_step_alone_are_both_possible(fi
     assert not ModelSearch._compared_too_early(search, here, np.array([0.1]))
 
 
+def test_logs_are_a_simulation_s_only_in_the_way_in_which_that_was_found():
+    """Friction that creeps, or another timing of commands, explains what looked like the error of a large step."""
+    found = Discretization()
+    search = SimpleNamespace(_simulated=None, logs=SimpleNamespace(way=found))
+    assert not ModelSearch._of_this_step.fget(search)
+    search._simulated = found
+    assert ModelSearch._of_this_step.fget(search)
+    for other in ({"rigid": False}, {"command": "linear"}, {"trapezoidal": True}):
+        search.logs.way = replace(found, **other)
+        assert not ModelSearch._of_this_step.fget(search)
+
+
 @pytest.mark.parametrize(("gain", "better", "kept"), [(-100.0, False, False), (0.0, False, True), (100.0, True, False)])
 def test_what_the_data_do_not_decide_is_kept_for_the_intervals(gain, better, kept):
     free = ParameterSet((Parameter("mass[a]", 1.0, "kg", 0.1, 10.0, "log"),))

@@ -33,6 +33,8 @@ _NEAR_UNIT, _SOFT = 0.15, (0.7, 1.4)
 # A joint is out of its range for this share of the time, and in it where it is out for less; what a mirrored joint
 # beside a unit has to be better by.
 _OUTSIDE, _INSIDE, _EACH_MIRRORED = 0.3, 0.05, 0.5
+# Mirrored joints are looked for together among so many; each turn has to be worth so much.
+_MOST_MIRRORED, _WORTH_A_TURN = 8, 0.3
 # Units that few logs have, and what one of them has to be better by.
 _RARELY, _RARE, _COUNTS = ("mrad", "rev", "cm"), 1.5, "encoder counts"
 # How far the measured velocity may be from the derivative of the position.
@@ -149,7 +151,10 @@ def signs(looked: Looked) -> Iterator[Proposal]:
     """A joint that counts the other way round, in one series or in both."""
     for joint in looked.suspects:
         for side in _SIDES if joint in looked.lost else ("both",):
-            yield _sign(looked, joint, side)
+            yield _sign(looked, (joint,), side)
+    several = _mirrored(looked)
+    if len(several) > 1:
+        yield _sign(looked, several, "both")
 
 
 def swaps(looked: Looked) -> Iterator[Proposal]:
@@ -334,9 +339,47 @@ def proposals(looked: Looked) -> Iterator[Proposal]:
         yield from propose(looked)
 
 
-def _sign(looked: Looked, joint: int, side: Side) -> Proposal:
-    changed = looked.reading.with_columns(side, lambda columns: columns.changed(joint, factor=-1.0))
-    return Proposal("sign", (joint,), changed, side, f"counts the other way round {_in(side)}", value=-1.0)
+def _sign(looked: Looked, joints: tuple[int, ...], side: Side) -> Proposal:
+    changed = _flipped(looked.reading, joints, side)
+    says = f"{'counts' if len(joints) == 1 else 'count'} the other way round {_in(side)}"
+    return Proposal("sign", joints, changed, side, says, freedom=_EACH_MIRRORED * (len(joints) - 1), value=-1.0)
+
+
+def _mirrored(looked: Looked) -> tuple[int, ...]:
+    """Joints that explain the motions best if all of them count the other way round.
+
+    What the model says of a joint depends on where those before and behind it are: of two that are mirrored, one alone
+    may explain nothing. They are found by turning one or two more, or back, as long as that helps. The lag is that of
+    the present reading, or none, which damping makes up for: with one that is too long nothing is explained.
+    """
+    evidence, suspects = looked.evidence.coarse, looked.suspects
+    if len(suspects) > _MOST_MIRRORED:
+        return ()
+    base = evidence.score(looked.reading)
+
+    def misses(joints: frozenset[int]) -> float:
+        turned = _flipped(looked.reading, sorted(joints), "both")
+        scores = [evidence.score(replace(turned, lag_s=lag_s)) for lag_s in {0.0, looked.reading.lag_s}]
+        return min(float(loss(score, base).sum()) for score in scores) + _EACH_MIRRORED * len(joints)
+
+    turns = [frozenset(own) for count in (1, 2) for own in combinations(suspects, count)]
+    found, least = frozenset[int](), misses(frozenset())
+    for _ in suspects:
+        tried = [(misses(found ^ turn), found ^ turn) for turn in turns]
+        best, joints = min(tried, key=lambda one: one[0])
+        if best > least - _WORTH_A_TURN:
+            break
+        found, least = joints, best
+    return tuple(sorted(found))
+
+
+def _flipped(reading: Reading, joints: Sequence[int], side: Side) -> Reading:
+    def flip(columns: Columns) -> Columns:
+        for joint in joints:
+            columns = columns.changed(joint, factor=-1.0)
+        return columns
+
+    return reading.with_columns(side, flip)
 
 
 def _swap(looked: Looked, order: dict[int, int], side: Side) -> Proposal:
@@ -376,15 +419,10 @@ def _with_mirrored(looked: Looked, whole: Proposal) -> Iterator[Proposal]:
     if not far or whole.side == "command":
         return
 
-    def flip(columns: Columns, joints: Sequence[int]) -> Columns:
-        for joint in joints:
-            columns = columns.changed(joint, factor=-1.0)
-        return columns
-
-    turned = evidence.score(whole.reading.with_columns("both", lambda columns: flip(columns, far))).outside
+    turned = evidence.score(_flipped(whole.reading, far, "both")).outside
     mirrored = [joint for joint in far if turned[joint] < _INSIDE]
     if mirrored:
-        reading = whole.reading.with_columns("both", lambda columns: flip(columns, mirrored))
+        reading = _flipped(whole.reading, mirrored, "both")
         freedom = whole.freedom + _EACH_MIRRORED * len(mirrored)
         yield replace(whole, reading=reading, turned=tuple(mirrored), freedom=freedom)
 

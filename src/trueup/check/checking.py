@@ -15,7 +15,7 @@ from trueup.check.evidence import Evidence, loss
 from trueup.check.log_looks import LOOKS
 from trueup.check.reading import Reading, Side, Unit, joint_lines, yaml_lines
 from trueup.check.samples import Motion, motion_of
-from trueup.check.search import Accepted, accepted, nominal
+from trueup.check.search import INSIDE, OUTSIDE, Accepted, accepted, nominal
 from trueup.check.setting import Logs, Setting, listed, percent
 from trueup.core.check_result import SEVERITIES, Finding, Mend
 from trueup.core.episode import Episode
@@ -71,8 +71,8 @@ def check_motions(
     changes, reading = accepted(evidence, nominal(evidence), lengths)
     units: dict[tuple[str, int], Unit] = {}
     for change in changes:
-        units |= change.proposal.units
         findings.append(_finding(robot, evidence, change, units, lengths))
+        units |= change.proposal.units
     setting = replace(setting, reading=reading)
     # What follows from an explanation that is only likely is no finding of its own.
     told = [
@@ -91,7 +91,7 @@ def _finding(
     said, numbers = _explained(robot, evidence, change, joint)
     subject = listed(names) + " " if names else ""
     text = f"{subject}{proposal.words(robot.joint_names)}: {said}"
-    mends = _mends(robot, evidence, proposal, units, lengths)
+    mends = _mends(robot, evidence, proposal, units | proposal.units, lengths)
     others = []
     for other in change.others:
         alternative = _mends(robot, evidence, other, {**units, **other.units}, lengths)[:1]
@@ -122,7 +122,7 @@ def _explained(robot: RobotSpec, evidence: Evidence, change: Accepted, joint: in
         "value": change.proposal.value,
     }
     ways = []
-    if before.outside[joint] > 0.2 and after.outside[joint] < 0.02:
+    if before.outside[joint] > OUTSIDE and after.outside[joint] < INSIDE:
         ways.append(
             f"{name} stays within its range (as configured, it is outside {percent(before.outside[joint])} of the time)"
         )

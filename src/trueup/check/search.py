@@ -24,6 +24,9 @@ _EXPLAINED, _UNEXPLAINED, _MUCH_LESS = 0.75, 0.4, 0.25
 _SENSIBLE = 0.5
 # Where a joint was explained not at all and leaves so many times less now, more may be left: of a servo, of a motor.
 _NOTHING, _BY_FAR, _NEARLY, _MOSTLY = 0.7, 8.0, 0.12, 0.3
+# A joint is out of its range for more than the first share of the time, and in it where it is out for less than the
+# second.
+OUTSIDE, INSIDE = 0.2, 0.02
 # Another explanation that is nearly as good, in the logarithm of what is left.
 _RIVAL = 0.7
 # What is left without the model, where that is no reason to believe it.
@@ -193,7 +196,8 @@ def _better(looked: Looked, proposal: Proposal, after: Score) -> tuple[int, ...]
         if np.isnan(before.left[joint]) or np.isnan(after.left[joint]):
             continue
         ratio = (after.left[joint] + _LEAST) / (before.left[joint] + _LEAST)
-        if ratio < _TOLD or (before.outside[joint] > 0.2 and after.outside[joint] < 0.02 and ratio < 1.5):
+        back = before.outside[joint] > OUTSIDE and after.outside[joint] < INSIDE
+        if ratio < _TOLD or (back and ratio < 1.5):
             found.append(joint)
     # What a joint's position is counts for those before it, too. Which way one counts that stands still is not seen.
     seen = proposal.kind != "sign" or not set(proposal.joints).isdisjoint(looked.moved)
@@ -213,7 +217,8 @@ def _severity(looked: Looked, proposal: Proposal, after: Score, better: tuple[in
     if proposal.kind == "unit" and _far_outside(before, after, own):
         return "certain" if _sensible(evidence, proposal, after, own) else "likely"
     itself = looked.unmodelled[[proposal.order.get(joint, joint) for joint in better]] if servo else np.inf
-    if np.all((was < LOST) & (itself < _AS_GOOD * left)):
+    inside = (before.outside[own] <= OUTSIDE) | (after.outside[own] >= INSIDE)
+    if np.all((was < LOST) & (itself < _AS_GOOD * left) & inside):
         return None  # they follow as good servos do, with or without a model
     plain = bool(np.any((was > _NOTHING) & (left * _BY_FAR < was)))
     if plain and left.max() < (_NEARLY if servo else _MOSTLY):
@@ -249,7 +254,7 @@ def _share(score: Score) -> np.ndarray:
 def _far_outside(before: Score, after: Score, own: np.ndarray) -> bool:
     """Whether joints were so far out of their range that no calibration explains it, and are in it now."""
     return bool(
-        np.all(after.outside[own] < 0.02) and np.all(before.outside[own] > 0.5) and before.beyond[own].min() > 6.3
+        np.all(after.outside[own] < INSIDE) and np.all(before.outside[own] > 0.5) and before.beyond[own].min() > 6.3
     )
 
 

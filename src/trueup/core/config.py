@@ -19,6 +19,16 @@ from trueup.core.atomic import regular, where_missing, whole_number
 from trueup.errors import ConfigError, DataError, FormatError
 
 T = TypeVar("T")
+# What PyYAML says -> how that is usually mended.
+_YAML_HINTS = {
+    "mapping values": "Indent the keys of one level alike, and put text that has a colon in it in quotes.",
+    "'\\t'": "Indent with spaces, not with tabs.",
+    "expected ':'": "Write `key: value`, with a colon and a space, in this line.",
+    "expected ',' or": "Close each `[` and `{`, and put commas between what is in them.",
+    "expected <block end>": "Indent the keys of one level alike.",
+    "cannot start any token": "Put text that begins with this character in quotes.",
+    "end of stream": "Close each `[`, `{` and quote.",
+}
 _KINDS_OF_YAML: Mapping[type, str] = {list: "a list", str: "a text"}
 # By which a file may grow when its aliases are written out; a robot whose joints share their settings has hundreds.
 _MOST_REPEATED = 1_000_000
@@ -109,7 +119,21 @@ def parse_yaml(text: str, where: str) -> Any:
         *(yaml.YAMLError, ValueError, TypeError, LookupError),
         *(AttributeError, ArithmeticError, RecursionError, MemoryError),
     ) as error:
-        raise ConfigError(f"{where} is not plain YAML", got=str(error) or type(error).__name__) from error
+        raise _unreadable(where, text, error) from error
+
+
+def _unreadable(where: str, text: str, error: Exception) -> ConfigError:
+    """What is wrong with a text that is not YAML: the line, and how that is usually mended."""
+    # What is not closed is noticed where something else comes, and is to be mended where it begins.
+    begun = str(getattr(error, "context", None)).startswith(("while scanning a", "while parsing a flow"))
+    mark = getattr(error, "context_mark" if begun else "problem_mark", None)
+    problem = str(getattr(error, "problem", None) or str(error) or type(error).__name__)
+    if mark is None:
+        return ConfigError(f"{where} is not plain YAML", got=problem)
+    lines = text.splitlines()
+    line = lines[mark.line].strip() if mark.line < len(lines) else "the end of the file"
+    hint = next((own for part, own in _YAML_HINTS.items() if part in problem), "Look at this line and the one before.")
+    return ConfigError(f"{where} is not plain YAML", got=f"{problem}, in line {mark.line + 1}: {line}", hint=hint)
 
 
 def _length(node: yaml.Node, known: dict[int, float]) -> float:

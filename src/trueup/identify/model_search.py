@@ -66,8 +66,8 @@ _WORTH = 0.01
 _ROUGH = 0.005
 # What is left is the noise of the measurement up to this ratio.
 EXPLAINED = 1.1
-# Of a simulation with the model's own step: a fit simulates it exactly, and what it leaves is the noise alone.
-_EXACT = 1.03
+# Of a simulation with the model's own step: a fit simulates it exactly, and leaves of each joint the noise alone.
+_EXACT = 1.05
 # Where so many times the noise is left, a finer step has to take away this share of its squares, and how commands act
 # between their stamps is not looked at again.
 _FAR_FROM_NOISE, _WORTH_A_STEP = 5.0, 0.1
@@ -138,8 +138,8 @@ class ModelSearch:
         # For each way to simulate the logs.
         self._scorers = {self.logs.way: Scorer(nominal, self.usable, jobs=jobs, seed=seed)}
         self._finer: Alternative | None = None
-        # Whether the logs are those of a simulation with the model's own step.
-        self._of_this_step = False
+        # The way in which the logs were found to be those of a simulation with the model's own step.
+        self._simulated: Discretization | None = None
         self._undecided: list[dict[str, float]] = []
         # Wider bounds than those of the catalogue, for what ended on these.
         self._room: dict[str, tuple[float, float]] = {}
@@ -340,6 +340,11 @@ class ModelSearch:
     @property
     def _late(self) -> bool:
         return self._limit is not None and self._limit.spent >= _SURE
+
+    @property
+    def _of_this_step(self) -> bool:
+        """Whether the logs are those of a simulation with the model's own step, as far as the present way tells."""
+        return self._simulated == self.logs.way
 
     @property
     def torque_seen(self) -> bool:
@@ -613,18 +618,24 @@ class ModelSearch:
         """The same model with the step and damping that it came with, if the logs are a simulation's with these.
 
         A robot has no step. Logs that are explained to their noise, and decidedly worse with half of the model's step,
-        have the error of that step in them: a simulation has made them, and with it comes MuJoCo's own damping.
+        have the error of that step in them: a simulation has made them, and with it comes MuJoCo's own damping. A large
+        step also makes friction that holds creep, so that soft friction must not be what the logs ask for.
         """
-        if self._left(best) > _EXACT:
+        left = whiteness_of(self.problem_of(best), best.solution.residual)
+        if any(own.rms > _EXACT * own.noise for own in left.values() if own.noise):
             return best
+        rigid = self.logs.way.rigid
+        best = self._braked(best, fit, left_out, rough=rough, limit=limit)
+        if self.logs.way.rigid != rigid:
+            return self._settled(best, fit, left_out=left_out, rough=rough, limit=limit)
         if not self.logs.way.trapezoidal:
-            self._of_this_step, self._finer = True, None
+            self._simulated, self._finer = self.logs.way, None
             return best
         way = replace(self.logs.way, trapezoidal=False)
         other = self._compared(best, way)
         if other is None or other.gain < -DECIDED:
             return best
-        self._of_this_step, self._finer = True, None
+        self._simulated, self._finer = way, None
         return self._moved(best, fit, other, "as simulated", left_out, rough=rough, limit=limit)
 
     def _smoothed(
@@ -639,19 +650,29 @@ class ModelSearch:
             return best
         return self._chosen(best, fit, replace(self.logs.way, command="smooth"), rough=rough, limit=limit)
 
-    def _braked(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
+    def _braked(
+        self,
+        best: TriedModel,
+        fit: Mapping[str, Any],
+        left_out: Sequence[str] = (),
+        *,
+        rough: bool,
+        limit: TimeLimit | None,
+    ) -> TriedModel:
         """The same model with dry friction as soft as the model has it, if the logs say so: those of simulations do."""
         friction = [item for item in best.solution.parameters if item.quantity == "frictionloss"]
         own = self.logs.nominal.model.dof_frictionloss.any()
-        if _over(limit) or (not own and not any(best.solution.values[item.name] > 0.0 for item in friction)):
+        felt = own or any(best.solution.values[item.name] > 0.0 for item in friction)
+        if not self.logs.way.rigid or not felt or _over(limit):
             return best
-        return self._chosen(best, fit, replace(self.logs.way, rigid=False), rough=rough, limit=limit)
+        return self._chosen(best, fit, replace(self.logs.way, rigid=False), left_out, rough=rough, limit=limit)
 
     def _chosen(
         self,
         best: TriedModel,
         fit: Mapping[str, Any],
         way: Discretization,
+        left_out: Sequence[str] = (),
         *,
         rough: bool,
         limit: TimeLimit | None,
@@ -660,7 +681,7 @@ class ModelSearch:
         other = self._compared(best, way)
         if other is None or not self._better(other, best):
             return best
-        return self._moved(best, fit, other, "another way", (), rough=rough, limit=limit)
+        return self._moved(best, fit, other, "another way", left_out, rough=rough, limit=limit)
 
     def _moved(
         self,

@@ -451,7 +451,7 @@ def _unmatched(matching: Matching | None) -> list[str]:
 
 def _commented(robot: RobotSpec, first: RobotDraft, model: Path, logs: Path | str | None) -> str:
     """robot.yaml, with what somebody should look at on top."""
-    head = [f"# From {model.name}{f' and {Path(logs).name}' if logs else ''}, by `trueup init`."]
+    head = [f"# From {model.name}{f' and {Path(logs).resolve().name}' if logs else ''}, by `trueup init`."]
     if first.invented:
         head.append("# The gains are invented: nobody says them. `trueup identify` finds them.")
     return "\n".join(head) + "\n" + robot_yaml(robot)

@@ -90,13 +90,14 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
     if given is None:
         tables = [name for name in names if name.lower().endswith(_ENDINGS)]
         names = tables or [name for name in names if name.lower().endswith((".json", *_MAYBE))]
+    filled = _filled(root, names)
     try:
-        mapping = _recognize(path, root, names) if given is None else load_mapping(given)
+        mapping = _recognize(path, root, filled) if given is None else load_mapping(given)
     except FormatError:
         if options.spare_mapping is None or given is not None:
             raise
         mapping = load_mapping(options.spare_mapping)
-    if mapping.joint_pattern and (first := next(iter(_matching(mapping, names)), None)):
+    if mapping.joint_pattern and (first := next(iter(_matching(mapping, filled)), None)):
         mapping = mapping.of_columns(open_table(inside(root, root / first[0]), mapping).names)
     episodes = _episodes(root, names, mapping, options)
     if not episodes:
@@ -125,6 +126,11 @@ def scan(path: Path, options: ImportOptions) -> ImportPlan:
             *([f"skipped {len(unused)} tables, e.g. {unused[0]}: the mapping does not use them"] if unused else []),
         ),
     )
+
+
+def _filled(root: Path, names: Sequence[str]) -> Sequence[str]:
+    """Those that have anything in them, if any does: others say nothing of how the rest is to be read."""
+    return [name for name in names if (root / name).stat().st_size] or names
 
 
 def _recognize(path: Path, root: Path, names: Sequence[str]) -> TableMapping:
@@ -163,7 +169,7 @@ def suggested(path: Path) -> Suggestion | None:
     logs = opened(path)
     path = logs.path
     root = path.parent if path.is_file() else path
-    names = [file.relative_to(root).as_posix() for file in data_files(path, "")]
+    names = _filled(root, [file.relative_to(root).as_posix() for file in data_files(path, "")])
     ending = next((own for own in ENDINGS if any(name.lower().endswith(own) for name in names)), None)
     tables = [name for name in names if ending and name.lower().endswith(ending)]
     if not tables:
