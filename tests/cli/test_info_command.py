@@ -64,6 +64,26 @@ def test_logs_are_listed_and_one_motion_is_read(tmp_path, capsys):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("ending", ["csv", "npz"])
+def test_columns_without_a_mapping_are_read_as_their_names_suggest(tmp_path, capsys, ending):
+    time_s, angle = np.arange(0.0, 2.0, 0.01), np.sin(np.arange(200) * 0.05)
+    (tmp_path / "a.csv").touch()  # cut off at once
+    for name in ("b", "c"):
+        if ending == "csv":
+            rows = np.column_stack([time_s, angle, angle])
+            np.savetxt(tmp_path / f"{name}.csv", rows, delimiter=",", header="t,q_des_0,q_0", comments="")
+        else:
+            np.savez(tmp_path / f"{name}.npz", t=time_s, q_des=angle[:, None], q=angle[:, None])
+    if ending == "npz":
+        (tmp_path / "a.csv").unlink()
+    code, said, noted = run(capsys, "info", tmp_path)
+    assert code == 0, noted
+    assert said.startswith("logs (table): ")
+    assert "measured: position [rad], 100 Hz" in said
+    assert "columns are read as their names suggest" in noted
+    assert not (tmp_path / "mapping.yaml").exists()
+
+
 def test_what_close_and_identify_made(made, capsys, tmp_path):
     folder, _ = made
     path = next(folder.glob("*.xml"))

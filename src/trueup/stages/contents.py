@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from trueup.core.close_result import CLOSE_NAME, CloseResult
-from trueup.core.episode import EpisodeMeta, warning_kinds
+from trueup.core.episode import Episode, EpisodeMeta, warning_kinds
 from trueup.core.fit_result import FitResult
 from trueup.core.timeseries import TimeSeries
 from trueup.dataset import Dataset, is_dataset
-from trueup.dataset.importers.base import ImportOptions
-from trueup.errors import ConfigError
+from trueup.dataset.importers.base import ImportOptions, ImportPlan
+from trueup.dataset.importers.table import suggested
+from trueup.errors import ConfigError, DataError, FormatError
 from trueup.robots import RobotSpec, find_model, load_robot, shipped_robots
 from trueup.robots.known import NAMESAKES
 from trueup.robots.model import compile_spec, load_spec
@@ -133,8 +136,18 @@ def _of_dataset(dataset: Dataset) -> dict[str, Any]:
 
 
 def _of_logs(path: Path, format: str | None, options: ImportOptions) -> dict[str, Any]:
-    plan = plan_import(path, format=format, options=options)
-    first = plan.episodes[0].load() if plan.episodes else None
+    try:
+        plan, first = _planned(path, format, options)
+    except (FormatError, DataError):
+        suggestion = None if options.mapping or format not in (None, "table") else suggested(path)
+        if suggestion is None:
+            raise
+        with TemporaryDirectory() as folder:
+            mapping = Path(folder) / "mapping.yaml"
+            mapping.write_text(suggestion.text)
+            plan, first = _planned(path, "table", replace(options, mapping=mapping))
+        said = "columns are read as their names suggest; `trueup init MODEL LOGS` writes that into mapping.yaml"
+        plan = replace(plan, notes=(said, *plan.notes[1:]))
     return {
         "format": plan.format,
         "robot": plan.robot,
@@ -143,6 +156,19 @@ def _of_logs(path: Path, format: str | None, options: ImportOptions) -> dict[str
         **({} if first is None else _of_series(first.measured, first.command)),
         "notes": list(plan.notes),
     }
+
+
+def _planned(path: Path, format: str | None, options: ImportOptions) -> tuple[ImportPlan, Episode | None]:
+    """What there is to import, and the first motion of it that can be read."""
+    plan, error = plan_import(path, format=format, options=options), None
+    for source in plan.episodes:
+        try:
+            return plan, source.load()
+        except DataError as own:
+            error = error or own
+    if error is not None:
+        raise error
+    return plan, None
 
 
 def _warnings(metas: Iterable[EpisodeMeta]) -> dict[str, int]:

@@ -319,6 +319,8 @@ def _first(own: float | tuple[float, ...]) -> float:
 
 def _plain(table: Table, column: str) -> Float64[np.ndarray, "N"]:
     values = table.numbers(column)
+    if values.ndim == 2 and values.shape[1] == 1:  # of one joint
+        values = values[:, 0]
     if values.ndim != 1:
         raise DataError(
             f"{table.path}: {column} holds vectors",
