@@ -29,8 +29,8 @@ _CLEAR = 3.0
 _ALIKE = 0.01
 # The weakest directions along which others follow a move not further than this, in z, and how many times.
 _MOST_FOLLOWED, _CURVED, _FOLLOWED = 6, 0.2, 4
-# How late the feedback of a drive may be, one standard deviation [s]: half of the period of a loop of 2 kHz.
-_LATE_S = 0.00025
+# How late the feedback of a drive may be, one standard deviation [s]: a loop of 1 kHz acts half of its period late.
+_LATE_S = 0.0004
 # A drive is at its limit from this share of it on, and saturates where that is so for this share of the time.
 _AT_LIMIT, _SATURATED = 0.99, 0.005
 
