@@ -2,7 +2,6 @@
 
 import json
 
-import numpy as np
 import pytest
 
 from report.run_folders import make_attribution, make_fit
@@ -203,10 +202,10 @@ def test_explain_says_where_the_gap_comes_from(run, demo, tmp_path):
     assert "where the gap comes from" in printed
     found = Attribution.load(tmp_path / "why" / "explain.json")
     assert found.split == "test"
-    assert found.causes == ("delay", "gains", "friction", "gravity", "inertia")
+    assert set(found.labels) == {"delay", "gains", "friction", "gravity", "inertia", "unexplained"}
     for shares in (*found.shares.values(), found.shares_total):
         assert sum(shares.values()) == pytest.approx(1.0)
     # The demo's hardware has other gains, friction and delay than its model; little is left without a reason.
     assert found.shares_total["unexplained"] < 0.2
     assert found.shares_total["gains"] + found.shares_total["delay"] + found.shares_total["friction"] > 0.5
-    assert np.all(np.diff([step.parameters for step in found.steps]) > 0)
+    assert found.after.value < found.before.value

@@ -103,17 +103,15 @@ def logs(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("given_s", [60.0, 200.0, 600.0])
+@pytest.mark.parametrize("given_s", [20.0, 60.0, 200.0])
 def test_an_explanation_ends_in_time_and_says_what_it_lacks(logs, tmp_path, clock, given_s):
     robot, motions = logs
     config = IdentifyConfig(data=DataChoice(budget_s=12.0))
     found = explain(motions, robot, tmp_path / "arm.xml", config=config, limit=TimeLimit.after(given_s))
     assert clock[0] - 1000.0 <= 1.15 * given_s + 10.0
     assert found.short_of_time
-    assert len(found.causes) < 5 or given_s > 60.0
-    labels = next(line for line in found.statements if line.startswith("the time limit ended the search for"))
-    if given_s == 60.0:
-        assert "inertia" in labels
+    assert any(line.startswith("the time limit ended the search for") for line in found.statements)
+    assert sum(found.shares_total.values()) == pytest.approx(1.0)
 
 
 def test_an_explanation_without_time_has_no_causes(logs, tmp_path, clock):

@@ -9,7 +9,7 @@ import numpy as np
 
 from trueup.core.analysis import Analysis, BinnedCurve, HorizonCurve, Lag
 from trueup.core.atomic import write_json
-from trueup.core.attribution import Attribution, AttributionStep
+from trueup.core.attribution import Attribution, AttributionCause
 from trueup.core.close_result import CloseResult, Step
 from trueup.core.episode import Flag
 from trueup.core.fit_result import Direction, FitResult, FittedParameter, ModelRow, Whiteness
@@ -466,22 +466,31 @@ def many_parameters(joints=29):
 
 
 def make_attribution(joints):
-    """Gravity makes the second joint worse; a quarter of the first stays unexplained."""
+    """Gravity makes the second joint worse; 8 % stay unexplained."""
     causes = {
-        "": ("", (), 1.0),
-        "delay": ("delay", ("delay_s",), 0.9),
-        "gains": ("gains", ("kp",), 0.7),
-        "friction": ("friction", ("damping", "frictionloss"), 0.35),
-        "gravity": ("gravity or payload", ("torque_offset",), 0.3),
-        "inertia": ("inertia", ("armature",), 0.28),
+        "delay": ("delay", ("delay_s",), 0.19),
+        "gains": ("gains", ("kp",), 0.32),
+        "friction": ("friction", ("damping", "frictionloss"), 0.3675),
+        "gravity": ("gravity or payload", ("torque_offset",), 0.0325),
+        "inertia": ("inertia", ("armature",), 0.0116),
     }
-    steps = []
-    for number, (cause, (label, quantities, left)) in enumerate(causes.items()):
-        worse = 0.2 if cause == "gravity" else 0.0
-        errors = {joint: 0.04 * (left + (worse if place == 1 else 0.0)) for place, joint in enumerate(joints)}
-        total = Estimate(0.04 * left, "rad", 0.03 * left, 0.05 * left)
-        steps.append(AttributionStep(cause, label, quantities, 3 * number, errors, total, 4.0 * number))
-    return Attribution.of("test", "rad", steps, statements=("scored on 3 test motions",), provenance={"seed": 0})
+    shares = {}
+    for place, joint in enumerate(joints):
+        own = {cause: share for cause, (*_, share) in causes.items()}
+        own["gravity"] -= 0.17 if place == 1 else 0.0
+        shares[joint] = {**own, "unexplained": 1.0 - sum(own.values())}
+    total = {cause: share for cause, (*_, share) in causes.items()}
+    return Attribution(
+        split="test",
+        unit="rad",
+        before=Estimate(0.04, "rad", 0.03, 0.05),
+        after=Estimate(0.0112, "rad", 0.0084, 0.014),
+        causes=tuple(AttributionCause(name, label, own, 3 * len(own)) for name, (label, own, _) in causes.items()),
+        shares=shares,
+        shares_total={**total, "unexplained": 1.0 - sum(total.values())},
+        statements=("scored on 3 test motions",),
+        provenance={"seed": 0},
+    )
 
 
 def make_graybox(joints):

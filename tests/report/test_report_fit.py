@@ -26,7 +26,7 @@ from report.run_folders import (
     make_run,
     many_parameters,
 )
-from trueup.core.attribution import UNEXPLAINED, Attribution, AttributionStep, shares_of
+from trueup.core.attribution import UNEXPLAINED, Attribution, AttributionCause
 from trueup.core.fit_result import Direction, FitResult
 from trueup.core.graybox_result import GrayboxResult
 from trueup.core.parameters import split_name
@@ -48,7 +48,7 @@ from trueup.report.numbers import plain
 from trueup.report.open_words import direction_rows, direction_words, gain_words, strongest, suggestions
 from trueup.report.palette import KIND_STYLES, cause_styles
 from trueup.report.recipes import fit_recipes
-from trueup.report.sections.attribution import attribution_sentence, cause_titles, stacked
+from trueup.report.sections.attribution import attribution_sentence, stacked
 from trueup.report.sections.graybox import ALL_MOTIONS, graybox_chooser, payload_bars, reductions_table, scores_of
 from trueup.report.sections.left import above_zero, left_summary, models_chooser, tried_models
 from trueup.report.sections.parameters import parameter_groups
@@ -511,22 +511,9 @@ def test_ticks_are_a_handful_inside_the_span(low, high):
     assert 1.0 in ticks
 
 
-def test_shares_are_of_the_squared_error_and_add_up():
-    attribution = make_attribution(JOINTS)
-    for row in stacked(attribution, JOINTS).values():
-        assert sum(row.values()) == pytest.approx(1.0)
-    first, second = attribution.shares[JOINTS[0]], attribution.shares[JOINTS[1]]
-    assert first["delay"] == pytest.approx(1.0 - 0.9**2)
-    assert first["friction"] == pytest.approx(0.7**2 - 0.35**2)
-    assert first[UNEXPLAINED] == pytest.approx(0.28**2)
-    assert second["gravity"] == pytest.approx(0.35**2 - 0.5**2)
-    squares = [sum(step.errors[joint] ** 2 for joint in JOINTS) for step in attribution.steps]
-    assert attribution.shares_total["gains"] == pytest.approx((squares[1] - squares[2]) / squares[0])
-
-
 def test_a_negative_share_is_drawn_to_the_left_and_fits_the_axis():
     attribution = make_attribution(JOINTS)
-    shares, titles = stacked(attribution, JOINTS), cause_titles(attribution)
+    shares, titles = stacked(attribution, JOINTS), attribution.labels
     figure = shares_figure(shares, titles, cause_styles(titles))
     go.Figure(figure)
     json.dumps(figure, allow_nan=False)
@@ -534,7 +521,7 @@ def test_a_negative_share_is_drawn_to_the_left_and_fits_the_axis():
     bars = {bar["name"]: dict(zip(bar["y"], bar["x"], strict=True)) for bar in figure["data"]}
     assert list(bars) == ["delay", "gains", "friction", "gravity or payload", "inertia", "unexplained"]
     worse = bars["gravity or payload"][JOINTS[1]]
-    assert worse == pytest.approx(100 * (0.35**2 - 0.5**2), rel=1e-5)
+    assert worse == pytest.approx(100 * (0.0325 - 0.17), rel=1e-5)
     low, high = figure["layout"]["xaxis"]["range"]
     assert low < worse
     assert high > 100.0 - worse
@@ -545,7 +532,10 @@ def test_a_negative_share_is_drawn_to_the_left_and_fits_the_axis():
 def test_an_attribution_in_words(copied):
     attribution = make_attribution(JOINTS)
     text = attribution_sentence(attribution).replace("\N{NO-BREAK SPACE}", " ")
-    assert text == "Friction explains 37 % of the squared error, gains 32 % and delay 19 %; 7.8 % stays unexplained."
+    assert (
+        text
+        == "37 % of the squared error comes from friction, 32 % from gains and 19 % from delay; 7.8 % stays unexplained."
+    )
     attribution.save(copied / "explain.json")
     page = section(build_report(copied), "attribution")
     assert "made it worse" in page
@@ -553,34 +543,26 @@ def test_an_attribution_in_words(copied):
 
 
 def test_no_error_has_no_shares(copied):
-    steps = [
-        AttributionStep(cause, cause, (), number, {"a": 0.0}, Estimate(0.0, "rad"))
-        for number, cause in enumerate(("", "delay"))
-    ]
-    attribution = Attribution.of("test", "rad", steps)
-    assert math.isnan(attribution.shares["a"]["delay"])
+    nothing = dict.fromkeys(("delay", UNEXPLAINED), math.nan)
+    cause, none = AttributionCause("delay", "delay", ("delay_s",), 1), Estimate(0.0, "rad")
+    attribution = Attribution("test", "rad", none, none, (cause,), {"a": nothing}, nothing)
     attribution.save(copied / "explain.json")
     assert json.loads((copied / "explain.json").read_text())["shares_total"] == {"delay": None, UNEXPLAINED: None}
     assert "There is no error to attribute." in build_report(copied)
-    assert shares_of([], []) == {UNEXPLAINED: pytest.approx(math.nan, nan_ok=True)}
 
 
 def test_an_attribution_survives_its_file_and_refuses_nonsense(tmp_path):
     attribution = make_attribution(JOINTS)
     attribution.save(tmp_path / "explain.json")
     assert Attribution.load(tmp_path / "explain.json") == attribution
-    assert attribution.causes == ("delay", "gains", "friction", "gravity", "inertia")
-    first, second, third = attribution.steps[:3]
-    with pytest.raises(DataError, match="no steps"):
-        Attribution.of("test", "rad", [])
-    for steps in ([second, third], [first, first], [first, second, second]):
+    assert list(attribution.labels) == ["delay", "gains", "friction", "gravity", "inertia", UNEXPLAINED]
+    first, second = attribution.causes[:2]
+    for causes in ([first, first], [replace(first, cause=""), second]):
         with pytest.raises(DataError, match="cause"):
-            Attribution.of("test", "rad", steps)
-    with pytest.raises(DataError, match="same joints"):
-        Attribution("test", "rad", (first, replace(second, errors={"x": 1.0})), {}, {})
+            replace(attribution, causes=tuple(causes))
     for shares, total in (({"x": {"delay": -1e308}}, {}), ({}, {"delay": math.inf})):
         with pytest.raises(DataError, match="a share of an attribution"):
-            Attribution("test", "rad", (first, second), shares, total)
+            replace(attribution, shares=shares, shares_total=total)
 
 
 def test_a_fit_that_does_not_say_why_it_ended_did_not_end_by_time():

@@ -135,7 +135,8 @@ def test_it_ends_where_it_was_asked_to_end(data, tmp_path, until, last, rungs):
     # And goes on from there.
     if until == "explain":
         whole = quick(data, tmp_path / "out", resume=True)
-        assert [step.status for step in whole.result.steps] == ["kept", "done", "kept", "kept", "done", "done"]
+        # By the numbers of the fit now, and not by those of a search of its own.
+        assert [step.status for step in whole.result.steps] == ["kept", "done", "kept", "done", "done", "done"]
 
 
 @pytest.mark.long

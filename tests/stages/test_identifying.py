@@ -72,7 +72,7 @@ def test_a_robot_driven_by_torque_is_judged_by_the_windows_of_the_fit(pendulum, 
     assert ladder["stock"] == pytest.approx(per_joint.mean(), rel=1e-6)
     assert ladder["fitted"] == pytest.approx(found.fit.errors["fitted"]["test"].value, rel=1e-3)
     why = explain(data, truth.robot, model=model, config=CONFIG, jobs=1)
-    assert why.steps[0].total.value == pytest.approx(per_joint.mean(), rel=1e-6)
+    assert why.before.value == pytest.approx(per_joint.mean(), rel=1e-6)
 
 
 def test_a_window_that_the_robot_states_is_the_one_that_judges(pendulum, tmp_path):

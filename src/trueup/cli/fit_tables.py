@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from trueup.cli.tables import number
-from trueup.core.attribution import UNEXPLAINED, Attribution
+from trueup.core.attribution import Attribution
 from trueup.core.fit_result import IDENTIFIED, FitResult, FittedParameter
 
 if TYPE_CHECKING:
@@ -86,11 +86,11 @@ def attribution_table(attribution: Attribution) -> Table:
         title=f"where the gap comes from: share of the mean square error on {attribution.split}", title_justify="left"
     )
     table.add_column("joint")
-    labels = {step.cause: step.label for step in attribution.steps}
-    for cause in (*attribution.causes, UNEXPLAINED):
-        table.add_column(labels.get(cause, cause), justify="right")
+    labels = attribution.labels
+    for label in labels.values():
+        table.add_column(label, justify="right")
     for joint, shares in {**attribution.shares, "all joints": attribution.shares_total}.items():
-        cells = [shares[cause] for cause in (*attribution.causes, UNEXPLAINED)]
+        cells = [shares[cause] for cause in labels]
         table.add_row(
             escape(joint), *("" if math.isnan(share) else f"{round(100 * share, 1) + 0.0:.1f} %" for share in cells)
         )

@@ -38,7 +38,7 @@ def gap(
     ] = None,
     explain: Annotated[
         bool,
-        typer.Option("--explain", help="Fit cause after cause: how much is delay, gains, friction, gravity, inertia."),
+        typer.Option("--explain", help="Fit, and tell how much is delay, gains, friction, gravity, inertia."),
     ] = False,
     config: Annotated[
         Path | None, typer.Option("--config", help="YAML that says what --explain fits; see docs/identification.md.")
@@ -114,7 +114,7 @@ def gap(
         note(why)
     for line in measurement.gap.settings["warnings"]:
         note(line)
-    if out_dir is not None:  # before the fits of --explain, which may fail
+    if out_dir is not None:  # before the fit of --explain, which may fail
         folder.forget_explanation(out_dir)
         measurement.save(out_dir)
         folder.forget_other_ladder(out_dir)

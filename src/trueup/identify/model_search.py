@@ -45,7 +45,7 @@ from trueup.identify.sensitivity import late_shifts, split_shifts
 from trueup.identify.simulated_logs import SimulatedLogs
 from trueup.identify.solution import OnModel, Solution
 from trueup.identify.solve import solve
-from trueup.identify.start import idle_names, off_bounds, regressed_start, servo_regressed, swept_start
+from trueup.identify.start import begun_start, idle_names, off_bounds
 from trueup.identify.suspects import strange_masses, suspects_of
 from trueup.identify.uncertainty import (
     Posterior,
@@ -808,7 +808,7 @@ class ModelSearch:
         if begun is not None:
             problem = self.logs.problem(off_bounds(parameters.at(begun)))
         elif start is None:
-            started = self._started(self.logs.problem(parameters), limit).parameters
+            started = begun_start(self.logs.problem(parameters), self._train, limit)
             self.logs.begin_at({item.name: item.value for item in started})
             problem = self.logs.problem(started)
         else:
@@ -851,13 +851,6 @@ class ModelSearch:
 
     def _until(self, spent: float) -> TimeLimit | None:
         return None if self._limit is None else self._limit.until(spent)
-
-    def _started(self, problem: Problem, limit: TimeLimit | None) -> Problem:
-        """The problem with a start from afar."""
-        if self._signal == "torque":
-            return problem.with_parameters(regressed_start(problem, self._train))
-        begun = problem.with_parameters(servo_regressed(problem, self._train))
-        return begun.with_parameters(swept_start(begun, limit))
 
     def _to_the_end(self, rough: TriedModel, fit: Mapping[str, Any], left_out: Sequence[str]) -> TriedModel:
         """The same model from where a rough search ended."""

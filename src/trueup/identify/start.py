@@ -30,6 +30,19 @@ _OFF_BOUND = 0.01
 _LEAST_SHARE = 0.2
 
 
+def begun_start(problem: Problem, episodes: Sequence[Episode], limit: TimeLimit | None = None) -> ParameterSet:
+    """Where a search from afar begins: by inverse dynamics along the motions, and of servos also by simulation.
+
+    Args:
+        problem: the fit.
+        episodes: the motions that are fitted to.
+        limit: when looking for a start has to end.
+    """
+    if problem.nominal.robot.controller.signal == "torque":
+        return regressed_start(problem, episodes)
+    return swept_start(problem.with_parameters(servo_regressed(problem, episodes)), limit)
+
+
 def swept_start(problem: Problem, limit: TimeLimit | None = None) -> ParameterSet:
     """Better start values, one kind of parameter after the other.
 

@@ -154,7 +154,7 @@ class CloseSteps:
                 notes += self._judge(trained)
             self.folder.measured(time.perf_counter() - began)
         # Last, so that the steps that were asked for have their time first.
-        attribution = self._explain(replayed) if asked("explain") else None
+        attribution = self._explain(replayed, identified) if asked("explain") else None
         if attribution is not None:
             notes += attribution.statements
         if identified is not None:
@@ -252,9 +252,13 @@ class CloseSteps:
                 self.folder.leave_out(name, why)
         return replace(closed, result=self.folder.result, stopped=True)
 
-    def _explain(self, replayed: ReplaySummary) -> Attribution | None:
+    def _explain(self, replayed: ReplaySummary, identified: Identified | None) -> Attribution | None:
         path, limit = self.folder.path / EXPLAIN_NAME, self.budget.of("explain")
-        inputs = explain_inputs(self.dataset, self.robot, model=self.model, config=self.config, seed=self.seed)
+        # A fit that is no better than the model as it came says nothing of where the gap comes from.
+        fitted = None if identified is None or identified.fit.status == "no-better" else identified.fit
+        inputs = explain_inputs(
+            self.dataset, self.robot, model=self.model, config=self.config, seed=self.seed, fitted=fitted
+        )
         earlier = self.folder.earlier("explain")
         kept = earlier is not None and earlier.inputs == inputs and path.is_file()
         # What was asked for is not left out so that there is time to explain.
@@ -268,11 +272,15 @@ class CloseSteps:
             if kept:
                 found = Attribution.load(path)
             else:
+                config = self.config
+                if fitted is None:
+                    config = self.folder.keep_config(EXPLAIN_CONFIG, self._fitted_motion(replayed.seconds, limit))
                 found = explain(
                     self.dataset,
                     self.robot,
                     model=self.model,
-                    config=self.folder.keep_config(EXPLAIN_CONFIG, self._fitted_motion(replayed.seconds, limit)),
+                    fitted=fitted,
+                    config=config,
                     seed=self.seed,
                     jobs=self.jobs,
                     on_progress=self.watch.on_fit,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from trueup.core.attribution import UNEXPLAINED, Attribution
+from trueup.core.attribution import Attribution
 from trueup.core.check_result import SEVERITIES, CheckResult
 from trueup.core.fit_result import FitResult
 from trueup.errors import TrueupError
@@ -44,7 +44,7 @@ def of_certain(checked: CheckResult) -> str:
 
 def shares(attribution: Attribution) -> str:
     """Whose share of the gap is how large."""
-    labels = {step.cause: step.label for step in attribution.steps} | {UNEXPLAINED: UNEXPLAINED}
+    labels = attribution.labels
     found = sorted(attribution.shares_total.items(), key=lambda item: -item[1])
     return ", ".join(f"{labels[cause]} {100 * share:.0f} %" for cause, share in found if share >= 0.005)
 

@@ -179,14 +179,21 @@ def fit(
 
 
 def explain_inputs(
-    dataset: Dataset, robot: RobotSpec, *, model: Path | None, config: IdentifyConfig | None, seed: int
+    dataset: Dataset,
+    robot: RobotSpec,
+    *,
+    model: Path | None,
+    config: IdentifyConfig | None,
+    seed: int,
+    fitted: FitResult | None = None,
 ) -> str:
     """Hash of everything that decides about what `explain` finds.
 
     Raises:
         ConfigError: there is no model.
     """
-    return _digest(dataset, robot, model_file(robot, dataset, given=model), config, seed)
+    own = _digest(dataset, robot, model_file(robot, dataset, given=model), config, seed)
+    return own if fitted is None else json_hash([own, fitted.values])
 
 
 def _digest(dataset: Dataset, robot: RobotSpec, model: Path, config: IdentifyConfig | None, seed: int) -> str:
@@ -291,6 +298,7 @@ def explain(
     robot: RobotSpec,
     *,
     model: Path | None = None,
+    fitted: FitResult | None = None,
     config: IdentifyConfig | None = None,
     seed: int = 0,
     jobs: int | None = None,
@@ -299,7 +307,7 @@ def explain(
 ) -> Attribution:
     """How much of the gap is delay, gains, friction, gravity or payload, inertia, and unexplained.
 
-    Nested fits on train, scored on test; see `identify.explain`.
+    By the numbers of a fit, or of a search of its own; see `identify.explain`.
 
     Raises:
         NotIdentifiable: there is nothing to learn from these motions.
@@ -313,6 +321,7 @@ def explain(
         motions.by_split,
         robot,
         path,
+        fitted=fitted,
         config=config,
         jobs=jobs or os.cpu_count() or 1,
         seed=seed,

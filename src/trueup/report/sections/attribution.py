@@ -12,7 +12,7 @@ from trueup.report.labels import ordered, split_title
 from trueup.report.numbers import percent
 from trueup.report.palette import cause_styles
 from trueup.report.sections.base import Section
-from trueup.report.sections.cells import change_cell, seconds_cell
+from trueup.report.sections.cells import change_cell
 from trueup.report.share_figures import shares_figure
 
 ALL_JOINTS = "all joints"
@@ -34,24 +34,18 @@ def attribution_section(run: RunFolder) -> Section | None:
 
 def attribution_sentence(attribution: Attribution) -> str:
     """The largest causes, and what none of them explains."""
-    titles, total = cause_titles(attribution), attribution.shares_total
-    known = [cause for cause in attribution.causes if total.get(cause, 0.0) >= 0.005]
-    known.sort(key=lambda cause: -total[cause])
+    titles, total = attribution.labels, attribution.shares_total
+    known = sorted((own.cause for own in attribution.causes), key=lambda cause: -total.get(cause, 0.0))
+    known = [cause for cause in known if total.get(cause, 0.0) >= 0.005]
     rest = total.get(UNEXPLAINED, float("nan"))
     if not rest >= 0.0:
         return "There is no error to attribute."
     shares = [percent(total[cause], sign=False) for cause in known]
-    parts = [f"{titles[cause]} {share}" for cause, share in zip(known, shares, strict=True)]
+    parts = [f"{share} from {titles[cause]}" for cause, share in zip(known, shares, strict=True)]
     if not parts:
         return f"No cause took any of the error away; {percent(rest, sign=False)} stays unexplained."
-    first = f"{titles[known[0]]} explains {shares[0]} of the squared error"
+    first = f"{shares[0]} of the squared error comes from {titles[known[0]]}"
     return as_sentence(f"{listed([first, *parts[1:3]])}; {percent(rest, sign=False)} stays unexplained")
-
-
-def cause_titles(attribution: Attribution) -> dict[str, str]:
-    """Cause -> its name, in the order of the steps, the unexplained rest last."""
-    titles = {step.cause: step.label or step.cause for step in attribution.steps[1:]}
-    return {**titles, UNEXPLAINED: UNEXPLAINED}
 
 
 def stacked(attribution: Attribution, joints: Sequence[str]) -> dict[str, dict[str, float]]:
@@ -62,9 +56,9 @@ def stacked(attribution: Attribution, joints: Sequence[str]) -> dict[str, dict[s
 
 def attribution_chooser(attribution: Attribution, joints: Sequence[str]) -> Chooser | None:
     """Figure and tables; there is nothing to choose."""
-    shares, titles = stacked(attribution, joints), cause_titles(attribution)
+    shares, titles = stacked(attribution, joints), attribution.labels
     variant = Variant(
-        tables={"shares": shares_table(shares, titles), "steps": steps_table(attribution)},
+        tables={"shares": shares_table(shares, titles), "causes": causes_table(attribution)},
         figures={"shares": shares_figure(shares, titles, cause_styles(titles))},
     )
     return make_chooser("attribution-chooser", [], lambda: variant, preferred=())
@@ -81,17 +75,19 @@ def shares_table(shares: dict[str, dict[str, float]], titles: dict[str, str]) ->
     return Table(["Joint", *titles.values()], rows, caption)
 
 
-def steps_table(attribution: Attribution) -> Table:
-    """The nested fits behind the shares."""
-    rows = []
-    for before, step in zip((None, *attribution.steps), attribution.steps, strict=False):
-        cell = change_cell(step.total, None if before is None else before.total)
-        head = f"+ {step.label or step.cause}" if step.cause else "model as it came"
-        cells = [Cell(str(step.parameters)), cell, seconds_cell(step.seconds) if step.cause else Cell("–")]
-        rows.append(TableRow(head, cells, note=", ".join(step.quantities)))
-    columns = ["Fitted on top", "Parameters", f"RMSE, {split_title(attribution.split)}", "Time to fit"]
-    caption = "The nested fits: each has the parameters of all rows above it. The percentage is the change of the step."
-    return Table(columns, rows, caption)
+def causes_table(attribution: Attribution) -> Table:
+    """What was fitted, and what that makes of the error."""
+    rows = [
+        TableRow(own.label or own.cause, [Cell(str(own.parameters)), Cell(", ".join(own.quantities))])
+        for own in attribution.causes
+    ]
+    rows.append(
+        TableRow(
+            f"RMSE, {split_title(attribution.split)}", [Cell("–"), change_cell(attribution.after, attribution.before)]
+        )
+    )
+    caption = "The numbers that the fit has changed."
+    return Table(["Cause", "Numbers", "Quantities"], rows, caption)
 
 
 def _share_cell(share: float, cause: str) -> Cell:
