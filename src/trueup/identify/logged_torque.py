@@ -26,8 +26,8 @@ _LATER_S = 0.002
 # Standard deviation of the moment of a command, as a share of the time between two that are logged: it is anywhere
 # between them.
 _ANYWHERE = 12.0**-0.5
-# How far from its stamp the position may be that a logged torque answers to, one standard deviation [s]: a drive of 1 kHz
-# may log that of its last cycle. This much times kp, its damping and that of the joint cannot be told apart.
+# How far from its stamp the position may be that a logged torque answers to, one standard deviation [s]: a drive of
+# 1 kHz may log that of its last cycle. Its damping and that of the joint are told apart up to this times kp.
 READ_S = 0.0005
 
 
