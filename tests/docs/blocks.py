@@ -96,6 +96,9 @@ CONTRACTS = {
     ),
 }
 
+# Of files whose format has changed since the first one.
+VERSIONS = {"explain": 2}
+
 # Page -> lines of output that come of all of the recording or all parameters, not of the few that are run here.
 OTHER_DATA = {
     "first-hour": (

@@ -183,7 +183,8 @@ def test_every_example_of_a_file_is_compared_with_one():
         for block in blocks_of(page)
         if (block.kind, block.what) == ("json", "") and "[json]" not in blocks.ELSEWHERE.get(page, {})
     }
-    assert schemas == {f"trueup.{Path(path).stem}/1" for paths in blocks.CONTRACTS.values() for path in paths}
+    stems = [Path(path).stem for paths in blocks.CONTRACTS.values() for path in paths]
+    assert schemas == {f"trueup.{stem}/{blocks.VERSIONS.get(stem, 1)}" for stem in stems}
     assert set(blocks.CONTRACTS) <= set(RUN)
 
 
