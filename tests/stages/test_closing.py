@@ -548,7 +548,8 @@ def test_with_little_time_it_ends_with_what_it_has(data, tmp_path, monkeypatch):
         "kept",
         "done",
         "kept",
-        *first[3:],
+        "kept",
+        *first[4:],
         "kept" if last == "done" else last,
     ]
     assert again.result.step("explain").seconds == done.result.step("explain").seconds
