@@ -404,9 +404,9 @@ def test_a_share_below_zero_is_drawn_to_the_left_of_zero(driver, fitted_page):
         "return Object.fromEntries(e.calcdata.map((bars, i) => [e.data[i].name, bars.map((b) => [b.s0, b.s1])]))"
     )
     low, high = sorted(spans["gravity or payload"][2])
-    assert (low, high) == (pytest.approx(-12.75, rel=1e-3), 0)
+    assert (low, high) == (pytest.approx(-13.75, rel=1e-3), 0)
     # what is to the right of zero reaches beyond 100 % by as much
-    assert max(end for bars in spans.values() for end in bars[2]) == pytest.approx(112.75, rel=1e-3)
+    assert max(end for bars in spans.values() for end in bars[2]) == pytest.approx(113.75, rel=1e-3)
     assert max(end for bars in spans.values() for end in bars[1]) == pytest.approx(100.0, rel=1e-3)
 
 

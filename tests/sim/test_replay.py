@@ -40,6 +40,7 @@ def test_windows_of_a_log_of_the_simulator_give_the_log_too(tmp_path):
     again = replay_episode(log, simulator, ReplaySettings(window_s=0.25))  # from the measured state, velocity included
     np.testing.assert_allclose(again["position"], log.measured["position"], atol=1e-7)
     np.testing.assert_allclose(again["velocity"], log.measured["velocity"], atol=1e-7)
+    np.testing.assert_allclose(again["torque"], log.measured["torque"], atol=1e-5)  # of the last stamp, too
     at_rest = replay_episode(log, simulator, ReplaySettings(window_s=0.25, initial_velocity="zero"))
     assert np.abs(at_rest["position"] - log.measured["position"]).max() > 1e-3
 

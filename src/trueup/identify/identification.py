@@ -130,7 +130,7 @@ def identify(
         signal: {joint: (error, after[signal][joint]) for joint, error in own.items()} for signal, own in before.items()
     }
     whiteness = whiteness_of(problem, solution.residual)
-    suspects = search.suspects(best)
+    suspects = search.suspects(best, posterior)
     evidence = Evidence(
         solution,
         parameters,

@@ -263,19 +263,20 @@ class ModelSearch:
         rows = zip(found.parameters.free, found.z.tolist(), strict=True)
         return [{item.name: item.to_z(there[item.name]) - at for item, at in rows if item.name in there}]
 
-    def suspects(self, item: TriedModel) -> tuple[Suspect, ...] | None:
-        """What the model may lack; None where no time is left to look for it."""
+    def suspects(self, item: TriedModel, known: Posterior) -> tuple[Suspect, ...] | None:
+        """What the model may lack, with its numbers `known` that well; None where no time is left to look for it."""
         if _over(self._limit):
             return None
         found = self.searched or item.solution
         problem, held_out = self.logs.problem(found.parameters), self.logs.held_out(found.parameters)
+        spread = dict(zip((own.name for own in known.parameters.free), known.std.tolist(), strict=True))
         try:
             with ExitStack() as stack:
                 for own in (problem, held_out):
                     for simulated in (own, own.coarse) if own is not None else ():
                         if simulated is not None:
                             stack.enter_context(simulated.ending(self._limit))
-                return suspects_of(problem, held_out, found, self._settings, exact=self._of_this_step)
+                return suspects_of(problem, held_out, found, self._settings, spread)
         except OutOfTime:
             return None
 

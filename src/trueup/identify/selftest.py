@@ -334,7 +334,8 @@ def _from_command_on(episode: Episode, told: TimeSeries) -> Float64[np.ndarray, 
 
 
 def _steps(clock: Float64[np.ndarray, "T"], step_s: float) -> int:
-    return max(1, int(np.ceil((clock[-1] - clock[0]) / step_s - 1e-6)))
+    # As of a replay: what acts at the last stamp is told by the step that begins with it.
+    return int(np.ceil((clock[-1] - clock[0]) / step_s - 1e-6)) + 1
 
 
 def _acting(

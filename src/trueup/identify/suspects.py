@@ -48,9 +48,11 @@ _LEAST_GAIN, _LEAST_OF_JOINT, _LEAST_ON_VAL = 25.0, 12.0, 10.0
 _SOME = 0.2
 # Causes that are looked at closely.
 _MOST = 3
-# Share of what is left that a suspect explains at least, on train and on val, and on train without val; and where
-# nothing should be left.
-_EXPLAINS, _EXPLAINS_ALONE, _EXPLAINS_SOME = 0.3, 0.5, 0.1
+# Share of what is left that a suspect explains at least, on train and on val, and on train without val.
+_EXPLAINS, _EXPLAINS_ALONE = 0.3, 0.5
+# What is left passes for noise up to so many times the noise of each joint. There a cause explains at least this share,
+# and moves a number by so many of its standard deviations.
+_PASSES, _EXPLAINS_SOME, _BENDS = 1.3, 0.1, 2.0
 # Of one of its joints, on train.
 _PART = 0.15
 # What is left beyond the noise of the measurement counts as no less than this share of that noise.
@@ -283,7 +285,7 @@ class Suspicion:
         held_out: the same for motions that were not fitted; None without.
         solution: of the fit.
         settings: of its search.
-        exact: whether the model should leave nothing at all: that of a simulation's logs.
+        known: number -> standard deviation of its interval, in z.
 
     Raises:
         DataError: the model cannot be simulated.
@@ -295,10 +297,8 @@ class Suspicion:
         held_out: Problem | None,
         solution: Solution,
         settings: SolveSettings,
-        *,
-        exact: bool = False,
+        known: Mapping[str, float] | None = None,
     ) -> None:
-        self._least = _EXPLAINS_SOME if exact else _EXPLAINS
         z, newton = solution.z, settings.gauss_newton
         (residual,) = problem.residuals(z[None])
         loss = Loss.of(residual, newton.loss, newton.loss_scale)
@@ -313,6 +313,11 @@ class Suspicion:
             jacobian = self._derivatives([], ended) / self.train.counts
             self._begin(Rest.of(problem, z, loss), jacobian)
         self.val = None if held_out is None else Rest.of(held_out, z, loss)
+        names = [item.name for item in problem.parameters.free]
+        self._spread = np.array([np.inf if known is None else known.get(name, np.inf) for name in names])
+        most = _PASSES**2 * self._noise * self.train.samples
+        self._passes = bool(np.all(self.train.problem.squares(self.train.residual) <= most))
+        self._least = _EXPLAINS_SOME if self._passes else _EXPLAINS
 
     def _begin(self, rest: Rest, jacobian: Float64[np.ndarray, "P N"]) -> None:
         self.train, self._z, self._jacobian = rest, rest.motions.z, jacobian * rest.counts
@@ -342,10 +347,12 @@ class Suspicion:
 
     @cached_property
     def _open(self) -> set[int]:
-        """Joints of which so much is left that a cause could be named."""
+        """Joints of which so much is left that a cause could be named; all where noise may hide it."""
+        columns = self.train.problem.columns
+        if self._passes:
+            return {int(column) for column in columns}
         noise = self._noise * self.train.samples
         beyond = self.train.problem.squares(self.train.residual) - noise
-        columns = self.train.problem.columns
         return {int(columns[place]) for place in np.flatnonzero(beyond > self._least * _LEAST_EXCESS * noise)}
 
     def screened(self) -> list[Tested]:
@@ -552,7 +559,8 @@ class Suspicion:
         joints = {column.joint for column in item.columns}
         shares = self._by_joint(item)
         if None not in joints and not item.cause.single:
-            some = [place for place, joint in enumerate(columns) if joint in joints and shares[0][place] > _PART]
+            part = min(_PART, self._least)
+            some = [place for place, joint in enumerate(columns) if joint in joints and shares[0][place] > part]
             return [place for place in some if shares[-1][place] > 0.0]
         return [place for place in range(len(columns)) if all(own[place] > self._least for own in shares)]
 
@@ -621,7 +629,13 @@ class Suspicion:
         train, val, gain = self._shares(item, about)
         if val is None:
             return train > _EXPLAINS_ALONE
-        return train > self._least and val > self._least and gain > _LEAST_ON_VAL
+        least = self._least if self._bends(item) else _EXPLAINS
+        return train > least and val > least and gain > _LEAST_ON_VAL
+
+    def _bends(self, item: Tested) -> bool:
+        """Whether numbers would be others with the cause, by more than their intervals say."""
+        assert item.place is not None
+        return bool(np.any(np.abs(item.place.z - self.left.place.z) > _BENDS * self._spread))
 
     @staticmethod
     def _sizes(item: Tested) -> dict[int | None, float]:
@@ -677,8 +691,7 @@ def suspects_of(
     held_out: Problem | None,
     solution: Solution,
     settings: SolveSettings,
-    *,
-    exact: bool = False,
+    known: Mapping[str, float] | None = None,
 ) -> tuple[Suspect, ...]:
     """What a fitted model may lack.
 
@@ -687,12 +700,12 @@ def suspects_of(
         held_out: the same for motions that were not fitted; None without.
         solution: of the fit.
         settings: of its search.
-        exact: whether the model should leave nothing at all: that of a simulation's logs.
+        known: number -> standard deviation of its interval, in z.
 
     Raises:
         DataError: the fitted model cannot be simulated.
     """
-    return Suspicion(problem, held_out, solution, settings, exact=exact).suspects()
+    return Suspicion(problem, held_out, solution, settings, known).suspects()
 
 
 def strange_masses(parameters: ParameterSet, values: Mapping[str, float]) -> str:

@@ -175,7 +175,8 @@ class ReplayPlan:
                 got=f"samples every {np.median(np.diff(clock)):.3g} s",
                 expected=f"windows of at least {_FEWEST_ROWS} samples",
             )
-        return max(1, int(np.ceil(longest_s / self._step_s - 1e-6)))
+        # One more than up to the last stamp: what acts there is told by the step that begins with it.
+        return int(np.ceil(longest_s / self._step_s - 1e-6)) + 1
 
     def _column(self, signal: str, joint: int, delay_s: float) -> Float64[np.ndarray, "W N"]:
         """One joint's command per step; the last delay's is kept, since most candidates of a fit share it."""
@@ -201,8 +202,7 @@ class ReplayPlan:
         clock = self.measured.time_s
         window = np.searchsorted(self.starts, np.arange(clock.size), side="right") - 1
         steps = self._settling + (clock - clock[self.starts][window]) / self._step_s
-        # The last stamp of a motion sits on the last grid point, up to rounding.
-        row = np.minimum(np.floor(steps + 1e-6).astype(np.int64), self._steps - 1)
+        row = np.floor(steps + 1e-6).astype(np.int64)
         return window, row, steps - row
 
 
