@@ -100,7 +100,7 @@ def context(tmp_path):
     return folder
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_every_step_runs_in_a_clean_folder(tmp_path, context):
     container = Container(tmp_path / "root", context)
     for kind, rest in steps():

@@ -16,10 +16,11 @@ SAID = {
     "which_robot_is_different.py": (["OUT"], ["delay_s: ", "unlike: arm-4"]),
     "from_arrays_to_a_dataset.py": (["OUT"], ["motion/00003: 400 samples at 100 Hz"]),
 }
+MINUTES = {"which_robot_is_different.py", "what_has_the_model_wrong.py"}
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", SAID)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in MINUTES)) for name in SAID])
 def test_it_runs(name, tmp_path):
     words, said = SAID[name]
     words = [str(tmp_path / "out") if word == "OUT" else word for word in words]

@@ -23,7 +23,10 @@ def attacker(tmp_path_factory):
     attacker.close()
 
 
-@pytest.mark.parametrize("name", all_parsers())
+_EVERY_PARSER = [pytest.param(name, marks=[pytest.mark.slow] * (name == "detection")) for name in all_parsers()]
+
+
+@pytest.mark.parametrize("name", _EVERY_PARSER)
 def test_damaged_files_are_answered_clearly(attacker, name):
     *_, tally = attack(attacker, name, range(MUTATIONS))
     assert not tally.defects

@@ -368,7 +368,7 @@ def test_a_model_that_is_imprecise_is_no_wrong_set_up(tmp_path, signal, seed):
     assert certain(look(robot, path, changed(episodes, coarse, command=False))) == []
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_drawn_mistakes_are_named(made):
     """Of mistakes drawn at random at least 95 in 100 are named, and mended by their first lines."""
     rng, total, named = np.random.default_rng(11), 0, 0

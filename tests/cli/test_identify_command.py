@@ -45,7 +45,7 @@ def quick(tmp_path):
     return path
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_identify_climbs_a_rung(run, demo, quick, tmp_path):
     out = tmp_path / "fit"
     code, printed, said = run("identify", demo, "--robot", "demo_arm", "--config", quick, "--out", out, "--jobs", "1")

@@ -143,6 +143,7 @@ def test_mj1344_without_a_torque_no_mass_is_determined(fits):
     assert not false_claims(found, truth)
 
 
+@pytest.mark.slow
 def test_mj3284_single_masses_of_a_planar_arm(fits):
     robot, model, truth = case(fits, "mj3284")
     commands = sines(2, 1200, 0.005, size=np.array([1.5, 0.6]), fastest=2.0)
@@ -153,6 +154,7 @@ def test_mj3284_single_masses_of_a_planar_arm(fits):
     assert not false_claims(found, truth)
 
 
+@pytest.mark.slow
 def test_pace13_a_servo_that_saturates_is_fitted(fits):
     robot, model, truth = case(fits, "pace13")
     commands = sines(1, 1600, 0.005, size=0.9, fastest=2.0)
@@ -183,6 +185,7 @@ VELOCITY_SERVO = """<mujoco><option timestep="0.0005" integrator="implicitfast"/
 <actuator><velocity name="s" joint="j" kv="{kv}"/></actuator></mujoco>"""
 
 
+@pytest.mark.slow
 def test_a_velocity_servo_is_explained_wherever_its_first_reading_says_that_it_began(tmp_path):
     """It keeps all its way what the first reading was off by: 1.4 times the noise would be left."""
     (tmp_path / "model.xml").write_text(VELOCITY_SERVO.format(kv=3.0))
@@ -197,6 +200,7 @@ def test_a_velocity_servo_is_explained_wherever_its_first_reading_says_that_it_b
     assert not false_claims(found, {"kv[j]": 2.0, "damping[j]": 0.2, "frictionloss[j]": 0.1, "armature[j]": 0.03})
 
 
+@pytest.mark.slow
 def test_il1077_an_integral_term_is_named(fits):
     robot, *_ = case(fits, "pace13")
     folder = fits / "threads" / "il1077"
@@ -225,6 +229,7 @@ def test_posmot_positions_for_torque_motors_are_refused_with_what_to_write(fits)
         identify(logged(fits, "posmot"), robot, model)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moving", [False, True])
 def test_a_command_that_moves_between_its_stamps_is_told_from_one_that_is_held(fits, moving):
     """The leg of `make_truth.py` (held every 2 ms, logged every 10) and of `make_truth_zoh.py`."""

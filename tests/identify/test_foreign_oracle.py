@@ -57,7 +57,7 @@ def test_derivatives_are_those_of_another_truth(made):
     assert np.linalg.norm(slope - expected) < 0.1 * np.linalg.norm(expected)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_more_motions_tell_more_and_unknown_states_less(made):
     case, folder, _ = made
     names = [f"{name}[{joint}]" for name in ("damping", "armature") for joint in case.joints[::2]]
@@ -74,7 +74,7 @@ def test_more_motions_tell_more_and_unknown_states_less(made):
         assert not lost.any()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize("made", ["velocity"], indirect=True)
 @pytest.mark.parametrize("share", [20.0, 0.5])
 def test_a_largest_torque_that_is_known_to_a_tenth_tells_less_where_a_drive_saturates(made, share, monkeypatch):

@@ -59,7 +59,9 @@ def test_parameters_that_move_nothing_are_left_as_the_model_has_them(tmp_path):
         assert limit.value == limit.nominal == 90.0
 
 
-@pytest.mark.parametrize("models", [{}, {"load": ("load",)}], ids=["base alone", "with another model"])
+@pytest.mark.parametrize(
+    "models", [{}, pytest.param({"load": ("load",)}, marks=pytest.mark.slow)], ids=["base alone", "with another model"]
+)
 def test_motions_that_show_nothing_give_a_status_and_no_error(models, tmp_path):
     robot, nominal = nominal_of(tmp_path, SERVO)
     truth = Truth(robot, nominal, {})

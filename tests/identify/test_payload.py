@@ -76,7 +76,7 @@ def test_a_payload_is_looked_for_amid_what_carries_it_or_at_its_site(tmp_path):
     assert Nominal(robot, path).payload_start == pytest.approx((0.0, 0.13, 0.0))
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_payload_that_nobody_has_described_is_found_and_masses_stay_where_they_are(tmp_path):
     robot, model, logs = arm_logs(tmp_path, Lack(payload_kg=0.4), seconds=3.0)
     models = {"payload": IdentifyConfig().resolved(Nominal(robot, model)).models["payload"]}

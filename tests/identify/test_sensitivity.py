@@ -328,7 +328,7 @@ def test_a_bound_that_nobody_asked_for_is_moved_where_it_is_hit(tmp_path):
     assert kept["delay_s[j]"].value == -0.02
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_windows_begin_where_the_motion_that_follows_says(tmp_path):
     pendulum = pendulum_logs(tmp_path, driven=True)
     fit = dict.fromkeys(("damping", "frictionloss", "armature"), "all") | {"mass": {"prior_std": 0.1}}

@@ -96,14 +96,14 @@ def test_what_was_begun_here_is_ended_there(problem, tmp_path):
     assert [path.name for path in files if files[path] != again[path]] == ["base.start1.gauss-newton.json"]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_limit_ends_all_of_them(problem):
     settings = SolveSettings(solver="gauss-newton", starts=3)
     there = solve(problem.with_parameters(problem.parameters), settings, limit=TimeLimit.after(1e-6), cluster=CLUSTER)
     assert there.solver["stop"] == "time"
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_worker_that_is_killed_loses_nothing(home, tmp_path):
     robot = load_robot(home / "robot.yaml")
     data = Dataset(home / "data")

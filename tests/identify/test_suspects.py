@@ -130,7 +130,7 @@ def test_forces_and_a_moving_base_act_together(tmp_path):
     assert np.abs(bare.position - at_rest.position).max() > 1e-3
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_an_identification_with_a_suspect_is_not_ok_and_is_read_back(tmp_path):
     robot, model, logs = arm_logs(tmp_path, Lack(late_s=0.012))
     result = identify(logs, robot, model, config=IdentifyConfig(models={})).result
@@ -151,7 +151,7 @@ def test_a_logged_torque_shows_late_feedback_that_positions_hide(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("torque", [False, True])
+@pytest.mark.parametrize("torque", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_an_identification_of_a_right_model_is_ok(tmp_path, torque):
     robot, model, logs = arm_logs(tmp_path, Lack(torque=torque))
     result = identify(logs, robot, model, config=IdentifyConfig(models={})).result

@@ -81,7 +81,7 @@ def test_motions_do_not_know_of_each_other():
     np.testing.assert_allclose(warp.rollout(request).position[1], warp.rollout(alone).position[0], atol=1e-6)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_replay_is_a_run_like_any_other(tmp_path):
     data = Dataset(demo_dataset(tmp_path / "data"))
     robot = load_robot("demo_arm")

@@ -11,10 +11,10 @@ ROBOT = load_robot("demo_arm")
 # Two quantities, little motion: a fit of seconds.
 QUICK = IdentifyConfig(
     fit={"delay_s": "all", "kp": "all"},
-    data=DataChoice(budget_s=12.0),
+    data=DataChoice(budget_s=6.0),
     solver=SolverChoice(max_iterations=4),
 )
-OTHER = replace(QUICK, data=DataChoice(budget_s=13.0))
+OTHER = replace(QUICK, data=DataChoice(budget_s=7.0))
 METHODS = ("moving-average",)
 
 

@@ -224,7 +224,7 @@ def test_without_torch_the_networks_are_left_out_and_said_how_to_get(data, tmp_p
     assert [rung.name for rung in done.ladder.rungs] == ["command", "stock", "fitted"]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_method_that_fails_does_not_hide_the_others(data, tmp_path, monkeypatch):
     real = close_networks.augment
 
@@ -277,7 +277,7 @@ def test_before_there_is_a_fit_another_question_is_refused_too(data, tmp_path):
         quick(tmp_path / "fewer", out, until="gap", resume=True)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_beginning_anew_leaves_nothing_of_another_configuration(closed, tmp_path):
     data = shutil.copytree(closed.dataset.path, tmp_path / "data")
     out = shutil.copytree(closed.dataset.path.parent / "out", tmp_path / "out")

@@ -177,7 +177,7 @@ def test_logs_with_more_motions_are_refused_before_any_is_added(recorded, tmp_pa
     assert quick(logs, out, until="gap", resume=True, **options).result.step("replay").status == "kept"
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_look_at_the_gap_keeps_the_windows_of_a_fit_and_what_was_measured_in_them(data, tmp_path):
     out, config = tmp_path / "out", replace(QUICK, data=DataChoice(window_s=1.0, burn_in_s=0.0, budget_s=12.0))
     quick(data, out, config=config, until="identify")

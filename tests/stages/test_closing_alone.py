@@ -75,7 +75,7 @@ def test_all_steps_are_done_on_less_motion_than_was_asked_for(folder):
     assert not (folder / "out" / "explain.yaml").exists(), "the numbers of the fit are explained"
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_explain_alone(folder):
     assert close(folder, "--until", "explain", out="short") == 0
     config = folder / "short" / "explain.yaml"

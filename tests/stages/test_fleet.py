@@ -98,7 +98,7 @@ def test_it_is_read_back_and_refuses_what_it_is_not(done, tmp_path):
         FleetResult.load(tmp_path / "other.json")
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_worker_that_is_killed_loses_nothing(done, home, robot, tmp_path):
     """On a Ray cluster of two processes, one of which is killed in the middle of a fit."""
     with one_worker_killed(lambda: any(tmp_path.glob("out/*/checkpoints/*"))) as killed:  # a fit has begun
@@ -147,7 +147,7 @@ def test_measured_only(home, robot, tmp_path):
     assert set(found.units[0].errors) == {"command", "stock"}
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_command(home, tmp_path, capsys):
     (tmp_path / "fit.yaml").write_text("fit: {kp: all}\nsolver: {max_iterations: 4}\n")
     options = ("--robot", home / "robot.yaml", "--config", tmp_path / "fit.yaml", "--jobs", "1")

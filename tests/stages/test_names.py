@@ -68,7 +68,7 @@ def robot_of(path, controller):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["position", "torque"])
+@pytest.mark.parametrize("kind", ["position", pytest.param("torque", marks=pytest.mark.slow)])
 def test_strange_names_are_explained_and_identified(tmp_path, kind):
     path = write_model(tmp_path)
     import_logs(write_logs(tmp_path / "logs", path, signal=kind), tmp_path / "data", format="npz")
