@@ -43,7 +43,7 @@ from trueup.identify.search import Search, Stopwatch
 from trueup.identify.segments import usable
 from trueup.identify.sensitivity import late_shifts, split_shifts
 from trueup.identify.simulated_logs import SimulatedLogs
-from trueup.identify.solution import OnModel, Solution
+from trueup.identify.solution import OnModel, OnProgress, Solution
 from trueup.identify.solve import solve
 from trueup.identify.start import begun_start, idle_names, off_bounds
 from trueup.identify.suspects import strange_masses, suspects_of
@@ -291,7 +291,8 @@ class ModelSearch:
     def _verified(self, item: TriedModel) -> TriedModel | None:
         """The same, in the present timing of the command; None where no time is left for it."""
         found, problem = item.solution, self.problem_of(item)
-        search = Search(problem, self._settings, Stopwatch(), checkpoint=None, on_progress=None)
+        says = self._said(item.row.name)
+        search = Search(problem, self._settings, Stopwatch(), checkpoint=None, on_progress=says)
         try:
             with problem.ending(self._until(_SURE)):
                 solution = replace(found, **search.certain(found.z))
@@ -777,6 +778,11 @@ class ModelSearch:
         except (DataError, OutOfTime):
             return None
 
+    def _said(self, name: str) -> OnProgress | None:
+        """What is called with how the search of a model goes on."""
+        report = self._on_progress
+        return None if report is None else lambda progress: report(name, progress)
+
     def _frozen(self, item: TriedModel) -> list[str]:
         return [parameter.name for parameter in item.solution.parameters if parameter.frozen]
 
@@ -820,12 +826,12 @@ class ModelSearch:
             raise NotIdentifiable(
                 "no parameter is left to fit", got="; ".join(self.seen.statements) or "all are frozen"
             )
-        report, prepared_s = self._on_progress, time.perf_counter() - began
+        prepared_s = time.perf_counter() - began
         solution = solve(
             problem,
             settings,
             checkpoint=self._checkpoints / f"{name}.json" if self._checkpoints else None,
-            on_progress=None if report is None else lambda progress: report(name, progress),
+            on_progress=self._said(name),
             limit=limit,
             cluster=self._cluster,
         )

@@ -236,7 +236,8 @@ class Search:
         near, jacobian = self._settled(z, _POLISHED)
         newton = near
         if self.problem.coarse is not None:
-            search = Search(self.problem.alone(), self.settings, self.clock, checkpoint=None, on_progress=None)
+            alone, say = self.problem.alone(), self._on_progress
+            search = Search(alone, self.settings, self.clock, checkpoint=None, on_progress=say)
             newton, _ = search._settled(near.state.z, _FINISHED, jacobian)
             self.problem.starts = search.problem.starts
         # Errors of derivatives over two distances, and at two time steps, are others.
@@ -246,6 +247,7 @@ class Search:
         weight = self._weight(newton.residual)
         jitter = jitter_of(search.problem, newton.state.z)
         newton.polish(verified(search.problem, newton.state.z, jacobian, weight, jitter=jitter, quick=True))
+        search._say("intervals", 1, float(np.linalg.norm(newton.residual)))
         jacobian = verified(search.problem, newton.state.z, jacobian, weight, jitter=jitter)
         counted, factor = as_least_squares(self.problem, newton.residual, self._loss(newton.residual))
         rms = float(np.linalg.norm(newton.residual))
@@ -267,6 +269,7 @@ class Search:
             if number and newton.promised(jacobian) * newton.state.cost < _SETTLED * weight:
                 break
             before, jacobian = newton.state.z, newton.polish(jacobian)
+            self._say("derivatives", number + 1, float(np.sqrt(newton.state.cost)))
             stuck = np.array_equal(before, newton.state.z)
             if stuck and fresh:
                 break  # the same derivatives would lead nowhere once more
