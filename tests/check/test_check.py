@@ -183,6 +183,16 @@ def test_a_gear_is_named(made, signal):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize(
+    ("factor", "scale"), [(4.0, pytest.approx(0.25, rel=1e-12)), (2.2, pytest.approx(1 / 2.2, rel=0.02))]
+)
+def test_a_scaled_action_has_the_round_factor_that_it_is_nearly(made, factor, scale):
+    robot, path, episodes = made("position")
+    wrong = changed(episodes, scaled(2, factor, -0.3 * factor), measured=False)
+    assert assert_named(robot, path, wrong, "scale", ["elbow"]).joints[2].command.scale == scale
+
+
+@pytest.mark.long
 def test_commands_of_motors_behind_gears_that_are_alike_are_named_by_one_finding(made):
     robot, path, episodes = made("position")
     wrong = changed(episodes, lambda _, values: 100.0 * values, measured=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -37,6 +38,8 @@ _LAGS = np.arange(0.0, 0.21, 0.02)
 _SAME_LOSS = 0.3
 # Steps by which a factor is looked for.
 _NEARER = (0.06, 0.03, 0.012, 0.005, 0.002)
+# First digits of round factors, as gears and scales of actions have, and how near a factor may be to such a one.
+_ROUND, _NEARLY_ROUND = (1.0, 1.25, 5 / 3, 2.0, 2.5, 3.0, 10 / 3, 4.0, 5.0, 6.0, 8.0, 10.0), 0.012
 # Clocks that differ by less are nothing to stop for [s].
 _LATE_S = 0.1
 # Proposals that are looked at closely, after a first look at all of them.
@@ -124,7 +127,19 @@ def _at_lag(evidence: Evidence, proposal: Proposal) -> Proposal:
         assert again is not None
         tried = [again(1.0 + step * width) for step in (-2, -1, 0, 1, 2)]
         proposal = min(tried, key=lambda one: float(np.nansum(np.log(evidence.score(one.reading).left))))
+    proposal = _with_round_factor(proposal)
     return replace(proposal, reading=_usual_lag(evidence, proposal.reading))
+
+
+def _with_round_factor(proposal: Proposal) -> Proposal:
+    """The same with the round factor that it is nearly: the one that explains most also makes up for wrong gains."""
+    if proposal.again is None:
+        return proposal
+    digits = abs(proposal.value) / 10.0 ** math.floor(math.log10(abs(proposal.value)))
+    much = min(_ROUND, key=lambda one: abs(one / digits - 1.0)) / digits
+    if abs(much - 1.0) > _NEARLY_ROUND:
+        return proposal
+    return proposal.again(much if proposal.side == "command" else 1.0 / much)
 
 
 def _best(looked: Looked) -> Accepted | None:
