@@ -1,6 +1,14 @@
 """Who is let into a domain, and what is said to whoever is not."""
 
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
 import pytest
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl._xt_builder import XTBuilder
+from cyclonedds.idl.types import int32
 
 from ros2.ros2_cases import fresh_domain, wait_for
 from trueup.errors import ConfigError
@@ -51,3 +59,32 @@ def test_all_of_the_network_is_reached_where_another_has_begun_the_domain(unsaid
         outbox, inbox = node.publish("/a", JointState), node.listen("/a", JointState)
         wait_for(lambda: outbox.readers and inbox.writers)
     del other
+
+
+def test_a_type_that_two_threads_need_for_the_first_time_is_described_once(monkeypatch):
+    """Cyclone takes a type for described as soon as it has begun to: the second thread would be refused."""
+
+    @dataclass
+    class Fresh(IdlStruct, typename="std_msgs::msg::dds_::Fresh_"):
+        data: int32 = 0
+
+    process, begun = XTBuilder.process_type, threading.Event()
+
+    def slowly(kind):
+        found = process(kind)
+        write = found[0].serialize
+
+        def late(**how):
+            begun.set()
+            time.sleep(0.3)
+            return write(**how)
+
+        monkeypatch.setattr(found[0], "serialize", late, raising=False)
+        return found
+
+    monkeypatch.setattr(XTBuilder, "process_type", slowly)
+    with Node(Network(fresh_domain(), localhost=True)) as node, ThreadPoolExecutor(1) as pool:
+        other = pool.submit(node.publish, "/one", Fresh)
+        assert begun.wait(5.0)
+        node.publish("/other", Fresh)
+        other.result()

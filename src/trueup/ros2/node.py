@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import threading
 from collections.abc import Iterator
 from typing import Any, Generic, TypeVar
 from uuid import UUID
@@ -46,6 +47,7 @@ _POLICIES = {
     23: "another encoding",
     24: ANOTHER_TYPE,
 }
+_DESCRIBING = threading.Lock()
 # Once around in a wait, so that signals are seen [s].
 _WAIT_S = 0.1
 _NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
@@ -241,4 +243,6 @@ def _type_hash(type_: type[Any]) -> list[Policy.Userdata]:
 
 
 def _topic(participant: DomainParticipant, name: str, type_: type[Any]) -> Topic[Any]:
-    return Topic(participant, mangled(name), type_)
+    # Cyclone describes a type at its first use, and takes it for described before it is: threads have to take turns.
+    with _DESCRIBING:
+        return Topic(participant, mangled(name), type_)
