@@ -79,7 +79,7 @@ def test_identify_climbs_a_rung(run, demo, quick, tmp_path):
     assert "mujoco/again" in printed
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_an_unsure_fit_is_loud_and_a_useless_one_fails(run, demo, tmp_path):
     config = tmp_path / "weak.yaml"
     config.write_text("fit: {payload_z: all, kv: all}\nmodels: {}\ndata: {budget_s: 8}\nsolver: {max_iterations: 1}\n")

@@ -35,7 +35,7 @@ RUN = [page for page in PAGES if page not in blocks.COMMANDS_ELSEWHERE and lines
 # Pages with commands that nothing else runs in `make test`.
 QUICK = ("augmentation", "compensation", "fleet", "payload", "selftest", "torque-rig")
 # Pages that take minutes.
-SLOW = ("policies",)
+SLOW = ("building-blocks", "policies", "real-robots")
 # Commands whose report is written without an option that asks for it.
 REPORTS = ("close", "demo", "identify", "augment eval", "augment robustness")
 # Imports two motions, then is killed.

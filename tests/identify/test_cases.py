@@ -121,6 +121,7 @@ def case(fits, name):
     return robot, fits / robot.model, json.loads((fits / f"{name}.json").read_text())
 
 
+@pytest.mark.slow
 def test_mj2082_the_scale_of_all_torques_is_not_determined(fits):
     robot, model, truth = case(fits, "mj2082")
     config = IdentifyConfig.load(fits / "q3.yaml")
@@ -133,6 +134,7 @@ def test_mj2082_the_scale_of_all_torques_is_not_determined(fits):
     assert not false_claims(found, truth)
 
 
+@pytest.mark.slow
 def test_mj1344_without_a_torque_no_mass_is_determined(fits):
     robot, model, truth = case(fits, "mj1344")
     fit = dict.fromkeys(("damping", "frictionloss", "armature", "mass"), "all")

@@ -211,7 +211,7 @@ def test_a_step_that_fails_is_said_and_the_others_go_on(data, tmp_path, capsys):
     assert "error: explain failed; identify failed; augment failed" in capsys.readouterr().err
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_without_torch_the_networks_are_left_out_and_said_how_to_get(data, tmp_path, monkeypatch):
     def missing(*_, **__):
         raise MissingDependency("training needs torch", hint=how_to_install("learn"))
@@ -492,7 +492,7 @@ def test_with_no_time_it_ends_all_the_same(data, tmp_path):
     assert lacking(fewer) == []
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_what_was_asked_for_comes_before_its_explanation(data, tmp_path, monkeypatch):
     begun = []
     watch = Watch(on_step=begun.append)

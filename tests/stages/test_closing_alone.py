@@ -94,7 +94,7 @@ def test_explain_alone(folder):
     assert gap["runs"]["mujoco/stock"] == whole["runs"]["mujoco/stock"]
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_identify_alone(folder):
     """On a copy of the data, which has no runs."""
     options = ("--config", folder / "out" / "identify.yaml", "--robot", "demo_arm", "--jobs", "2")

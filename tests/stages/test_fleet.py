@@ -121,7 +121,7 @@ def test_what_is_finished_is_kept(done, home, robot, tmp_path):
     assert {path: path.stat().st_mtime_ns for path in files} == files
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_unit_that_fails_does_not_stop_the_others(home, robot, tmp_path):
     data = Dataset(home / "data")
     with DatasetWriter.create(tmp_path / "data", data.info) as writer:

@@ -129,7 +129,7 @@ def test_on_ray_a_worker_that_is_killed_loses_nothing(data, tmp_path):
         assert (out / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_sweep_that_is_killed_goes_on(data, tmp_path):
     """The command is killed in the middle of its second training."""
     small = tmp_path / "long.yaml"
