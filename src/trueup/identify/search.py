@@ -247,10 +247,10 @@ class Search:
         weight = self._weight(newton.residual)
         jitter = jitter_of(search.problem, newton.state.z)
         newton.polish(verified(search.problem, newton.state.z, jacobian, weight, jitter=jitter, quick=True))
-        search._say("intervals", 1, float(np.linalg.norm(newton.residual)))
+        rms = float(np.linalg.norm(newton.residual))
+        search._say("intervals", 1, rms)
         jacobian = verified(search.problem, newton.state.z, jacobian, weight, jitter=jitter)
         counted, factor = as_least_squares(self.problem, newton.residual, self._loss(newton.residual))
-        rms = float(np.linalg.norm(newton.residual))
         return {"z": newton.state.z, "residual": counted, "jacobian": jacobian * factor, "rms": rms}
 
     def _settled(
