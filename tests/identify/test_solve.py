@@ -471,3 +471,33 @@ def test_a_checkpoint_of_a_search_that_has_found_nothing_is_read_back(tmp_path):
     read = Checkpoint(tmp_path / "fit.json", "same").load()
     np.testing.assert_equal(read, state)
     assert Checkpoint(tmp_path / "fit.json", "other").load() == {}
+
+
+@pytest.mark.parametrize("known", ["right", "turned round", "of fewer samples"])
+def test_a_search_that_goes_on_is_led_by_the_derivatives_of_the_one_before(small, known):
+    settings, slope = SolveSettings(solver="gauss-newton"), linear(600)
+    origin = small.parameters.start
+    first = solve(Replaced(small, slope, origin=origin), settings)
+    slopes = {"right": first.jacobian, "turned round": -first.jacobian, "of fewer samples": first.jacobian[:, 1:]}
+    near = small.with_parameters(small.parameters.at({name: 1.2 * value for name, value in first.values.items()}))
+    anew, led = (solve(Replaced(near, slope, origin=origin), settings, slopes=own) for own in (None, slopes[known]))
+    np.testing.assert_allclose(led.z, first.z, atol=2e-3)
+    assert led.solver["stop"] == "converged"
+    fewer = led.solver["evaluations"] < 0.7 * anew.solver["evaluations"]
+    assert fewer == (known == "right")
+
+
+def test_a_whole_motion_begins_in_a_finer_simulation_as_in_that_of_its_derivatives(small):
+    """Both take the slopes of the larger time step, and these are simulated once."""
+    fine = Problem(small.nominal, small.parameters, small.segments, coarse=small)
+    z = small.parameters.start
+    found = window_starts(fine, z, whole=True)
+    small.starts = window_starts(small, z, whole=True)
+    before = small.evaluations
+    again = window_starts(fine, z, whole=True)
+    assert small.evaluations == before
+    for segment in fine.segments:
+        for (rows, basis), (other, expected) in zip(again[segment].pieces, found[segment].pieces, strict=True):
+            np.testing.assert_array_equal(rows, other)
+            np.testing.assert_array_equal(basis, expected)
+        assert again[segment].lasting

@@ -501,7 +501,7 @@ class ModelSearch:
         if z is None:
             return best
         place = replace(best, solution=replace(best.solution, z=z))
-        return self._further(place, fit, "lags for delays", (), rough=rough, limit=limit)
+        return self._further(place, fit, "lags for delays", (), rough=rough, limit=limit, near=False)
 
     def _widened(self, best: TriedModel, fit: Mapping[str, Any], *, rough: bool, limit: TimeLimit | None) -> TriedModel:
         """The same model with more room where it ended on a bound that nobody has asked for."""
@@ -798,11 +798,12 @@ class ModelSearch:
         starts: int | None = None,
         limit: TimeLimit | None = None,
         begun: Mapping[str, float] | None = None,
+        near: bool = True,
     ) -> TriedModel:
         """Fit one model, from where another search ended (`start`) or began (`begun`), or from afar.
 
         Of its parameters, `left_out` stays as the nominal model has it and `absent` at zero; `rough` is to compare
-        with.
+        with. `near` a start, its derivatives lead on.
         """
         began = time.perf_counter()
         parameters = freeze_still(make_parameters(fit, self.logs.nominal, self.motions), self.seen).freeze(left_out)
@@ -834,6 +835,7 @@ class ModelSearch:
             on_progress=self._said(name),
             limit=limit,
             cluster=self._cluster,
+            slopes=_slopes_of(start, problem.parameters) if near else None,
         )
         took_s = time.perf_counter() - began
         if self._cluster is None:  # with one, the seconds of the starts are not one after the other
@@ -872,13 +874,22 @@ class ModelSearch:
         *,
         rough: bool = False,
         limit: TimeLimit | None = None,
+        near: bool = True,
     ) -> TriedModel:
         """The same model from where another search ended; what is told of both is told as of one."""
         name, before = first.row.name, first.solution
         absent = [item.name for item in before.parameters if item.name in left_out and item.value == 0.0]
         kept = [item for item in left_out if item not in absent]
         end = self._try(
-            f"{name}, {what}", fit, before, left_out=kept, absent=absent, rough=rough, starts=1, limit=limit
+            f"{name}, {what}",
+            fit,
+            before,
+            left_out=kept,
+            absent=absent,
+            rough=rough,
+            starts=1,
+            limit=limit,
+            near=near,
         )
         last = end.solution
         spent = {key: before.solver[key] + last.solver[key] for key in ("iterations", "evaluations", "seconds")}
@@ -903,6 +914,15 @@ class ModelSearch:
         weight = noise_of(problem, found.residual).weight
         idle = idle_names(problem, found.jacobian, weight)
         return idle if len(idle) < len(found.parameters.free) else []
+
+
+def _slopes_of(before: Solution | None, parameters: ParameterSet) -> Float64[np.ndarray, "P N"] | None:
+    """Derivatives by these free parameters that a search has ended with; None where it has not, or not by all."""
+    if before is None or before.solver["stop"] != "converged":
+        return None
+    rows = {item.name: row for item, row in zip(before.parameters.free, before.jacobian, strict=True)}
+    names = [item.name for item in parameters.free]
+    return np.array([rows[name] for name in names]) if set(names) <= set(rows) else None
 
 
 def _carries(quantities: Iterable[str]) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float64
 
 from trueup.core.time_limit import TimeLimit
 from trueup.errors import DataError
@@ -25,6 +26,7 @@ def search_from(
     checkpoint: Path | None,
     on_progress: OnProgress | None = None,
     limit: TimeLimit | None = None,
+    slopes: Float64[np.ndarray, "P N"] | None = None,
 ) -> Solution:
     """Search from the start of the problem; settings of several starts count as one.
 
@@ -34,6 +36,7 @@ def search_from(
         checkpoint: as of `solve`.
         on_progress: called after every iteration.
         limit: when to end with the best so far.
+        slopes: as of `Search.gauss_newton`, for that solver.
 
     Raises:
         DataError: the start cannot be simulated.
@@ -43,7 +46,7 @@ def search_from(
         case "cma-es" | "evolution":
             return search.derivative_free(settings.solver)
         case "gauss-newton":
-            return search.gauss_newton().solution
+            return search.gauss_newton(slopes=slopes).solution
         case _:
             return _auto(search)
 

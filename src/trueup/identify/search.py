@@ -134,8 +134,13 @@ class Search:
             limit=self._limit,
         )
 
-    def gauss_newton(self, phase: str = "gauss-newton") -> Descent:
+    def gauss_newton(self, phase: str = "gauss-newton", slopes: Float64[np.ndarray, "P N"] | None = None) -> Descent:
         """By derivatives.
+
+        Args:
+            phase: name of its checkpoint.
+            slopes: derivatives that another search has ended with, near the start: they lead to the minimum, and those
+                of the last stage are taken there; None begins with the first stage.
 
         Raises:
             DataError: the start cannot be simulated.
@@ -150,7 +155,9 @@ class Search:
                 state = GaussNewtonState.from_json(kept["solver"], space_of(self.problem), self.settings.gauss_newton)
         search = self._derivatives(state)
         if not search.done:
-            search.begin()  # in any case: a search without time ends where it began
+            begun = search.begin()  # in any case: a search without time ends where it began
+            if slopes is not None and not kept and slopes.shape == (state.z.size, begun.size):
+                self._led(search, slopes)
         while not search.done:
             try:
                 with self.problem.ending(self._limit, keep=state.z.size):  # derivatives at its end
@@ -175,6 +182,16 @@ class Search:
         assert search.residual is not None
         left = search.loss_of(search.residual).cost(search.residual)
         return Descent(solution, 1.0 - left / max(state.start_cost, 1e-300), search)
+
+    def _led(self, search: GaussNewton, slopes: Float64[np.ndarray, "P N"]) -> None:
+        """Go to the minimum that given derivatives see, and on to the last stage."""
+        state = search.state
+        try:
+            with self.problem.ending(self._limit):
+                search.polish(slopes)
+        except OutOfTime:
+            state.reason, state.square = "time", search.square
+        state.stage = len(self.settings.gauss_newton.steps) - 1
 
     def certain_jacobian(self, z: Float64[np.ndarray, "P"]) -> Float64[np.ndarray, "P N"]:
         """Derivatives of the residual by central differences, one row per parameter, for what is said of certainty.

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float64
 from threadpoolctl import threadpool_limits
 
 from trueup.core.ray_workers import Cluster
@@ -22,6 +24,7 @@ def solve(
     on_progress: OnProgress | None = None,
     limit: TimeLimit | None = None,
     cluster: Cluster | None = None,
+    slopes: Float64[np.ndarray, "P N"] | None = None,
 ) -> Solution:
     """Drive a solver to its end.
 
@@ -37,6 +40,7 @@ def solve(
         on_progress: called after every iteration; on a cluster, after every start.
         limit: when to end with the best so far, all starts together.
         cluster: where several starts are searched from side by side; one after the other, here, if None.
+        slopes: derivatives near the start, where another search has ended, to begin with (`Search.gauss_newton`).
 
     Raises:
         DataError: the start cannot be simulated.
@@ -48,4 +52,6 @@ def solve(
             return from_many_starts(
                 problem, settings, checkpoint=checkpoint, on_progress=on_progress, limit=limit, cluster=cluster
             )
-        return search_from(problem, settings, checkpoint=checkpoint, on_progress=on_progress, limit=limit)
+        return search_from(
+            problem, settings, checkpoint=checkpoint, on_progress=on_progress, limit=limit, slopes=slopes
+        )

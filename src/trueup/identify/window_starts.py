@@ -87,6 +87,10 @@ def window_starts(
     Returns:
         Starts by segment; of none whose motion cannot be simulated.
     """
+    coarse = problem.coarse
+    if whole and coarse is not None and coarse.size == problem.size and coarse.starts:
+        # Slopes are taken there in any case.
+        return {own: coarse.starts[other] for own, other in zip(problem.segments, coarse.segments, strict=True)}
     windows = _windows(problem)
     begun = begun or {}
     shifts = {
