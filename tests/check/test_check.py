@@ -171,6 +171,33 @@ def test_a_zero_that_is_a_quarter_turn_off_is_named(made, signal, side):
     assert right.joints[1].offset == pytest.approx(-0.5 * math.pi, abs=1e-5)
 
 
+def assert_likely(robot, path, episodes, kind, joint):
+    """It is the first finding, certain or likely; the robot as its lines mend it."""
+    first = next(finding for finding in look(robot, path, episodes) if finding.severity in ("certain", "likely"))
+    assert (first.kind, first.joints) == (kind, (joint,))
+    right = mended(robot, first.mends[0].lines)
+    assert certain(look(right, path, episodes)) == []
+    return right
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("factor", [2.0, 100.0])
+def test_both_series_on_the_motors_side_of_a_gear_are_named(made, factor):
+    robot, path, episodes = made("position")
+    wrong = changed(episodes, scaled(1, factor, rates=True))
+    right = assert_likely(robot, path, wrong, "scale", "lift")
+    assert right.joints[1].scale == pytest.approx(1.0 / factor, rel=0.3)
+    assert right.joints[1].command is None
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("zero", [0.7, -0.5])
+def test_a_zero_that_is_off_by_any_angle_in_both_series_is_named(made, zero):
+    robot, path, episodes = made("position")
+    right = assert_likely(robot, path, changed(episodes, scaled(1, 1.0, zero)), "offset", "lift")
+    assert right.joints[1].offset == pytest.approx(-zero, abs=0.15)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("signal", SIGNALS)
 def test_a_gear_is_named(made, signal):

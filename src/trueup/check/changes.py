@@ -7,7 +7,7 @@ A new kind is one function and one line in `KINDS`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
@@ -42,6 +42,11 @@ _SAME_RATE, _OTHER_RATE = 0.05, 1.0
 # What a factor that is none of a unit has to be better by.
 _ANY_FACTOR = 1.5
 _QUARTER = 0.5 * math.pi
+# Zeros that are tried besides quarters and eighths of a turn [rad], how they are looked for from there, and what such
+# a one has to be better by; gears of both series; and by how much what is left has to fall for it (of the logarithm).
+_ZEROS: tuple[float, ...] = (-1.3, -1.0, -0.6, -0.3, 0.3, 0.6, 1.0, 1.3)
+_FINER, _ANY_ZERO = (0.15, 0.08, 0.04, 0.02), 1.2
+_GEARS, _PROMISING = (1.0, 0.8, 0.5, 1.0 / 3.0, 0.2), 1.1
 _DIRECTIONS = ((0, 0, 1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, -1))
 _CLOCKS = (1e-3, 1e3, 1e-6, 1e6, 0.5, 2.0)
 _SIDES: tuple[Side, ...] = ("command", "measured", "both")
@@ -231,11 +236,23 @@ def offsets(looked: Looked) -> Iterator[Proposal]:
         if looked.length_units[joint] != "rad":
             continue
         for quarter in (1, -1, 2, 0.5, -0.5, 1.5, -1.5):
-            value = quarter * _QUARTER
-            changed = looked.reading.with_columns(side, lambda columns: columns.changed(joint, offset=value))  # noqa: B023
-            says = f"has its zero {math.degrees(abs(value)):.0f} degrees from where the model has it"
-            freedom = 0.3 if float(quarter).is_integer() else 0.8
-            yield Proposal("offset", (joint,), changed, side, says, freedom=freedom, value=value)
+            yield _zero(looked, joint, quarter * _QUARTER, side, 0.3 if float(quarter).is_integer() else 0.8)
+        yield from _any_zero(looked, joint, side)
+
+
+def gears(looked: Looked) -> Iterator[Proposal]:
+    """Both series of a servo's joint on the motor's side of a gear, or in a unit of its own."""
+    if looked.evidence.followed(looked.reading) != "position":
+        return
+    for joint in looked.suspects:
+        low, high = looked.evidence.first.limits[joint]
+        position = looked.reading.measured.of(looked.evidence.coarse.gather("position"), moved=True)[:, joint]
+        farthest = max(float(np.max(position)) / max(high, 1e-9), float(np.min(position)) / min(low, -1e-9), 1e-9)
+        # Of what is far out of its range, what brings it back, and a little more.
+        factors = np.array(_GEARS) / farthest if farthest > 2.0 and np.isfinite(farthest) else (*_GEARS[1:], 2.0, 3.0)
+        tried = (_geared(looked, (joint,), float(factor), 0.0, "both") for factor in factors)
+        if (found := _promising(looked, tried)) is not None:
+            yield found
 
 
 def efforts(looked: Looked) -> Iterator[Proposal]:
@@ -325,6 +342,7 @@ KINDS: dict[str, Callable[[Looked], Iterator[Proposal]]] = {
     "unit": units,
     "swap": swaps,
     "offset": offsets,
+    "gear": gears,
     "effort": efforts,
     "gravity": gravity,
     "delay": delays,
@@ -337,6 +355,34 @@ def proposals(looked: Looked) -> Iterator[Proposal]:
     """All that may be wrong."""
     for propose in KINDS.values():
         yield from propose(looked)
+
+
+def _promising(looked: Looked, tried: Iterable[Proposal]) -> Proposal | None:
+    """The one that explains most, if that is much more than now, by a first look."""
+    evidence = looked.evidence.coarse
+    base = evidence.score(looked.reading)
+    left = [(float(loss(evidence.score(one.reading), base).sum()), one) for one in tried]
+    least, found = min(left, key=lambda item: item[0])
+    return found if least < float(loss(base, base).sum()) - _PROMISING else None
+
+
+def _any_zero(looked: Looked, joint: int, side: Side) -> Iterator[Proposal]:
+    """The zero that explains most, from a few and then nearer and nearer."""
+    found, values = None, _ZEROS
+    for width in (*_FINER, 0.0):
+        found = _promising(looked, [_zero(looked, joint, value, side, _ANY_ZERO) for value in values])
+        if found is None:
+            return
+        values = (found.value - width, found.value, found.value + width)
+    assert found is not None
+    yield found
+
+
+def _zero(looked: Looked, joint: int, value: float, side: Side, freedom: float) -> Proposal:
+    changed = looked.reading.with_columns(side, lambda columns: columns.changed(joint, offset=value))
+    about = "" if freedom < _ANY_ZERO else "about "
+    says = f"has its zero {about}{math.degrees(abs(value)):.0f} degrees from where the model has it"
+    return Proposal("offset", (joint,), changed, side, says, freedom=freedom, value=value)
 
 
 def _sign(looked: Looked, joints: tuple[int, ...], side: Side) -> Proposal:
@@ -489,19 +535,21 @@ def _gear(looked: Looked, joints: tuple[int, ...], factor: float, offset: float)
 
 def _geared(looked: Looked, joints: tuple[int, ...], factor: float, offset: float, side: Side) -> Proposal:
     def change(columns: Columns) -> Columns:
-        own = (factor, offset) if side == "command" else (1.0 / factor, -offset / factor)
+        own = (1.0 / factor, -offset / factor) if side == "measured" else (factor, offset)
         for joint in joints:
             columns = columns.changed(joint, factor=own[0], offset=own[1])
         return columns
 
-    own = factor if side == "command" else 1.0 / factor
+    own = 1.0 / factor if side == "measured" else factor
     kind = "offset" if factor == 1.0 else ("sign" if factor == -1.0 else "scale")
     one = len(joints) == 1
     words = []
     if factor < 0:
         words.append(f"{'counts' if one else 'count'} the other way round")
     if abs(factor) != 1.0:
-        words.append(f"{'is' if one else 'are'} {_times(abs(own))}")
+        # Of both series no line says how much it is, only the model's torques.
+        about = "about " if side == "both" else ""
+        words.append(f"{'is' if one else 'are'} {about}{_times(abs(own))}")
     if offset:
         words.append(f"has its zero {_far(abs(offset))} away")
     return Proposal(

@@ -139,7 +139,7 @@ def _with_round_factor(proposal: Proposal) -> Proposal:
     much = min(_ROUND, key=lambda one: abs(one / digits - 1.0)) / digits
     if abs(much - 1.0) > _NEARLY_ROUND:
         return proposal
-    return proposal.again(much if proposal.side == "command" else 1.0 / much)
+    return proposal.again(1.0 / much if proposal.side == "measured" else much)
 
 
 def _best(looked: Looked) -> Accepted | None:

@@ -28,7 +28,7 @@ from trueup.identify.uncertainty import noise_level
 from trueup.robots import CommandTiming, RobotSpec, Setup, setup_of
 from trueup.sim import MujocoSimulator, ReplayPlan, ReplaySettings
 from trueup.sim.compiled_robot import ABSURD
-from trueup.sim.replay_plan import smooth_commands
+from trueup.sim.replay_plan import smooth_commands, steps_of
 from trueup.sim.trapezoid import damp_by_trapezoid
 
 # Drawn numbers: standard deviation of the logarithm, or share of what counts as a large change; masses were weighed.
@@ -244,7 +244,7 @@ class DrawnSimulator:
             _, told = self._led(episode, self._coarse(simulator), zeros)
             settle_s = 0.0
         clock = _from_command_on(episode, told)
-        step_s, count = simulator.timestep_s, _steps(clock, simulator.timestep_s)
+        step_s, count = simulator.timestep_s, steps_of(clock[-1] - clock[0], simulator.timestep_s)
         edges = clock[0] + step_s * np.arange(count + 1)
         # What acts from the middle of one step to that of the next (`damp_by_trapezoid`).
         middles = edges - 0.5 * step_s
@@ -280,7 +280,7 @@ class DrawnSimulator:
         told = episode.commanded().select(simulator.joints)
         seen = episode.measured.select(simulator.joints)
         clock = _from_command_on(episode, told)
-        step_s, count = simulator.timestep_s, _steps(clock, simulator.timestep_s)
+        step_s, count = simulator.timestep_s, steps_of(clock[-1] - clock[0], simulator.timestep_s)
         edges = clock[0] + step_s * np.arange(count + 1)
         way, pace = _way(seen)
         goal, goal_pace = (columns_at(told.time_s, seen.time_s, values) for values in (way, pace))
@@ -331,11 +331,6 @@ def _from_command_on(episode: Episode, told: TimeSeries) -> Float64[np.ndarray, 
     if own.size < 2:
         raise DataError(f"episode {episode.id!r}: the measurement ends before the first command")
     return np.asarray(own)
-
-
-def _steps(clock: Float64[np.ndarray, "T"], step_s: float) -> int:
-    # As of a replay: what acts at the last stamp is told by the step that begins with it.
-    return int(np.ceil((clock[-1] - clock[0]) / step_s - 1e-6)) + 1
 
 
 def _acting(

@@ -175,8 +175,7 @@ class ReplayPlan:
                 got=f"samples every {np.median(np.diff(clock)):.3g} s",
                 expected=f"windows of at least {_FEWEST_ROWS} samples",
             )
-        # One more than up to the last stamp: what acts there is told by the step that begins with it.
-        return int(np.ceil(longest_s / self._step_s - 1e-6)) + 1
+        return steps_of(longest_s, self._step_s)
 
     def _column(self, signal: str, joint: int, delay_s: float) -> Float64[np.ndarray, "W N"]:
         """One joint's command per step; the last delay's is kept, since most candidates of a fit share it."""
@@ -256,3 +255,13 @@ def _velocity(measured: TimeSeries) -> Float[np.ndarray, "T J"]:
         return np.zeros_like(measured["position"])
     slope: Float[np.ndarray, "T J"] = np.gradient(measured["position"], measured.time_s, axis=0)
     return slope
+
+
+def steps_of(duration_s: float, step_s: float) -> int:
+    """Simulation steps of a motion: one more than up to its last stamp, since that tells what acts there.
+
+    Args:
+        duration_s: from the first stamp to the last [s].
+        step_s: of the simulation [s].
+    """
+    return int(np.ceil(duration_s / step_s - 1e-6)) + 1
