@@ -32,10 +32,8 @@ from trueup.dataset import Dataset
 from trueup.robots import load_robot, setup_of, with_kp_factor
 
 RUN = [page for page in PAGES if page not in blocks.COMMANDS_ELSEWHERE and lines(page, "trueup")]
-# Pages with commands that nothing else runs in `make test`.
-QUICK = ("augmentation", "compensation", "fleet", "payload", "selftest", "torque-rig")
 # Pages that take minutes.
-SLOW = ("building-blocks", "policies", "real-robots")
+SLOW = ("building-blocks", "compensation", "policies", "real-robots")
 # Commands whose report is written without an option that asks for it.
 REPORTS = ("close", "demo", "identify", "augment eval", "augment robustness")
 # Imports two motions, then is killed.
@@ -129,10 +127,7 @@ def compare(line, printed, place):
 
 @pytest.mark.parametrize(
     "page",
-    [
-        page if page in QUICK else pytest.param(page, marks=pytest.mark.slow if page in SLOW else pytest.mark.long)
-        for page in RUN
-    ],
+    [pytest.param(page, marks=pytest.mark.slow if page in SLOW else pytest.mark.long) for page in RUN],
 )
 def test_the_commands_of_a_page_run_in_order(page, shelf, run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -108,6 +108,14 @@ def test_a_close_ends_before_the_fit_and_goes_on_if_it_is_told_to(mirrored, tmp_
 
 
 @pytest.mark.parametrize("wrong", [True, False])
+def test_a_gap_of_a_wrong_set_up_is_not_told_without_a_word(wrong, recorded, mirrored, tmp_path, capsys):
+    given = ("close", mirrored if wrong else recorded, "--robot", "demo_arm", "--until", "gap")
+    assert run(*given, "--out", tmp_path / "out") == 0
+    said = capsys.readouterr()
+    assert ("this gap says little, since the set-up is wrong: shoulder" in said.out + said.err) == wrong
+
+
+@pytest.mark.parametrize("wrong", [True, False])
 def test_where_nothing_can_be_simulated_a_wrong_set_up_is_named(
     wrong, recorded, mirrored, tmp_path, capsys, monkeypatch
 ):

@@ -121,7 +121,7 @@ def test_a_second_call_keeps_what_is_there(closed, tmp_path):
         ("replay", "replay", 0),
         ("gap", "gap", 2),
         ("check", "check", 2),
-        ("explain", "explain", 2),
+        pytest.param("explain", "explain", 2, marks=pytest.mark.slow),
         ("identify", "identify", 3),
     ],
 )
@@ -529,7 +529,7 @@ def without_time(explain):
     return explained
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_with_little_time_it_ends_with_what_it_has(data, tmp_path, monkeypatch):
     # What is explained needs no search, but how long its simulations take depends on what else the machine does.
     monkeypatch.setattr(Budget, "of", lambda _, step: TimeLimit.after(1000.0 if step == "explain" else 2.5))

@@ -217,6 +217,7 @@ def test_the_run_that_a_dataset_came_with_is_not_one_of_an_earlier_close(data, t
     assert quick(data, tmp_path / "two", until="replay", resume=True).result.step("replay").status == "kept"
 
 
+@pytest.mark.long
 def test_a_motion_that_the_identified_model_cannot_replay_is_exit_code_2(closed):
     assert exit_code(closed) == 0
     stock, fitted = closed.identified.replayed

@@ -66,6 +66,7 @@ def out_of(folder, name):
     return json.loads((folder / name).read_text())
 
 
+@pytest.mark.long
 def test_all_steps_are_done_on_less_motion_than_was_asked_for(folder):
     first = CloseResult.load(folder / "first.json")
     assert {step.status for step in first.steps} == {"done"}
@@ -111,6 +112,7 @@ def test_identify_alone(folder):
     assert ladder == {name: rungs[name] for name in ("command", "stock", "fitted")}
 
 
+@pytest.mark.long
 def test_a_network_alone(folder):
     assert_alone_as_within(folder, METHODS[0])
 

@@ -110,7 +110,7 @@ BY_VELOCITY = {"kv": "all", "frictionloss": "all", "delay_s": "all"}
 @pytest.mark.parametrize(
     ("drive", "fit", "given"),
     [
-        pytest.param(TORQUE, BY_TORQUE, False, id="designed-torque"),
+        pytest.param(TORQUE, BY_TORQUE, False, id="designed-torque", marks=pytest.mark.long),
         pytest.param(TORQUE, BY_TORQUE, True, id="data-torque", marks=pytest.mark.slow),  # a minute and a half
         pytest.param(VELOCITY, BY_VELOCITY, False, id="designed-velocity"),
         pytest.param(VELOCITY, BY_VELOCITY, True, id="data-velocity"),

@@ -59,6 +59,7 @@ def holds(interval, value):
     return interval[0] <= value <= interval[1]
 
 
+@pytest.mark.long
 def test_mass_and_center_are_found(arm):
     folder, _, _, found = arm
     own = found.weighed
@@ -86,6 +87,7 @@ def test_the_page_shows_what_is_printed(arm, capsys):
     assert words(shown) == words(capsys.readouterr().out)
 
 
+@pytest.mark.long
 def test_the_model_with_it_is_left_for_plain_mujoco(arm):
     folder, _, _, found = arm
     empty, full = (

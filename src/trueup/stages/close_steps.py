@@ -142,7 +142,7 @@ class CloseSteps:
             return self._stopped(closed, checked)
         identified = self._identify(replayed) if asked("identify") else None
         trained = self._augment(identified) if asked("augment") else ()
-        notes = list(replayed.command_notes)
+        notes = [*([] if asked("check") else self._what_a_check_says()), *replayed.command_notes]
         if trained or identified is not None:
             began = time.perf_counter()
             rungs |= _corrected(trained, "stock", replayed.seconds)
@@ -242,6 +242,19 @@ class CloseSteps:
                 found.save(path)
             step.what = words.of_findings(found)
         return found
+
+    def _what_a_check_says(self) -> list[str]:
+        """Of a gap alone: a number that says nothing if the set-up is wrong."""
+        try:
+            checked = check_setup(self.dataset, self.robot, model=self.model)
+        except TrueupError:
+            return []
+        if not checked.certain:
+            return []
+        found = " ".join(finding.evidence for finding in checked.certain)
+        return [
+            f"this gap says little, since the set-up is wrong: {found} `trueup check` prints the lines that mend it"
+        ]
 
     def _stopped(self, closed: Closed, checked: CheckResult) -> Closed:
         """What there is where a fit would only hide what is wrong."""
