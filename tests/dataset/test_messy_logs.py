@@ -294,7 +294,7 @@ def test_commands_that_nothing_follows_get_no_names(logs):
     names = [f"/states/{joint}/position" for joint in JOINTS] + [f"/controller/reference[{k}]" for k in range(3)]
     same = np.column_stack([TOLD[:, 0]] * 3)
     (logs / "run.csv").write_text(text_of([("__time", *names), *np.column_stack([T, DONE, same])]))
-    with pytest.raises(DataError, match="commands are only numbered"):
+    with pytest.raises(DataError, match="command columns are numbered"):
         draft(logs.parent / "arm.xml", logs)
 
 
@@ -462,7 +462,7 @@ def test_counts_of_unknown_size_are_no_angles(logs):
     names = [*(f"{joint}_enc_ticks" for joint in JOINTS), *(f"{joint}_set_ticks" for joint in JOINTS)]
     counts = np.column_stack([1e6 * T, 40000 + np.round(1e4 * ROWS[:, 1:])]).astype(int)
     (logs / "run.csv").write_text(text_of([("time_us", *names), *counts]))
-    with pytest.raises(DataError, match="are no angles") as caught:
+    with pytest.raises(DataError, match="cannot be angles") as caught:
         draft(logs.parent / "arm.xml", logs)
     assert "`factor` [rad per count]" in caught.value.hint
 

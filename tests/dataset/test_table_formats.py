@@ -563,3 +563,22 @@ def test_cases_of_strangers(tmp_path, log_cases, name, change, count):
     assert len(episode.measured) == count
     unit = np.deg2rad(1.0) if "deg" in episode.measured.units["position"] else 1.0
     np.testing.assert_allclose(unit * episode.measured["position"], Q, atol=1e-6)
+
+
+@pytest.mark.parametrize("folders", [("",), ("run_1", "run_2")])
+def test_a_file_for_each_array_of_a_recording(tmp_path, folders):
+    """Each folder is a motion; what differs in any file is another recording."""
+    for number, folder in enumerate(folders):
+        where = tmp_path / "logs" / folder
+        where.mkdir(parents=True)
+        for name, array in {"t": T, "q": Q, "q_cmd": U + 0.001 * number}.items():
+            np.save(where / f"{name}.npy", array)
+    suggestion = table.suggested(tmp_path / "logs")
+    (tmp_path / "found.yaml").write_text(suggestion.text)
+    plan = plan_import(tmp_path / "logs", options=ImportOptions(mapping=tmp_path / "found.yaml"))
+    episodes = [source.load() for source in plan.episodes]
+    assert [episode.id for episode in episodes] == (list(folders) if folders[0] else ["q"])
+    for number, episode in enumerate(episodes):
+        np.testing.assert_array_equal(episode.measured["position"], Q)
+        np.testing.assert_array_equal(episode.command["position"], U + 0.001 * number)
+    assert len({episode.meta.source_hash for episode in episodes}) == len(episodes)

@@ -176,10 +176,18 @@ def suggested(path: Path) -> Suggestion | None:
         return None
     kinds = sorted({Path(name).name for name in tables})
     folders = {Path(name).parent for name in tables}
-    pair = _pair(kinds) if len(tables) == len(kinds) * len(folders) else None
+    alike = len(tables) == len(kinds) * len(folders)
     first = Path(tables[0]).parent
+    if ending == ".npy" and alike and len(kinds) > 1 and (found := _suggested_of(inside(root, root / tables[0]))):
+        # Each folder is a recording, and each file an array of it.
+        motion = {
+            "episodes": rf"(?:(?P<motion>.+)/)?{re.escape(kinds[0])}",
+            "id": "{motion}" if first != Path() else "",
+        }
+        return _with(found, {key: text for key, text in motion.items() if text})
+    pair = _pair(kinds) if alike else None
     if pair is None:
-        complete = _complete(root / first, kinds) if len(tables) == len(kinds) * len(folders) else None
+        complete = _complete(root / first, kinds) if alike else None
         return complete or _suggested_of(inside(root, root / tables[0]))
     done, told = pair
     measured = _suggested_of(inside(root, root / first / done))

@@ -96,7 +96,11 @@ def load_episode(root: Path, files: TableEpisode, mapping: TableMapping, options
     cut = [Flag(kind="cut_file", severity="note", detail=table.cut) for table in tables.values() if table.cut]
     meta = replace(
         files.meta,
-        source_hash=files_hash(paths.values()),
+        source_hash=files_hash(
+            own
+            for table in tables.values()
+            for own in (table.files if isinstance(table, ArrayTable) else (table.path,))
+        ),
         flags=(*(flag for _, flags in done.values() for flag in flags), *cut),
     )
     return Episode(

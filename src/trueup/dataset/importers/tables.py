@@ -24,7 +24,7 @@ from jaxtyping import Float64, Shaped
 
 from trueup.core.npz import array_of, arrays_of
 from trueup.core.unpacking import most_bytes
-from trueup.dataset.importers.files import read_bytes, refuse_pickle
+from trueup.dataset.importers.files import inside, read_bytes, refuse_pickle
 from trueup.dataset.importers.matlab import is_mat5, read_mat5
 from trueup.dataset.importers.text_table import (
     IS_DATE,
@@ -50,6 +50,8 @@ _KINDS, _MOST_KINDS = ("type", "topic", "channel", "kind", "msg"), 20
 _LONGEST_HEAD = 300  # of a sheet, in rows
 # No sheet has more rows.
 _MOST_COLUMNS, _MOST_ROWS = 100_000, 1 << 20
+# Files of arrays that may be one recording.
+_MOST_FILES = 64
 
 
 class ArrayTable:
@@ -59,12 +61,19 @@ class ArrayTable:
         path: where they are from.
         names: of the columns.
         read: a column by its name: numbers or texts, the first axis the rows; a single number is one row.
+        files: all that they are from, where that is more than one.
     """
 
     cut = ""
 
-    def __init__(self, path: Path, names: Sequence[str], read: Callable[[str], Shaped[np.ndarray, "..."]]) -> None:
-        self.path, self.names = path, tuple(names)
+    def __init__(
+        self,
+        path: Path,
+        names: Sequence[str],
+        read: Callable[[str], Shaped[np.ndarray, "..."]],
+        files: Sequence[Path] = (),
+    ) -> None:
+        self.path, self.names, self.files = path, tuple(names), tuple(files) or (path,)
         self._read = read
         self._arrays: dict[str, Shaped[np.ndarray, "..."]] = {}
         self._stamps = 0  # of the clock, once it was read: where arrays have a sample in each column, it says so
@@ -118,7 +127,7 @@ class ArrayTable:
     def within(self, group: str) -> ArrayTable:
         """The columns below a group: those whose names begin with it, without it."""
         names = {name[len(group) + 1 :]: name for name in self.names if name.startswith((f"{group}/", f"{group}."))}
-        return ArrayTable(self.path, list(names), lambda name: self._read(names[name]))
+        return ArrayTable(self.path, list(names), lambda name: self._read(names[name]), self.files)
 
     def words(self, column: str) -> list[str]:
         """See `TextTable`."""
@@ -160,11 +169,19 @@ def open_table(path: Path, mapping: TableMapping | None = None) -> Table:
 
 
 def _npz(path: Path) -> Table:
-    """Arrays of numpy; the fields of structured ones are columns."""
+    """Arrays of numpy; the fields of structured ones are columns, and the files of a folder those of a recording."""
     data = read_bytes(path)
     whole = {"": array_of(data, path)} if path.suffix.lower() == ".npy" else arrays_of(data, path)
+    if "" in whole and whole[""].dtype.names is None:
+        files = {own.stem: inside(path.parent, own) for own in sorted(path.parent.glob("*.npy"))}
+        if 1 < len(files) <= _MOST_FILES:
+            return ArrayTable(path, list(files), lambda name: _whole(files[name]), list(files.values()))
     arrays = {own: array for name, array in whole.items() for own, array in _fields(name, array)}
     return ArrayTable(path, list(arrays), arrays.__getitem__)
+
+
+def _whole(path: Path) -> Shaped[np.ndarray, "..."]:
+    return np.asarray(array_of(read_bytes(path), path))
 
 
 def _fields(name: str, array: Shaped[np.ndarray, "..."]) -> Iterator[tuple[str, Shaped[np.ndarray, "..."]]]:
