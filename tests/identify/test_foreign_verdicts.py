@@ -109,7 +109,7 @@ SAID = {
     "integral": "a stands where the model sags: its servo has an integral part",
     "backlash": "what is left of a reverses with its velocity: there is play in its gears",
     "elastic": "what is left of a swings at 9 Hz: an elastic gear",
-    "payload": "a payload of 1.2 kg would explain what is left of a",
+    "payload": "a payload of 1.2 kg would explain the remaining error of a",
     "sign": "a is mirrored in the measurement",
 }
 
@@ -131,15 +131,15 @@ def test_what_every_fit_may_say_names_nothing(kind):
             "speed, a payload and a mirrored joint explains it"
         ),
         (
-            "the fitted model simulates a logged signal worse than the original model: velocity of a (0.1 -> 0.2). Its numbers "
-            "are not the robot's, or the signal has another sign, scale or unit"
+            "the fitted model simulates a logged signal worse than the original model: velocity of a (0.1 -> 0.2). Either its "
+            "parameters are not the robot's, or the signal has another sign, scale or unit"
         ),
         (
-            "2 of 24 parameters are not determined by these motions: delay_s[a], mass[hand]; their values come from your "
-            "model"
+            "2 of 24 parameters are not determined by these motions: delay_s[a], mass[hand]; their values come mostly "
+            "from your model, and their intervals show how far off they may be"
         ),
-        "the search stopped early (time): raise solver.max_iterations, or give it more time",
-        "the command moves on between its stamps: this explains the logs better",
+        "the fit stopped before it converged (time): raise solver.max_iterations, or give it more time",
+        "the command is interpolated between its stamps: this fits the logs better",
     ]
     assert verdicts.naming(cell("B", cause={"kind": kind, "joints": ["a"]}, statements=usual)) == []
 
@@ -161,7 +161,7 @@ def test_causes_of_the_cases_have_words_that_a_table_can_show():
     ],
 )
 def test_a_finding_names_a_cause_by_its_kind_and_joints(kind, severity, joints, named):
-    finding = {"kind": kind, "severity": severity, "joints": joints, "evidence": "read this way, it is explained"}
+    finding = {"kind": kind, "severity": severity, "joints": joints, "evidence": "with this change, it is explained"}
     own = cell("B", cause={"kind": "sign", "joints": ["a"]}, findings=[finding])
     assert bool(verdicts.naming(own)) == named
 

@@ -290,7 +290,7 @@ def test_a_logged_torque_tells_the_scale_of_all_torques(tmp_path):
     assert {"kp[j]", "mass[link]"} <= {item.name for item in known}
     assert not missed
     assert found["mass[link]"].value == pytest.approx(0.6, rel=0.02)
-    assert any("torque is weighed" in line for line in found.statements)
+    assert any("torque is fitted too" in line for line in found.statements)
     mirrored = [
         replace(
             log, measured=replace(log.measured, signals={**log.measured.signals, "torque": -log.measured["torque"]})

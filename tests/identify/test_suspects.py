@@ -163,7 +163,7 @@ def test_without_time_nobody_looks_and_that_is_said(tmp_path):
     robot, model, logs = arm_logs(tmp_path, Lack(late_s=0.012), seconds=2.0)
     result = identify(logs, robot, model, limit=TimeLimit.after(0.0)).result
     assert result.suspects == ()
-    assert any("no time was left to look" in text for text in result.statements)
+    assert any("no time was left to look for causes" in text for text in result.statements)
 
 
 def test_a_mass_far_from_its_prior_is_told(tmp_path):

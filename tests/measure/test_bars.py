@@ -50,11 +50,11 @@ def test_parse(text, expected):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no bar"),
-        ("position.rmse", "no bar"),
-        ("position=0.02", "no bar"),
-        ("test:position.rmse=0.02", "no bar"),
-        (".rmse=0.02", "no bar"),
+        ("", "not a valid bar"),
+        ("position.rmse", "not a valid bar"),
+        ("position=0.02", "not a valid bar"),
+        ("test:position.rmse=0.02", "not a valid bar"),
+        (".rmse=0.02", "not a valid bar"),
         ("position.rsme=0.02", r"unknown metric 'rsme'.*available: rmse"),
         ("position.pearson=0.9", "higher pearson is better"),
         ("position.rmse=small", "finite number"),

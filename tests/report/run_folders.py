@@ -328,9 +328,7 @@ def fitted_parameter(quantity, target, identified="yes", *, at_bound="", frozen=
     sentence = _SENTENCES[identified].format(excite.format(target or "the robot"))
     if at_bound:
         edge = "low" if at_bound == "low" else "high"
-        sentence = (
-            "the data ask for none of it: it ended on zero" if value == 0 else f"ended on its {edge} bound: widen it"
-        )
+        sentence = "fitted as zero: the data show none of it" if value == 0 else f"ended on its {edge} bound: widen it"
     if frozen:
         identified, value, ends, sentence = "no", nominal, (nominal, nominal), "kept at its value, not fitted"
     return FittedParameter(
@@ -372,7 +370,7 @@ _STATEMENTS = {
     "ok": (),
     "not-identifiable": ("4 of 21 parameters are not determined by these motions: {0}; their values are the prior's",),
     "at-bound": ("ended on a bound: kp[{0}] = 3e+04 Nm/rad",),
-    "not-converged": ("the search stopped early (out of iterations): run longer, or with --resume",),
+    "not-converged": ("the fit stopped before it converged (out of iterations): run longer, or with --resume",),
     "no-better": ("the fitted model is no better than the original one on val; is this the log of another robot?",),
 }
 

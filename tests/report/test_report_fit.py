@@ -388,7 +388,7 @@ def test_how_many_are_sure_is_counted():
     )
     text = sure_sentence(make_fit(JOINTS, "at-bound"))
     assert "14 of 20\N{NO-BREAK SPACE}parameters, 2 weakly and 4 not at all." in text
-    assert "1 ended on a bound. 2 ended on zero: the data ask for none of that." in text
+    assert "1 ended on a bound. 2 ended on zero: the data show none of that." in text
     frozen = [fitted_parameter("kp", "a", frozen=True)]
     assert sure_sentence(make_fit(JOINTS, "ok", frozen)) == "No parameter was fitted."
 

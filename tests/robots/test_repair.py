@@ -94,7 +94,7 @@ def test_masses_that_the_file_does_not_state_are_told(tmp_path, capsys):
     with pytest.raises(SystemExit) as left:
         main(["init", str(path), "--out", str(tmp_path / "out"), "--yes"])
     assert left.value.code == 0
-    assert "upper had no mass and got next to none" in capsys.readouterr().err
+    assert "upper had no mass and got a tiny one" in capsys.readouterr().err
 
 
 def test_the_command_says_the_link_and_repairs_a_copy(tmp_path, capsys):

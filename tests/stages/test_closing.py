@@ -339,7 +339,7 @@ def test_logs_that_do_not_say_what_to_hold_out(data, tmp_path, motions, counts):
     closed = close(tmp_path / "logs", ROBOT, tmp_path / "out", until="import")
     splits = list(closed.dataset.splits.values())
     assert tuple(splits.count(split) for split in ("train", "val", "test")) == counts
-    assert any("nothing says what to hold out" in note for note in closed.imported.notes) == (motions >= 6)
+    assert any("no splits given" in note for note in closed.imported.notes) == (motions >= 6)
     import_logs(tmp_path / "logs", tmp_path / "imported")  # an import alone draws nothing
     assert not {*Dataset(tmp_path / "imported").splits.values()} - {""}
 
@@ -355,8 +355,8 @@ def test_a_dataset_is_split_anew_when_it_is_asked_for(data, tmp_path):
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"format": "sage"}, "is a dataset, and options of an import are given"),
-        ({"options": ImportOptions(measured_topic="/x")}, "is a dataset, and options of an import are given"),
+        ({"format": "sage"}, "is a dataset, so import options do not apply"),
+        ({"options": ImportOptions(measured_topic="/x")}, "is a dataset, so import options do not apply"),
         ({"overwrite": True, "resume": True}, "--overwrite begins anew and --resume goes on"),
     ],
 )

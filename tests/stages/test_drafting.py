@@ -312,7 +312,7 @@ def test_commands_in_an_array_get_the_names_of_those_that_followed(tmp_path):
     found = draft(path, source, out=tmp_path / "out")
     names = [episode.measured.joints[place] for place in order]
     assert f"command_joints: [{', '.join(names)}]" in (tmp_path / "out" / "mapping.yaml").read_text()
-    assert any("by what has followed them" in line for line in found.taken)
+    assert any("unnamed command columns, matched by motion" in line for line in found.taken)
     plan = plan_import(source, options=ImportOptions(mapping=tmp_path / "out" / "mapping.yaml"))
     assert plan.episodes[0].load().command.joints == tuple(names)
 

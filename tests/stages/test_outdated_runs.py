@@ -36,6 +36,6 @@ def test_a_correction_of_an_earlier_run_is_warned_of_until_it_is_made_again(tmp_
     info["info"]["provenance"]["created"] = "2031-01-01T00:00:00+00:00"  # stamps tell seconds apart, not less
     file.write_text(json.dumps(info))
     (said,) = warnings(path)
-    assert f"The run {LABEL} corrects an earlier mujoco/stock" in said
+    assert f"The run {LABEL} corrects an earlier version of mujoco/stock" in said
     evaluate(Dataset(path), [model], tmp_path / "b", split="all", draws=100)
     assert warnings(path) == []

@@ -459,7 +459,7 @@ def test_a_command_is_not_held_against_a_simulation_that_is_restarted(demo):
 
 
 def test_a_window_without_samples_and_stamps_in_nanoseconds_are_refused(demo, tmp_path):
-    with pytest.raises(DataError, match="hardly a sample"):
+    with pytest.raises(DataError, match="holds too few samples"):
         replay(demo, load_robot("demo_arm"), window_s=0.01)
     with pytest.raises(ConfigError, match="command"):
         replay(demo, load_robot("demo_arm"), label="command")

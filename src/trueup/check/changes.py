@@ -291,7 +291,7 @@ def gravity(looked: Looked) -> Iterator[Proposal]:
         yield Proposal("gravity", (), changed, "", f"gravity pulls along {_axis(direction)}", freedom=0.3)
     if now.any():
         changed = replace(looked.reading, gravity=(0.0, 0.0, 0.0))
-        yield Proposal("gravity-compensation", (), changed, "", "something else than the drives carries the weight")
+        yield Proposal("gravity-compensation", (), changed, "", "something other than the drives carries the weight")
     if looked.evidence.compensated and not looked.reading.uncompensated:
         changed = replace(looked.reading, uncompensated=True)
         yield Proposal("gravity-compensation", (), changed, "", "the drives carry the weight themselves")
@@ -318,7 +318,7 @@ def clocks(looked: Looked) -> Iterator[Proposal]:
         if not agrees and (signal == "position" or not looked.evidence.sure or not looked.puzzling):
             continue
         changed = replace(looked.reading, clock_scale=looked.reading.clock_scale * scale)
-        says = f"one second of the stamps is {scale:g} s"
+        says = f"time stamps are in units of {scale:g} s"
         yield Proposal("clock", (), changed, "", says, freedom=-0.5 if agrees else 0.3, value=scale)
 
 
@@ -430,7 +430,7 @@ def _flipped(reading: Reading, joints: Sequence[int], side: Side) -> Reading:
 
 def _swap(looked: Looked, order: dict[int, int], side: Side) -> Proposal:
     changed = looked.reading.with_columns(side, lambda columns: columns.permuted(order))
-    says = f"have each other's columns {_in(side)}" if len(order) == 2 else f"have one another's columns {_in(side)}"
+    says = f"are swapped {_in(side)}" if len(order) == 2 else f"are in the wrong order {_in(side)}"
     whole = order if side == "both" else {}
     return Proposal("swap", tuple(sorted(order)), changed, side, says, order=whole)
 

@@ -67,7 +67,7 @@ def check_motions(
     lengths = tuple(si_factor(unit)[0] for unit in episodes[0].measured.select(robot.joint_names).units["position"])
     copied = any(finding.kind == "command-is-measurement" for finding in findings)
     if copied and signal != "torque":
-        return _ordered(findings), ("Nothing about the drive: command and measurement are the same numbers.",)
+        return _ordered(findings), ("The drive cannot be checked: command and measurement are identical.",)
     changes, reading = accepted(evidence, nominal(evidence), lengths)
     units: dict[tuple[str, int], Unit] = {}
     for change in changes:
@@ -140,10 +140,9 @@ def _explained(robot: RobotSpec, evidence: Evidence, change: Accepted, joint: in
         share, was = (1.0 - one.left[joint] / max(one.blind[joint], 1e-12) for one in (after, before))
         numbers |= {"explained": float(share), "explained_before": float(was)}
         ways.append(
-            f"the model explains {percent(share)} of how far {name} is from its command "
-            f"(as configured, {percent(was)} of it)"
+            f"the model explains {percent(share)} of the tracking error of {name} (as configured, {percent(was)} of it)"
         )
-    return "read this way, " + ", and ".join(ways), numbers
+    return "with this change, " + ", and ".join(ways), numbers
 
 
 def _mends(
@@ -180,7 +179,7 @@ def _mends(
             if unit
             else ()
         )
-        return (Mend("robot.yaml", lines, "say what a second of the stamps is"), *mapping)
+        return (Mend("robot.yaml", lines, "convert the time stamps to seconds"), *mapping)
     if proposal.kind == "gravity" and reading.gravity is not None:
         vector = " ".join(f"{part:g}" for part in reading.gravity)
         return (
@@ -190,7 +189,7 @@ def _mends(
         )
     if proposal.kind == "gravity-compensation":
         on = str(not reading.uncompensated).lower()
-        return (Mend("robot.yaml", f"simulation: {{gravity_compensation: {on}}}", "say who carries the weight"),)
+        return (Mend("robot.yaml", f"simulation: {{gravity_compensation: {on}}}", "set gravity compensation"),)
     return _mode_mends(robot, evidence, proposal)
 
 
@@ -223,7 +222,7 @@ def _unseen(robot: RobotSpec, evidence: Evidence, reading: Reading) -> list[str]
     if not evidence.sure:
         why = "its base is free or moves, or joints are passive or coupled"
         return [
-            f"Gravity, and signs that are wrong in both series alike: what the model says of torques is unsure, {why}."
+            f"Gravity, and signs flipped in command and measurement, cannot be checked: torques are unsure, as {why}."
         ]
     score = evidence.score(reading)
     base = loss(score, score).sum()
@@ -243,7 +242,7 @@ def _unseen(robot: RobotSpec, evidence: Evidence, reading: Reading) -> list[str]
     if signs:
         said.append(
             f"These motions cannot show whether the signs of {signs} are right: they would look the same with both "
-            "command and measurement turned."
+            "command and measurement negated."
         )
     if zeros:
         said.append(f"These motions cannot show whether the zeros of {zeros} are those of the model.")

@@ -237,7 +237,7 @@ def speed_limits(setting: Setting) -> Iterator[Finding]:
         yield Finding(
             "speed-limit",
             "likely",
-            f"Joints that are no faster the further they are behind their command: {words}.",
+            f"Joints whose speed does not rise with the tracking error, as at a speed limit: {words}.",
             setting.names([item[0] for item in found]),
             (
                 Mend(
@@ -287,9 +287,7 @@ def another_robot(setting: Setting) -> Iterator[Finding]:
         words = []
         if lost:
             what = "motion" if servo else "torque"
-            words.append(
-                f"of the {what} of {', '.join(setting.names(lost))} the model leaves more than half unexplained"
-            )
+            words.append(f"the model explains less than half of the {what} of {', '.join(setting.names(lost))}")
         if out:
             words.append(
                 f"{', '.join(setting.names(out))} {'is' if len(out) == 1 else 'are'} out of range for much of the time"

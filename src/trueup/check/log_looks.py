@@ -30,13 +30,13 @@ def stamps(logs: Logs) -> Iterator[Finding]:
         return
     unit = {1e-3: "ms", 1e-6: "us", 1e-9: "ns"}.get(scale)
     says = f"in {unit}" if unit else f"{1 / scale:g} times too small"
-    mends = [Mend("robot.yaml", yaml_lines({"clock": {"scale": scale}}), "say what a second of the stamps is")]
+    mends = [Mend("robot.yaml", yaml_lines({"clock": {"scale": scale}}), "convert the time stamps to seconds")]
     if unit:
         mends.append(Mend("mapping", f"time: {{column: …, unit: {unit}}}", "or say it when the logs are imported"))
     yield Finding(
         "clock",
         "certain",
-        f"Samples at {rate_hz:.3g} Hz are no robot's; with stamps {says} they come at {rate_hz / scale:.4g} Hz.",
+        f"A sampling rate of {rate_hz:.3g} Hz is implausible; if stamps are {says}, it is {rate_hz / scale:.4g} Hz.",
         mends=tuple(mends),
         numbers={"scale": scale, "rate_hz": rate_hz},
     )
@@ -67,7 +67,7 @@ def no_command(logs: Logs) -> Iterator[Finding]:
         ]
     elif signal == "torque" and any("torque" in episode.measured for episode in lacking):
         mends = [
-            Mend("robot.yaml", "controller: {source: measured}", "let the measured torque stand for the command"),
+            Mend("robot.yaml", "controller: {source: measured}", "use the measured torque as the command"),
             *mends,
         ]
     said = f"command {', '.join(others)}" if others else "have no command"
@@ -150,8 +150,8 @@ def same_twice(logs: Logs) -> Iterator[Finding]:
         yield Finding(
             "command-is-measurement",
             severity,
-            f"Command and measured {controller.signal} of {logs.listed(found)} are the same numbers, in all motions: "
-            "one of them was logged twice, and nothing can be learned about the drive.",
+            f"Command and measured {controller.signal} of {logs.listed(found)} are identical in all motions: one of "
+            "them was logged twice, so nothing can be learned about the drive.",
             logs.names(found),
             (
                 Mend(

@@ -14,7 +14,7 @@ from trueup.cli.console import answer, note, out, problem, track, warning
 from trueup.core.check_result import SEVERITIES, CheckResult, CheckSeverity, Finding
 from trueup.errors import OutputExists
 
-GO_ON = "Mend what is said above and begin again with --overwrite, or go on as it is with --resume --force."
+GO_ON = "Fix the errors above and start again with --overwrite, or continue anyway with --resume --force."
 
 
 def register(app: typer.Typer) -> None:
@@ -56,7 +56,7 @@ def check(
     for line in checked.unseen:
         note(line)
     counts = [(sum(one.severity == severity for one in checked.findings), severity) for severity in SEVERITIES]
-    said = ", ".join(f"{count} {severity}" for count, severity in counts if count) or "nothing wrong seen"
+    said = ", ".join(f"{count} {severity}" for count, severity in counts if count) or "no problems found"
     out.print(f"{said} in {checked.motions} motion{'s' if checked.motions != 1 else ''}", markup=False)
     if out_file is not None:
         checked.save(out_file)

@@ -64,7 +64,7 @@ def close(
     ] = None,
     method: Annotated[
         list[str] | None,
-        typer.Option("--method", help="Network to try on what is left; repeatable; three of them if not given."),
+        typer.Option("--method", help="Network to train on the remaining error; repeatable; three if not given."),
     ] = None,
     model: options.Model = None,
     format: options.Format = None,
@@ -148,11 +148,11 @@ def exit_code(closed: Closed, *, skip_bad: bool = False) -> int:
         return 2
     missing = lacking(closed)
     if closed.stopped:
-        problem("nothing was fitted, because the set-up is wrong and a fit would hide that in its numbers", GO_ON)
+        problem("nothing was fitted: the set-up is wrong, and a fit would hide that in wrong parameter values", GO_ON)
     elif missing:
         problem(
             "; ".join(missing),
-            "The lines above say why. --resume tries failed steps again; it keeps a fit, --overwrite makes another.",
+            "The lines above say why. --resume repeats failed steps and keeps the fit; --overwrite fits again.",
         )
     return 3 if missing or closed.stopped else 0
 

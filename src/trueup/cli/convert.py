@@ -31,7 +31,7 @@ def import_(
     mapping: options.Mapping = None,
     unit: options.Units = None,
     robot: Annotated[
-        str | None, typer.Option("--robot", help="Whose logs these are: its limits enter the quality checks.")
+        str | None, typer.Option("--robot", help="Robot of the logs; quality checks use its limits.")
     ] = None,
     command_topic: options.CommandTopic = None,
     measured_topic: options.MeasuredTopic = None,

@@ -22,7 +22,7 @@ Robot = Annotated[
 ]
 RobotOrModel = Annotated[
     str | None,
-    typer.Option("--robot", help="As for other commands; may be left out where --model is given."),
+    typer.Option("--robot", help="Name of a shipped robot, robot.yaml, MJCF or URDF; optional with --model."),
 ]
 Model = Annotated[
     Path | None,
@@ -43,7 +43,7 @@ TrainFlagged = Annotated[
     bool | None,
     typer.Option(
         "--drop-flagged/--keep-flagged",
-        help="Leave out all episodes with quality warnings, or none; those whose measurement is broken if not given.",
+        help="Leave out all episodes with quality warnings, or none; by default, those with a broken measurement.",
     ),
 ]
 Format = Annotated[
@@ -54,7 +54,7 @@ Mapping = Annotated[
 ]
 Units = Annotated[
     list[str] | None,
-    typer.Option("--unit", help="SIGNAL=UNIT or SIGNAL.JOINT=UNIT, over what the format implies; repeatable."),
+    typer.Option("--unit", help="SIGNAL=UNIT or SIGNAL.JOINT=UNIT, overriding the format's units; repeatable."),
 ]
 CommandTopic = Annotated[str | None, typer.Option("--command-topic", help="Bag topic that holds the commands.")]
 MeasuredTopic = Annotated[str | None, typer.Option("--measured-topic", help="Bag topic that holds the joint states.")]
@@ -96,7 +96,7 @@ Form = Annotated[
         "--form", help="Commands as JointState, or as Float64MultiArray for ros2_control's forward controllers."
     ),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Go on even if the check of the set-up is certain.")]
+Force = Annotated[bool, typer.Option("--force", help="Continue even if the check finds certain set-up errors.")]
 SkipBad = Annotated[bool, typer.Option("--skip-bad", help="Exit with 0 even if some episodes were refused.")]
 
 _SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0}

@@ -117,7 +117,7 @@ def explain(
     statements = [
         *left_out(_unused(broken, refused, path.own.refused)),
         *seen.statements,
-        "shares: all numbers move together from the original to the fitted ones; a cause gets what its own take away",
+        "shares: each cause's part of the error removed as all parameters move together from original to fitted values",
     ]
     if not (in_time and simulated):
         statements.append(f"{SHORT_OF_TIME} {_ALL}")

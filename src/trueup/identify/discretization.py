@@ -194,17 +194,17 @@ def in_words(way: Discretization, before: Discretization, timestep_s: float) -> 
     if way.plain.divisor != before.divisor:
         said.append(
             f"robot.fitted.yaml has a time step of {1e3 * timestep_s / way.plain.divisor:.3g} ms instead of "
-            f"{1e3 * timestep_s:.3g} ms, at which numbers would be others by more than their intervals"
+            f"{1e3 * timestep_s:.3g} ms, which would change parameters by more than their intervals"
         )
     if way.command != before.command:
-        what = {"linear": "moves on", "smooth": "moves on smoothly", "held": "is held"}[way.command]
+        what = {"linear": "is interpolated", "smooth": "is interpolated smoothly", "held": "is held"}[way.command]
         said.append(
-            f"the command {what} between its stamps: this explains the logs better (replay: {{command: "
+            f"the command {what} between its stamps: this fits the logs better (replay: {{command: "
             f"{way.command}}} in robot.fitted.yaml)"
         )
     if not way.rigid:
         said.append(
-            "dry friction creeps as softly as the model's solreffriction says: this explains the logs better than "
-            "friction that holds"
+            "dry friction creeps as the model's solreffriction allows: this fits the logs better than friction that "
+            "holds the joint rigidly"
         )
     return tuple(said)

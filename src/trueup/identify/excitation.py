@@ -78,8 +78,8 @@ def excitation_of(
         ),
         *(f"{joint} is never moved: nothing is fitted for it" for joint in idle),
         *(
-            f"{joint} is commanded beyond its torque limit {100 * share / seconds:.0f} % of the time: what the drive "
-            "really gave is not in the log"
+            f"{joint} is commanded beyond its torque limit {100 * share / seconds:.0f} % of the time: the log does "
+            "not show what torque the drive really applied"
             for joint, share in saturated.items()
             if share > _SATURATED * seconds
         ),

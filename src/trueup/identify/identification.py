@@ -17,7 +17,7 @@ from trueup.identify.candidate import Candidate, Nominal
 from trueup.identify.config import IdentifyConfig
 from trueup.identify.model_search import ModelSearch
 from trueup.identify.problem import Problem
-from trueup.identify.scoring import Scorer, judged
+from trueup.identify.scoring import CROSS_VALIDATION, Scorer, judged
 from trueup.identify.solution import OnModel
 from trueup.identify.suspects import strange_masses
 from trueup.identify.uncertainty import (
@@ -118,6 +118,8 @@ def identify(
         "nominal": {split: soft.score(ParameterSet(()), {}, split).estimate(soft.unit) for split in search.judged},
         "fitted": dict(next(row for row in rows if row.chosen).splits),
     }
+    if (crossed := search.cross_validated(best)) is not None:
+        errors["fitted"][CROSS_VALIDATION] = crossed
     commanded = {split: error for split in soft.splits if (error := soft.command(split)) is not None}
     errors |= {"command": commanded} if commanded else {}
     seen = "train" if "train" in search.judged else next(iter(search.judged))

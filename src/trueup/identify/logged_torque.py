@@ -150,15 +150,15 @@ def logged_torque(problem: Problem, found: Solution, config: IdentifyConfig) -> 
     explained = 1.0 - float(np.mean((factor * one - other) ** 2)) / max(float(np.mean(other**2)), 1e-300)
     if not (explained > _HEARD and _SAME_UNIT[0] < factor < _SAME_UNIT[1]):
         said = (
-            "the logged torque is not used: the best multiple of the simulated one "
-            f"({factor:.3g} times) explains {max(0.0, 100 * explained):.0f} % of it; has it another sign, unit or "
-            "place? (signals: {torque: …} weighs it nevertheless)"
+            f"the logged torque is not used: {factor:.3g} times the simulated torque, the best match, explains "
+            f"{max(0.0, 100 * explained):.0f} % of it; check its sign, unit and where it is measured "
+            "(signals: {torque: …} uses it anyway)"
         )
         return plain, said
     away = np.maximum(np.sqrt(np.mean(left**2, axis=0)), _SURE * size)
     positions = np.concatenate([values for _, signal, values in blocks if signal == "position"])
     usual = float(np.sqrt(np.mean(positions**2)))
     own = {name: usual / float(std) for name, std in zip(names, away, strict=True)}
-    said = "the logged torque is weighed, each joint's by what the fit leaves of it"
+    said = "the logged torque is fitted too, each joint weighted by its remaining torque error"
     known |= {name: replace(known[name], noise=float(std)) for name, std in zip(names, away, strict=True)}
     return replace(both, own={"torque": own}, torque=known), said

@@ -17,11 +17,13 @@ from trueup.core.episode import Episode
 from trueup.core.fit_result import ModelRow, Suspect
 from trueup.core.parameters import ParameterSet, widened
 from trueup.core.ray_workers import Cluster
+from trueup.core.results import Estimate
 from trueup.core.time_limit import OutOfTime, TimeLimit
 from trueup.errors import DataError, NotIdentifiable
 from trueup.identify.assumptions import assumption_shifts
 from trueup.identify.candidate import Nominal
 from trueup.identify.config import AUTO, IdentifyConfig, make_parameters
+from trueup.identify.cross_validation import without_each
 from trueup.identify.discretization import (
     DECIDED,
     Alternative,
@@ -317,6 +319,28 @@ class ModelSearch:
             per_joint={split: own.per_joint for split, own in scores.items()},
             chosen=chosen,
         )
+
+    def cross_validated(self, item: TriedModel) -> Estimate | None:
+        """The error on each motion of a fit to the others; None where motions are held out, or all are of one kind."""
+        if set(self._scorer.splits) != {"train"} or _over(self._limit):
+            return None
+        problem = self.problem_of(item)
+        try:
+            with problem.ending(self._limit):
+                places = without_each(problem, item.solution, self._scorer.executed)
+        except OutOfTime:
+            return None
+        free, parameters = item.solution.parameters.free, item.solution.parameters
+        found = [
+            self._scorer.score(
+                parameters,
+                {own.name: own.from_z(float(at)) for own, at in zip(free, z, strict=True)},
+                "train",
+                executed,
+            )
+            for executed, z in places.items()
+        ]
+        return Scores.together(found).estimate(self._scorer.unit) if found else None
 
     def signals(self, item: TriedModel, split: str) -> dict[str, dict[str, float]]:
         """Logged signal -> joint -> error of one model on one split."""
@@ -947,7 +971,7 @@ def _payload_note(logs: Sequence[Episode]) -> tuple[str, ...]:
         return ()
     amounts = ", ".join(f"{payload:g}" for payload in carried)
     note = (
-        f"some motions carry a payload ({amounts} kg) that the model does not: say where it hangs in robot.yaml "
-        "(payload: {sites: [...]}), leave them out, or expect a compromise"
+        f"some motions carry a payload ({amounts} kg) that the model lacks: name its site in robot.yaml (payload: "
+        "{sites: [...]}), leave these motions out, or the fit averages over both"
     )
     return (note,)

@@ -56,7 +56,7 @@ def _auto(search: Search) -> Solution:
     try:
         first = search.gauss_newton()
     except DataError:
-        remark = "the model diverges at the start; the search began at another place that can be simulated"
+        remark = "the simulation diverges at the start values; the fit began at others that can be simulated"
         found = _continued(search, _somewhere_else(search.problem, search.settings.seed), "gauss-newton-elsewhere")
         return replace(found, solver={**found.solver, "remark": remark})
     if first.solution.solver["stop"] == "time" or first.gained > HARDLY or search.at_minimum(first):
@@ -64,7 +64,7 @@ def _auto(search: Search) -> Solution:
     rough = search.derivative_free("cma-es")
     # Gauss-Newton goes down only, so that its end is at least as good.
     found = _continued(search, rough.values, "gauss-newton-again")
-    remark = "Gauss-Newton found no way down from the start; CMA-ES looked for a better one"
+    remark = "Gauss-Newton could not reduce the error from the start values; CMA-ES searched for better ones"
     return replace(found, solver={**found.solver, "name": "cma-es, gauss-newton", "remark": remark})
 
 
@@ -86,7 +86,7 @@ def _somewhere_else(problem: Problem, seed: int) -> dict[str, float]:
     costs = np.sum(problem.residuals(starts) ** 2, axis=1)
     if not np.isfinite(costs).any():
         raise DataError(
-            "the model cannot be simulated, neither at the start of the fit nor elsewhere within the bounds",
+            "the simulation diverges, both at the start values of the fit and elsewhere within the bounds",
             hint="Give a smaller simulation.timestep_s in robot.yaml, or narrower bounds.",
         )
     return problem.parameters.values(starts[int(np.nanargmin(costs))])

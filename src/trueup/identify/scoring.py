@@ -21,6 +21,8 @@ from trueup.identify.segments import Segment, SegmentRule, make_segments
 from trueup.measure import bootstrap_interval, motion_numbers
 from trueup.robots import RobotSpec
 
+# Instead of a split: of each motion by a fit to the others.
+CROSS_VALIDATION = "cross-validation"
 # Fewer motions of val than this do not choose between models alone.
 _FEW = 6
 
@@ -44,6 +46,19 @@ class Scores:
     samples: Int[np.ndarray, "E"]
     seed: int = 0
     executed: tuple[str, ...] = ()
+
+    @staticmethod
+    def together(parts: Sequence[Scores]) -> Scores:
+        """Those of the motions of all parts, of which there is one at least."""
+        first = parts[0]
+        return Scores(
+            tuple(name for part in parts for name in part.episodes),
+            first.joints,
+            np.concatenate([part.rmse for part in parts]),
+            np.concatenate([part.samples for part in parts]),
+            first.seed,
+            tuple(name for part in parts for name in part.executed),
+        )
 
     @property
     def mean(self) -> float:
@@ -96,6 +111,7 @@ class Scorer:
 
     Attributes:
         refused: split -> motion -> why it cannot be scored.
+        executed: motion -> what it executed, the same for its repetitions.
     """
 
     def __init__(
@@ -111,12 +127,12 @@ class Scorer:
         )
         self._nominal, self._jobs, self._seed = nominal, jobs, seed
         self._segments: dict[str, list[Segment]] = {}
-        self._executed: dict[str, str] = {}
+        self.executed: dict[str, str] = {}
         self.refused: dict[str, dict[str, str]] = {}
         for split, logs in episodes.items():
             if not logs:
                 continue
-            self._executed.update({log.id: log.meta.executed for log in logs})
+            self.executed.update({log.id: log.meta.executed for log in logs})
             try:
                 self._segments[split], refused = make_segments(logs, nominal.simulator, rule)
             except DataError as error:
@@ -134,7 +150,7 @@ class Scorer:
         """The splits that choose between models: val, and train beside it where val has few motions."""
         if "val" not in self._segments:
             return ()
-        few = len({self._executed[segment.episode_id] for segment in self._segments["val"]}) < _FEW
+        few = len({self.executed[segment.episode_id] for segment in self._segments["val"]}) < _FEW
         return ("train", "val") if few and "train" in self._segments else ("val",)
 
     def deciding_error(self, parameters: ParameterSet, values: Mapping[str, float]) -> float:
@@ -206,23 +222,29 @@ class Scorer:
                 told = measured[0] + np.concatenate([np.zeros_like(told[:1]), moved])
             rows.append(np.sqrt(np.nanmean((told - measured)[:, joints] ** 2, axis=0)))
             names.append(segment.episode_id)
-        executed = tuple(self._executed[name] for name in names)
+        executed = tuple(self.executed[name] for name in names)
         found = Scores(
             tuple(names), tuple(map(str, joints)), np.array(rows), np.ones(len(rows), int), self._seed, executed
         )
         return found.estimate(self.unit)
 
     def _problem(
-        self, parameters: ParameterSet, values: Mapping[str, float], split: str, weights: Weights | None = None
+        self,
+        parameters: ParameterSet,
+        values: Mapping[str, float],
+        split: str,
+        weights: Weights | None = None,
+        executed: str = "",
     ) -> Problem:
         # What single recordings were off by is no part of the model that is judged.
         lasting = tuple(item for item in parameters if quantity(item.quantity).of != "motion")
         moved = ParameterSet(lasting).at(values)
-        return Problem(self._nominal, moved, self._segments[split], weights=weights, jobs=self._jobs)
+        segments = [own for own in self._segments[split] if executed in ("", self.executed[own.episode_id])]
+        return Problem(self._nominal, moved, segments, weights=weights, jobs=self._jobs)
 
-    def score(self, parameters: ParameterSet, values: Mapping[str, float], split: str) -> Scores:
-        """Errors of one model on one split."""
-        problem = self._problem(parameters, values, split)
+    def score(self, parameters: ParameterSet, values: Mapping[str, float], split: str, executed: str = "") -> Scores:
+        """Errors of one model on one split, or on those of its motions that executed this."""
+        problem = self._problem(parameters, values, split, executed=executed)
         residual = problem.residuals(problem.parameters.start[None])[0]
         joints = self._nominal.robot.joint_names
         rmse, samples = {}, {}
@@ -238,5 +260,5 @@ class Scorer:
             np.array(list(rmse.values())),
             np.array(list(samples.values())),
             self._seed,
-            tuple(self._executed[name] for name in rmse),
+            tuple(self.executed[name] for name in rmse),
         )

@@ -119,7 +119,7 @@ def make_segments(
         if np.count_nonzero(counts) > 1:
             segments.append(Segment(log.id, plan, counts, setup_of(simulator.robot, log.meta)))
         else:
-            refused[log.id] = DataError(f"episode {log.id!r} has hardly a sample to compare with")
+            refused[log.id] = DataError(f"episode {log.id!r} has too few samples to compare with")
     if not segments:
         first = next(iter(refused.values()), "there are no episodes")
         raise DataError("there is nothing to fit", got=first, expected="at least one motion with commands")

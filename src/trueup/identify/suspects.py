@@ -664,11 +664,13 @@ class Suspicion:
         size = f"{', '.join(f'{value:.2g}' for value in sizes)} {unit}".strip()
         words = cause.words.format(joints=where, size=size)
         what = (
-            "what is left" if len(about) == self.train.problem.columns.size else f"what is left of {', '.join(joints)}"
+            "the remaining error"
+            if len(about) == self.train.problem.columns.size
+            else f"the remaining error of {', '.join(joints)}"
         )
         judged = "" if val is None else f" (val: {val:.0%})"
         other = "; ".join(
-            f"{rival.cause.name.replace('-', ' ')}, which looks alike, {self._shares(rival, about)[0]:.0%}"
+            f"{rival.cause.name.replace('-', ' ')}, which looks similar, {self._shares(rival, about)[0]:.0%}"
             for rival in rivals
         )
         sentence = f"{words} would explain {train:.0%} of {what}{judged}" + (f"; {other}" if other else "")

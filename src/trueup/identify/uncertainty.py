@@ -421,7 +421,7 @@ def _sentence(posterior: Posterior, index: int, identified: Identified, at_bound
     named = ", ".join(partners)
     together = f"; only its combination with {named} is determined" if partners else ""
     if absent:
-        return "the data ask for none of it: it ended on zero"
+        return "fitted as zero: the data show none of it"
     if at_bound:
         edge = parameter.low if at_bound == "low" else parameter.high
         return f"ended on its bound {edge:.4g} {parameter.unit}: widen the bound, or doubt the model{together}"
@@ -492,11 +492,11 @@ def whiteness_of(problem: Problem, residual: Float64[np.ndarray, "N"]) -> dict[s
         noise = max(noise, float(least[place]))
         correlation_s = (memory - 1.0) * step_s
         white = memory < _FORGETFUL or rms < _NOISE * noise
-        what = f"{joints[column]}: what is left ({rms:.3g})"
+        what = f"{joints[column]}: the remaining error ({rms:.3g})"
         sentence = (
-            f"{what} is the noise of the measurement"
+            f"{what} is sensor noise"
             if white
-            else f"{what} is {rms / max(noise, 1e-300):.2g} times the noise of the measurement and correlated over "
+            else f"{what} is {rms / max(noise, 1e-300):.2g} times the sensor noise and correlated over "
             f"{correlation_s:.2g} s, so it is model error and not noise"
         )
         found[joints[column]] = Whiteness(rms, correlation_s, white, sentence, noise)

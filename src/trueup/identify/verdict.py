@@ -9,6 +9,7 @@ from typing import get_args
 from trueup.core.fit_result import FitStatus, FittedParameter, Suspect, Whiteness
 from trueup.core.parameters import split_name
 from trueup.core.results import Estimate
+from trueup.identify.scoring import CROSS_VALIDATION
 from trueup.identify.solution import Solution
 from trueup.identify.uncertainty import Posterior, unexplained
 
@@ -91,6 +92,7 @@ def _judged(evidence: Evidence) -> list[_Judged]:
         _of_suspects(evidence),
         _of_starts(evidence),
         _of_search(evidence),
+        _of_cross_validation(evidence),
     ]
     return [item for item in looked if item is not None]
 
@@ -143,8 +145,8 @@ def _of_the_unlooked(evidence: Evidence) -> _Judged | None:
     left = any(unexplained({joint: item}) > 1.0 for joint, item in evidence.whiteness.items())
     return _Judged(
         "unexplained" if left else "ok",
-        "no time was left to look for what the model lacks" + ("; give the fit more (--budget)" if left else ""),
-        "nobody has looked for what the model lacks" if left else "",
+        "no time was left to look for causes of the remaining error" + ("; raise --budget" if left else ""),
+        "no causes of the remaining error were looked for" if left else "",
     )
 
 
@@ -154,7 +156,7 @@ def _of_suspects(evidence: Evidence) -> _Judged | None:
         return None
     names = ", ".join(item.name.replace("-", " ") for item in evidence.suspects)
     sentences = "; ".join(item.sentence for item in evidence.suspects)
-    return _Judged("unexplained", f"what the model lacks: {sentences}", f"the model lacks something: {names}")
+    return _Judged("unexplained", f"effects the model may lack: {sentences}", f"the model lacks something: {names}")
 
 
 def _of_numbers(evidence: Evidence) -> _Judged | None:
@@ -168,7 +170,7 @@ def _of_numbers(evidence: Evidence) -> _Judged | None:
     return _Judged(
         "not-identifiable" if asked else "ok",
         f"{len(unknown)} of {len(free)} parameters are not determined by these motions: {names}; their values "
-        "rest on the model that you gave, and their intervals say how far off they may be",
+        "come mostly from your model, and their intervals show how far off they may be",
     )
 
 
@@ -209,7 +211,7 @@ def _of_signals(evidence: Evidence) -> _Judged | None:
         "signal-worse",
         f"the fitted model simulates a logged signal worse than the original model: {', '.join(worse[:6])}"
         + (", …" if len(worse) > 6 else "")
-        + ". Its numbers are not the robot's, or the signal has another sign, scale or unit",
+        + ". Either its parameters are not the robot's, or the signal has another sign, scale or unit",
         "a logged signal became worse",
     )
 
@@ -217,33 +219,46 @@ def _of_signals(evidence: Evidence) -> _Judged | None:
 def _of_search(evidence: Evidence) -> _Judged | None:
     solver = evidence.solution.solver
     if solver["stop"] != "converged":
-        text = f"the search stopped early ({solver['stop']}): raise solver.max_iterations"
+        text = f"the fit stopped before it converged ({solver['stop']}): raise solver.max_iterations"
         if solver["stop"] == "time":
-            text = "the search ran out of time: give it more (--budget)"
-        return _Judged("not-converged", text, "the search did not end")
+            text = "the fit hit its time limit before it converged: raise --budget"
+        return _Judged("not-converged", text, "the fit did not converge")
     return _Judged("ok", str(solver["remark"])) if "remark" in solver else None
 
 
 def _of_motion(evidence: Evidence) -> list[_Judged]:
-    """On val; not on test, which decides nothing."""
+    """On val, or by cross-validation; not on test, which decides nothing."""
     errors = evidence.errors
-    judge = next((split for split in ("val", "train") if split in errors["fitted"]), None)
+    judge = next((split for split in ("val", CROSS_VALIDATION, "train") if split in errors["fitted"]), None)
     if judge is None:
         return []
+    motions = "train" if judge == CROSS_VALIDATION else judge
     found = []
     after = errors["fitted"][judge]
     rivals = {"nominal": "the original one", "command": "the command taken as the motion"}
     for run, rival in rivals.items():
-        before = errors.get(run, {}).get(judge)
+        before = errors.get(run, {}).get(motions)
         if before is not None and not after.value < before.value:
             text = (
                 f"the fitted model is no better than {rival} on {judge}: {after.value:.4g} against {before.value:.4g} "
                 f"{after.unit}; is this the log of another robot?"
             )
-            found.append(_Judged("no-better", text, "it makes motions no better"))
+            found.append(_Judged("no-better", text, "it does not reduce the position error"))
     if judge == "train":
         found.append(_Judged("ok", "there are no val motions, so the fit is judged on the motions it was fitted to"))
     return found
+
+
+def _of_cross_validation(evidence: Evidence) -> _Judged | None:
+    after = evidence.errors["fitted"].get(CROSS_VALIDATION)
+    before = evidence.errors.get("nominal", {}).get("train")
+    if after is None or before is None:
+        return None
+    return _Judged(
+        "ok",
+        f"cross-validation: a fit to the other motions predicts each motion to {after.value:.3g} {after.unit} RMSE "
+        f"(original model: {before.value:.3g})",
+    )
 
 
 def _remarks(evidence: Evidence) -> list[str]:
@@ -261,10 +276,10 @@ def _remarks(evidence: Evidence) -> list[str]:
     if not evidence.chosen_by_user:
         gone = [item.name for item in parameters if item.frozen and item.value == 0.0 and item.nominal]
         if gone:
-            remarks.append(f"the robot has none of these, though the model does: {', '.join(gone)}")
+            remarks.append(f"fitted as zero, although the model has them: {', '.join(gone)}")
         idle = [item.name for item in parameters if item.frozen and item.value == item.nominal]
         if idle:
-            remarks.append(f"not fitted, because these motions do not show them: {', '.join(idle)}")
+            remarks.append(f"not fitted, because these motions do not excite them: {', '.join(idle)}")
     return remarks
 
 

@@ -74,7 +74,7 @@ def parse_bar(text: str) -> Bar:
     where = left.rsplit(":", 2)
     signal, dot, name = where[-1].rpartition(".")
     if not (equals and dot and signal and name) or len(where) == 2:
-        raise ConfigError("this is no bar", got=repr(text), expected=_FORM)
+        raise ConfigError("not a valid bar", got=repr(text), expected=_FORM)
     if name not in METRICS:
         raise ConfigError(f"a bar on an unknown metric {name!r}", got=repr(text), available=METRICS)
     if METRICS[name].lower_is_better is False:

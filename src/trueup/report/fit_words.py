@@ -52,13 +52,13 @@ _ALERTS = {
     "unexplained": (
         "careful",
         "▲ Not fully explained",
-        "The model lacks something: more is left than noise, and numbers may be off by more than their intervals say.",
-        "Look at what is left below, and let the fit have what is missing (friction laws, limits, a payload).",
+        "The model lacks something: the error exceeds noise, so parameters may be off by more than their intervals.",
+        "Look at the remaining error below, and add what is missing to the fit (friction laws, limits, a payload).",
     ),
     "at-bound": (
         "careful",
         "▲ On a bound",
-        "Some fitted values ended on a bound: they show where the search had to stop, and the robot may be beyond.",
+        "Some fitted values ended on a bound: the robot's true values may lie beyond it.",
         "Widen the bound in the configuration, or doubt the structure of the model.",
     ),
     "signal-worse": (
@@ -113,7 +113,7 @@ def sure_sentence(fit: FitResult) -> str:
         which = "the parameter that was fitted" if len(free) == 1 else f"all {plural(len(free), 'parameter')}"
     kinds = [kind_of(item) for item in free]
     ends = [f"{kinds.count('bound')} ended on a bound."] if "bound" in kinds else []
-    ends += [f"{kinds.count('zero')} ended on zero: the data ask for none of that."] if "zero" in kinds else []
+    ends += [f"{kinds.count('zero')} ended on zero: the data show none of that."] if "zero" in kinds else []
     return " ".join([f"These motions determine {which}.", *ends])
 
 

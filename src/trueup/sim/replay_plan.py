@@ -171,7 +171,7 @@ class ReplayPlan:
             )
         if starts.size > 1 and np.median(np.diff(starts)) < _FEWEST_ROWS:
             raise DataError(
-                f"episode {self.episode_id!r}: a window of {window_s:g} s holds hardly a sample",
+                f"episode {self.episode_id!r}: a window of {window_s:g} s holds too few samples",
                 got=f"samples every {np.median(np.diff(clock)):.3g} s",
                 expected=f"windows of at least {_FEWEST_ROWS} samples",
             )

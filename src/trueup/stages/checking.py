@@ -22,7 +22,7 @@ from trueup.stages.robot_model import model_file
 
 # More motions say the same once more.
 _MOST = 40
-GO_ON = "Mend what is said above and begin again, or go on as it is with --force."
+GO_ON = "Fix the errors above and start again, or continue anyway with --force."
 
 
 def check_setup(
@@ -83,7 +83,7 @@ def refuse_wrong(result: CheckResult) -> None:
     """
     if result.certain:
         raise SetupWrong(
-            "the set-up is wrong, and a fit would bend numbers until that is hidden",
+            "the set-up is wrong, and a fit would hide that in wrong parameter values",
             got=of_certain(result),
             hint=GO_ON,
         )

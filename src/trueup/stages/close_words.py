@@ -27,7 +27,7 @@ def main_number(measurement: Measurement, run: str) -> str:
 def of_findings(checked: CheckResult) -> str:
     """How many findings there are of which kind, the certain ones by name."""
     if not checked.findings:
-        return f"nothing wrong seen in {checked.motions} motions"
+        return f"no problems found in {checked.motions} motions"
     certain = of_certain(checked)
     counts = [
         f"{sum(finding.severity == severity for finding in checked.findings)} {severity}"

@@ -106,7 +106,7 @@ def close(
         refuse_nesting(source, out / "dataset")
     elif format is not None or (options or ImportOptions()) != ImportOptions():
         raise ConfigError(
-            f"{source} is a dataset, and options of an import are given",
+            f"{source} is a dataset, so import options do not apply",
             expected="none of --format, --mapping, --unit and topics",
             hint="Leave them out, or give the logs that it was imported from.",
         )

@@ -41,7 +41,7 @@ _MOST_NAMES = 6
 # A joint that follows its command goes with it so closely, as a correlation.
 # Some twenty turns.
 _MOST_RAD = 125.0
-_ARRAY = "commands come in an array; by what has followed them: {}"
+_ARRAY = "unnamed command columns, matched by motion: {}"
 _FOLLOWED, _CLEARLY = 0.9, 0.02  # and so much more closely than any other
 
 
@@ -126,8 +126,8 @@ def draft(
         taken += [f"repaired: {fault.link} had {fault.wrong}; it has {fault.done}" for fault in faults]
         if light := unweighed(Path(model)):
             unsure.append(
-                f"{', '.join(light)} had no mass and got next to none: write their masses into {model}, or gains, "
-                "torques and all that is fitted mean nothing"
+                f"{', '.join(light)} had no mass and got a tiny one: write their real masses into {model}, or gains, "
+                "torques and fitted parameters mean nothing"
             )
     if logs is None:
         first = draft_robot(path)
@@ -254,7 +254,7 @@ def _with_command_named(suggestion: Suggestion, episodes: Sequence[Episode]) -> 
     if not found:
         told = episodes[0].command
         raise DataError(
-            "commands are only numbered, and it is not clear which joint has followed which one",
+            "command columns are numbered, not named, and the motion does not show which joint follows which",
             got=", ".join(told.joints if told else ()),
             expected=", ".join(episodes[0].measured.joints),
             hint="Write the mapping yourself, with `joints` below `command` in the order of its columns.",
@@ -384,9 +384,9 @@ def _refuse_counts(robot: RobotSpec, episodes: Sequence[Episode]) -> None:
         for joint, unit, values in zip(measured.joints, units, measured["position"].T, strict=True):
             if unit == "rad" and np.isfinite(values).any() and float(np.nanpercentile(np.abs(values), 5)) > _MOST_RAD:
                 raise DataError(
-                    f"positions of {joint} are no angles",
+                    f"positions of {joint} cannot be angles",
                     got=f"about {float(np.nanmedian(values)):.0f} rad, as they are read",
-                    expected="angles in a unit that is known, or encoder counts with the size of one",
+                    expected="angles in a known unit, or encoder counts with the angle per count",
                     hint="Write `factor` [rad per count], `offset` and `unit: rad` below `position` into a mapping.",
                 )
 
@@ -441,7 +441,7 @@ def _unmatched(matching: Matching | None) -> list[str]:
     lines = []
     ordered = [joint for joint, how in matching.how.items() if how == "order"]
     if ordered:
-        lines.append(f"{_listed(ordered)}: matched with the logs by order alone, since no name says more")
+        lines.append(f"{_listed(ordered)}: matched with the logs by order alone, since no names match")
     if matching.strangers:
         lines.append(f"{_listed(matching.strangers)}: in the logs, but no joint of the model, so ignored")
     if matching.missing:
@@ -453,7 +453,7 @@ def _commented(robot: RobotSpec, first: RobotDraft, model: Path, logs: Path | st
     """robot.yaml, with what somebody should look at on top."""
     head = [f"# From {model.name}{f' and {Path(logs).resolve().name}' if logs else ''}, by `trueup init`."]
     if first.invented:
-        head.append("# The gains are invented: nobody says them. `trueup identify` finds them.")
+        head.append("# The gains are invented: neither model nor logs state them. `trueup identify` fits them.")
     return "\n".join(head) + "\n" + robot_yaml(robot)
 
 

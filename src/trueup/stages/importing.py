@@ -124,7 +124,7 @@ def dataset_of(
     if is_dataset(source):
         if format is not None or (options or ImportOptions()) != ImportOptions():
             raise ConfigError(
-                f"{source} is a dataset, and options of an import are given",
+                f"{source} is a dataset, so import options do not apply",
                 hint="Leave them out, or give the logs that it was imported from.",
             )
         return Dataset(source), []
@@ -241,7 +241,7 @@ def import_logs(
     silent_on_it = {plan.splits.get(item.id, "train") or "train" for item in plan.episodes} == {"train"}
     if hold_out and splits is None and silent_on_it and len(Dataset(out)) >= FEWEST_HELD_OUT:
         splits = HELD_OUT
-        notes.append("nothing says what to hold out: 70 % of the motions are train, 15 % val, 15 % test (--splits)")
+        notes.append("no splits given: 70 % of the motions are train, 15 % val, 15 % test (--splits)")
     if splits is not None:
         notes += split_anew(Dataset(out), splits, seed=seed)
     kept = len(plan.episodes) - len(missing)
@@ -379,7 +379,7 @@ def refuse_nesting(source: Path, out: Path) -> None:
     logs, place = source.resolve(), out.resolve()
     if place == logs or place in logs.parents or logs in place.parents:
         raise ConfigError(
-            f"nothing is written over the logs in {source}, or among them",
+            f"the output folder must not contain the logs in {source}, or lie inside them",
             got=out,
             hint="Choose an --out beside the logs.",
         )

@@ -43,7 +43,7 @@ class Signs:
         if not unsigned:
             return []
         joints = ", ".join(unsigned)
-        return [f"The measured torque of {joints} has no sign, the simulated one has: errors of torque say little."]
+        return [f"The measured torque of {joints} is unsigned, the simulated one is signed: torque errors mean little."]
 
 
 def incomplete(dataset: Dataset, covered: Mapping[str, Set[str]], kept: Sequence[str]) -> list[str]:
@@ -56,7 +56,7 @@ def incomplete(dataset: Dataset, covered: Mapping[str, Set[str]], kept: Sequence
         if missing:
             sentences.append(
                 f"The run {label} lacks {len(missing)} of {len(kept)} motions ({', '.join(missing[:3])}"
-                f"{', …' if len(missing) > 3 else ''}): what is said of it holds for the others."
+                f"{', …' if len(missing) > 3 else ''}): its results cover only the others."
             )
     return sentences
 
@@ -71,8 +71,8 @@ def outdated(dataset: Dataset, labels: Sequence[str]) -> list[str]:
         base = corrects["run"]
         if dataset.run_info(base).get("provenance", {}).get("created") != corrects.get("created"):
             sentences.append(
-                f"The run {label} corrects an earlier {base}, which was made again since: what it says is out of date "
-                "until trueup augment eval corrects it again."
+                f"The run {label} corrects an earlier version of {base}: it is out of date until trueup augment eval "
+                "corrects it again."
             )
     return sentences
 
