@@ -121,6 +121,19 @@ def test_no_search_is_announced_that_does_not_begin(run, demo, tmp_path):
         assert said.startswith("error: ")
 
 
+@pytest.mark.long
+def test_a_budget_ends_the_fit_and_says_so(run, demo, quick, tmp_path):
+    given = ("identify", demo, "--robot", "demo_arm", "--config", quick, "--out", tmp_path / "fit")
+    code, _, said = run(*given, "--budget", "30")
+    assert code == 2
+    assert "--budget has no unit" in said
+    code, _, said = run(*given, "--budget", "1s")
+    assert code == 3
+    assert "stopped at the time limit" in said
+    assert "Give it more time (--budget)" in said
+    assert FitResult.load(tmp_path / "fit" / "fit.json").status == "not-converged"
+
+
 def test_an_unknown_solver_lists_the_known(run, demo, tmp_path):
     code, _, said = run("identify", demo, "--robot", "demo_arm", "--solver", "bfgs", "--out", tmp_path / "fit")
     assert code == 2

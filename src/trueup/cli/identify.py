@@ -36,6 +36,9 @@ def identify(
         str | None, typer.Option("--solver", help="auto, gauss-newton, cma-es or evolution; over the configuration.")
     ] = None,
     model: options.Model = None,
+    budget: Annotated[
+        str, typer.Option("--budget", help="Time for the fit, e.g. 90s, 10m, 1h; `none` for no limit.")
+    ] = "none",
     seed: options.Seed = 0,
     jobs: options.Jobs = None,
     ray: Annotated[
@@ -58,13 +61,14 @@ def identify(
     from dataclasses import replace
 
     from trueup.core.config import build
+    from trueup.core.time_limit import TimeLimit
     from trueup.dataset import Dataset
     from trueup.identify import IdentifyConfig
     from trueup.identify.config import SolverChoice
     from trueup.stages import check_setup, refuse_wrong
     from trueup.stages import fit as run
 
-    out_dir = options.folder_for(out_dir, dataset, of="fit")
+    out_dir, budget_s = options.folder_for(out_dir, dataset, of="fit"), options.budget_s(budget)
     chosen = IdentifyConfig.load(config) if config else IdentifyConfig()
     if solver is not None:
         name = build(SolverChoice, {"name": solver}, "--solver").name
@@ -89,6 +93,7 @@ def identify(
             track=track,
             on_begin=begin,
             on_progress=on_progress,
+            limit=None if budget_s is None else TimeLimit.after(budget_s),
         )
     show(identified, out_dir)
     return 3 if identified.fit.status in UNUSABLE else 0
