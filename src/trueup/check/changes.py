@@ -111,6 +111,11 @@ class Looked:
     length_units: tuple[str, ...]
 
     @cached_property
+    def rough(self) -> Score:
+        """Of the same reading, by a first look."""
+        return self.evidence.coarse.score(self.reading)
+
+    @cached_property
     def unmodelled(self) -> np.ndarray:
         """What of a servo's error is left without the model, by joint; see `Evidence.unmodelled`."""
         return self.evidence.unmodelled(self.reading)
@@ -359,8 +364,7 @@ def proposals(looked: Looked) -> Iterator[Proposal]:
 
 def _promising(looked: Looked, tried: Iterable[Proposal]) -> Proposal | None:
     """The one that explains most, if that is much more than now, by a first look."""
-    evidence = looked.evidence.coarse
-    base = evidence.score(looked.reading)
+    evidence, base = looked.evidence.coarse, looked.rough
     left = [(float(loss(evidence.score(one.reading), base).sum()), one) for one in tried]
     least, found = min(left, key=lambda item: item[0])
     return found if least < float(loss(base, base).sum()) - _PROMISING else None
@@ -368,13 +372,12 @@ def _promising(looked: Looked, tried: Iterable[Proposal]) -> Proposal | None:
 
 def _any_zero(looked: Looked, joint: int, side: Side) -> Iterator[Proposal]:
     """The zero that explains most, from a few and then nearer and nearer."""
-    found, values = None, _ZEROS
-    for width in (*_FINER, 0.0):
-        found = _promising(looked, [_zero(looked, joint, value, side, _ANY_ZERO) for value in values])
-        if found is None:
-            return
-        values = (found.value - width, found.value, found.value + width)
-    assert found is not None
+    found = _promising(looked, [_zero(looked, joint, value, side, _ANY_ZERO) for value in _ZEROS])
+    if found is None:
+        return
+    for width in _FINER:
+        near = (found.value - width, found.value, found.value + width)
+        found = _promising(looked, [_zero(looked, joint, value, side, _ANY_ZERO) for value in near]) or found
     yield found
 
 
@@ -398,10 +401,9 @@ def _mirrored(looked: Looked) -> tuple[int, ...]:
     may explain nothing. They are found by turning one or two more, or back, as long as that helps. The lag is that of
     the present reading, or none, which damping makes up for: with one that is too long nothing is explained.
     """
-    evidence, suspects = looked.evidence.coarse, looked.suspects
+    evidence, suspects, base = looked.evidence.coarse, looked.suspects, looked.rough
     if len(suspects) > _MOST_MIRRORED:
         return ()
-    base = evidence.score(looked.reading)
 
     def misses(joints: frozenset[int]) -> float:
         turned = _flipped(looked.reading, sorted(joints), "both")
@@ -612,7 +614,7 @@ def _orders(looked: Looked) -> Iterator[Proposal]:
     joints = [joint for joint in looked.moved if looked.length_units[joint] == "rad"]
     if len(looked.puzzling) < _FEWEST_PUZZLING or not 3 <= len(joints) <= _MOST_SUSPECTS:
         return
-    base = evidence.score(looked.reading)
+    base = looked.rough
     order = np.arange(len(looked.length_units))
 
     def misses(own: np.ndarray) -> float:

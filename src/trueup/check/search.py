@@ -147,8 +147,9 @@ def _best(looked: Looked) -> Accepted | None:
     if not looked.moved:
         return None
     coarse = looked.evidence.coarse
-    rough = coarse.score(looked.reading)
-    first = sorted(proposals(looked), key=lambda one: float(loss(coarse.score(one.reading), rough).sum()) + one.freedom)
+    first = sorted(
+        proposals(looked), key=lambda one: float(loss(coarse.score(one.reading), looked.rough).sum()) + one.freedom
+    )
     base = loss(before, before)
     ranked: list[tuple[float, Proposal, Score]] = []
     for proposal in first[:_CLOSELY]:

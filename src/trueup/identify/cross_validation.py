@@ -38,6 +38,7 @@ def without_each(problem: Problem, found: Solution, executed: Mapping[str, str])
     rows = _rows(problem, executed)
     if len(rows) < 2:
         return {}
+    mean, _ = problem.parameters.prior
     prior = noise_of(problem, found.residual).weight * precision_of(problem.parameters)
     logarithmic = np.array([item.transform == "log" for item in problem.parameters.free])
     low, high = problem.parameters.bounds
@@ -53,7 +54,7 @@ def without_each(problem: Problem, found: Solution, executed: Mapping[str, str])
         ]
         places = np.clip(found.z + np.array(moves), low, high)
         left = (problem.residuals(places)[:, ~own] ** 2).sum(axis=1)
-        cost = left + np.einsum("cp,pq,cq->c", places - found.z, prior, places - found.z)
+        cost = left + np.einsum("cp,pq,cq->c", places - mean, prior, places - mean)
         estimates[name] = places[int(np.argmin(np.nan_to_num(cost, nan=np.inf)))]
     return estimates
 

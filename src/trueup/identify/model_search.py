@@ -330,15 +330,9 @@ class ModelSearch:
                 places = without_each(problem, item.solution, self._scorer.executed)
         except OutOfTime:
             return None
-        free, parameters = item.solution.parameters.free, item.solution.parameters
+        parameters = item.solution.parameters
         found = [
-            self._scorer.score(
-                parameters,
-                {own.name: own.from_z(float(at)) for own, at in zip(free, z, strict=True)},
-                "train",
-                executed,
-            )
-            for executed, z in places.items()
+            self._scorer.score(parameters, parameters.values(z), "train", executed) for executed, z in places.items()
         ]
         return Scores.together(found).estimate(self._scorer.unit) if found else None
 
